@@ -1,0 +1,1 @@
+"""Analysis: from records to curves. Reads the store, trains nothing."""

@@ -1,0 +1,63 @@
+"""Export a study's records as one table in a file for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
+from pneuma.analysis.tables import TABLES as RECORD_TABLES
+from pneuma.analysis.tables import load_table
+from pneuma.study.store import Store, write_whole
+
+TABLES = (*RECORD_TABLES, "curves")
+FORMATS = ("csv", "parquet", "latex")
+
+
+def export_table(store: Store, record: Mapping[str, Any], table: str, form: str, path: Path) -> int:
+    """Write one of `TABLES` in one of `FORMATS`; return the number of rows.
+
+    The same runs give the same bytes; no table holds wall-clock values.
+    """
+    frame = _curves(store, record) if table == "curves" else load_table(store, record, table)
+    write_whole(path, _encode(frame, form))
+    return len(frame)
+
+
+def _curves(store: Store, record: Mapping[str, Any]) -> pd.DataFrame:
+    episodes, evaluations = (load_table(store, record, name) for name in ("episodes", "evaluations"))
+    curves = {name: training_curves(episodes, record, name) for name in ("return", "length", "kills")}
+    curves["share_killed"] = evaluation_curves(evaluations)
+    return curves_table(curves, "std")
+
+
+def _encode(frame: pd.DataFrame, form: str) -> bytes:
+    if form == "csv":
+        return frame.to_csv(index=False, lineterminator="\n").encode()
+    if form == "parquet":
+        return bytes(frame.to_parquet(index=False))
+    return _to_latex(frame).encode()
+
+
+def _to_latex(frame: pd.DataFrame) -> str:
+    """Return a plain LaTeX tabular; written here because pandas' own wants Jinja2."""
+    columns = "".join("r" if pd.api.types.is_numeric_dtype(kind) else "l" for kind in frame.dtypes)
+    lines = [r"\begin{tabular}{" + columns + "}", r"\hline", _latex_row(frame.columns), r"\hline"]
+    lines += [_latex_row(row) for row in frame.itertuples(index=False)]
+    return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
+
+
+def _latex_row(cells: Any) -> str:
+    return " & ".join(_latex_cell(cell) for cell in cells) + r" \\"
+
+
+def _latex_cell(cell: object) -> str:
+    if isinstance(cell, float):
+        return f"{cell:.6g}"
+    text = str(cell).replace("\\", r"\textbackslash{}")
+    for special in "&%$#_{}":
+        text = text.replace(special, "\\" + special) if special not in "{}" else text
+    return text

@@ -1,0 +1,92 @@
+"""Speed of the environment's faces beside Gymnasium's CartPole, on one core, in one run."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import pneuma  # noqa: F401 (registers the environments)
+from pneuma.config import ENVIRONMENTS
+from pneuma.env.worlds import Worlds
+
+ROUNDS = 7
+SECONDS_PER_ROUND = 0.4
+
+Step = Callable[[int], None]
+
+
+def bench_env() -> list[dict[str, Any]]:
+    """Return agent steps a second of every case: the median of rounds that alternate between cases.
+
+    Actions are uniformly random; an ended episode is reset within the measured time.
+    """
+    cases: list[tuple[str, str, int, Step]] = [
+        ("kernel", "kernel", 1, _kernel(1)),
+        ("kernel", "kernel", 64, _kernel(64)),
+        ("Gymnasium single", "single", 1, _single(ENVIRONMENTS[0])),
+        ("Gymnasium vector", "vector", 64, _vector(64)),
+        ("CartPole-v1, single", "cartpole", 1, _single("CartPole-v1")),
+    ]
+    rates: list[list[float]] = [[] for _ in cases]
+    for _ in range(ROUNDS):
+        for i, (_, _, worlds, step) in enumerate(cases):
+            rates[i].append(_rate(step) * worlds)
+    return [
+        {"case": case, "face": face, "worlds": worlds, "agent_steps_per_second": statistics.median(rate)}
+        for (case, face, worlds, _), rate in zip(cases, rates, strict=True)
+    ]
+
+
+def _rate(step: Step) -> float:
+    """Return how often a second a step can be taken."""
+    count, start = 0, time.perf_counter()
+    while (elapsed := time.perf_counter() - start) < SECONDS_PER_ROUND:
+        for i in range(200):
+            step(i)
+        count += 200
+    return count / elapsed
+
+
+def _kernel(count: int) -> Step:
+    worlds = Worlds(count)
+    worlds.seed(range(count))
+    worlds.reset()
+    actions = np.random.default_rng(0).integers(5, size=(200, count, 1))
+
+    def step(i: int) -> None:
+        if worlds.step(actions[i]):
+            worlds.reset(worlds.worlds["ending"] != 0)
+
+    step(0)
+    return step
+
+
+def _single(name: str) -> Step:
+    env = gymnasium.make(name)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).integers(int(env.action_space.n), size=200)  # type: ignore[attr-defined]
+
+    def step(i: int) -> None:
+        _, _, terminated, truncated, _ = env.step(actions[i])
+        if terminated or truncated:
+            env.reset()
+
+    step(0)
+    return step
+
+
+def _vector(count: int) -> Step:
+    env = gymnasium.make_vec(ENVIRONMENTS[0], num_envs=count)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).integers(5, size=(200, count))
+
+    def step(i: int) -> None:
+        env.step(actions[i])
+
+    step(0)
+    return step

@@ -1,0 +1,71 @@
+"""The command line: parses, makes one call, prints. One file per group of commands.
+
+Exit codes: 0 done; 1 a run crashed; 2 the command or a file it read was wrong, said in one line;
+130 after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from pneuma import __version__
+from pneuma.cli import bench, study
+from pneuma.errors import UserError
+
+app = typer.Typer(
+    name="pneuma",
+    help="Reproduce, compare and judge reinforcement-learning experiments: those of the PneumaRL thesis, and your own.",
+    no_args_is_help=True,
+    add_completion=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(study.app, name="study")
+app.add_typer(bench.app, name="bench")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"pneuma {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+    ),
+) -> None:
+    """Options before any command."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line and return its exit code; people's mistakes become one line."""
+    try:
+        code = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+    except UserError as error:
+        return _refuse(str(error))
+    except typer.TyperException as error:
+        return _refuse(error.format_message())
+    except (KeyboardInterrupt, typer.Abort):
+        print("pneuma: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output has gone, as in `pneuma … | head`
+        sys.stderr.close()
+        return 0
+    return code if isinstance(code, int) else 0
+
+
+def run() -> None:
+    """Entry point of the `pneuma` command."""
+    raise SystemExit(main())
+
+
+def _refuse(message: str) -> int:
+    line = " ".join(message.split())
+    if line:  # a bare `pneuma` has printed its help and says nothing more
+        print(f"pneuma: {line}", file=sys.stderr)
+    return 2

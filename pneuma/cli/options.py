@@ -1,0 +1,119 @@
+"""Options that several commands share, and how their texts become values."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pneuma.errors import UserError
+from pneuma.study.plan import Selection
+from pneuma.study.spec import PRESETS, read_seeds
+
+StudyName = Annotated[
+    str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
+]
+Results = Annotated[
+    Path,
+    typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but results and mistakes.")]
+Preset = Annotated[
+    str | None,
+    typer.Option("--preset", metavar="|".join(PRESETS), help="How much to run (default: quick)."),
+]
+Seeds = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds", metavar="N|LIST", help="A count N (seeds 0 to N-1) or a list: 3,5,8; '7,' is seed 7."
+    ),
+]
+Steps = Annotated[
+    int | None,
+    typer.Option("--steps", metavar="N", help="Steps of each run, rounded up to whole horizons."),
+]
+EngineName = Annotated[
+    str | None, typer.Option("--engine", metavar="NAME", help="What trains the runs: sb3.")
+]
+Conditions = Annotated[
+    list[str] | None,
+    typer.Option("--condition", metavar="NAME", help="Only this condition (may be repeated)."),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set a field of the run in every condition (may be repeated)."
+    ),
+]
+
+
+def read_selection(
+    preset: str | None,
+    seeds: str | None,
+    steps: int | None,
+    engine: str | None,
+    conditions: Sequence[str] | None,
+    settings: Sequence[str] | None,
+) -> Selection | None:
+    """Turn the selecting options into a `Selection`; None when none of them was given.
+
+    Raises:
+        UserError: naming the option and what is allowed.
+    """
+    if not any(given is not None for given in (preset, seeds, steps, engine)) and not (conditions or settings):
+        return None
+    if steps is not None and steps < 1:
+        raise UserError(f"--steps {steps}: must be a whole number of at least 1")
+    return Selection(
+        preset=preset or "quick",
+        seeds=None if seeds is None else _read_seeds(seeds),
+        steps=steps,
+        engine=engine,
+        conditions=tuple(conditions or ()),
+        settings=dict(_read_setting(text) for text in settings or ()),
+    )
+
+
+def _read_seeds(text: str) -> tuple[int, ...]:
+    try:
+        parts = [int(part) for part in text.split(",") if part.strip()]
+        return read_seeds(parts if "," in text else parts[0])
+    except (ValueError, IndexError, UserError):
+        raise UserError(
+            f"--seeds {text}: must be a count of at least 1, or different seeds of at least 0 "
+            "separated by commas, as in 3,5,8"
+        ) from None
+
+
+def _read_setting(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise UserError(f"--set {text}: must be KEY=VALUE, as in --set learning_rate=1e-3")
+    return key.strip(), _read_value(value.strip())
+
+
+def _read_value(text: str) -> Any:
+    """Read a value as TOML would, a list without its brackets and a word without its quotes."""
+    for form in (text, f"[{text}]") if "," in text else (text,):
+        try:
+            return tomllib.loads(f"value = {form}")["value"]
+        except tomllib.TOMLDecodeError:
+            continue
+    return text
+
+
+def print_json(document: object) -> None:
+    """Print the one JSON document of a command."""
+    print(json.dumps(document, indent=2))
+
+
+def say(text: str, as_json: bool = False, quiet: bool = False) -> None:
+    """Print a line for people: on standard error when standard output is for JSON."""
+    if not quiet:
+        print(text, file=sys.stderr if as_json else sys.stdout)

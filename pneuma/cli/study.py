@@ -1,0 +1,322 @@
+"""`pneuma study …`: list, show, plan, run, status, plot and export studies."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    Conditions,
+    EngineName,
+    Json,
+    Preset,
+    Quiet,
+    Results,
+    Seeds,
+    Settings,
+    Steps,
+    StudyName,
+    print_json,
+    read_selection,
+    say,
+)
+from pneuma.cli.progress import ProgressDisplay
+from pneuma.errors import UserError, unknown_name
+from pneuma.study import execute, plan, spec
+from pneuma.study.executors.local import available_cores
+from pneuma.study.store import Store
+
+app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
+
+RESULTS = Path("results")
+
+
+@app.command("list")
+def list_(json: Json = False) -> None:
+    """List the shipped studies."""
+    studies = [spec.load_study(name) for name in spec.list_studies()]
+    if json:
+        names = [{"study": s.name, "title": s.title, "section": s.section} for s in studies]
+        return print_json({"schema": 1, "studies": names})
+    for study in studies:
+        section = f"thesis section {study.section}" if study.section else ""
+        print(f"{study.name:<18} {study.title:<36} {section}")
+    return None
+
+
+@app.command()
+def show(name: StudyName, json: Json = False) -> None:
+    """Show what a study compares: its conditions as resolved, and its presets."""
+    study = spec.load_study(name)
+    selection = plan.Selection(preset=next(iter(study.presets), "quick"))
+    differing = plan.differing_settings(plan.make_plan(study, selection))
+    if json:
+        return print_json(
+            {
+                "schema": 1,
+                "study": study.name,
+                "title": study.title,
+                "section": study.section,
+                "about": study.about,
+                "baseline": study.baseline,
+                "conditions": {c: study.settings(c) for c in study.conditions},
+                "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
+            }
+        )
+    print(f"{study.title}" + (f" (thesis section {study.section})" if study.section else ""))
+    if study.about:
+        print(f"\n{study.about}")
+    print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
+    for key, values in differing.items():
+        print(f"  {key}: " + ", ".join(f"{c} {v}" for c, v in values.items()))
+    print(f"Compared with: {study.baseline}")
+    print("\nAll conditions share:")
+    for key, value in study.settings(study.baseline).items():
+        if key not in differing:
+            print(f"  {key} = {'none' if value is None else value}")
+    print("\nPresets:")
+    for preset, amount in study.presets.items():
+        print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")
+    return None
+
+
+@app.command("plan")
+def plan_(
+    name: StudyName,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Say which runs are stored and which would be trained; train nothing."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
+    planned = plan.make_plan(spec.load_study(name), selection)
+    store = Store(results)
+    state = {
+        cell.run_id: "stored" if store.status(cell.run_id).finished else "to-train"
+        for cell in planned.cells
+    }
+    if json:
+        cells = [
+            {**_cell(cell), "state": state[cell.run_id], "expected_seconds": None} for cell in planned.cells
+        ]
+        return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
+    for note in planned.notes:
+        print(f"Note: {note}.")
+    for key, values in plan.differing_settings(planned).items():
+        print(f"Conditions differ in {key}: " + ", ".join(f"{c} {v}" for c, v in values.items()))
+    for cell in planned.cells:
+        print(f"{cell.condition:<18} seed {cell.seed:<6} {cell.run.steps:>12,} steps  {cell.run_id}  {state[cell.run_id]}")
+    counts = Counter(state.values())
+    print(f"{counts['stored']} stored, {counts['to-train']} to train.")
+    return None
+
+
+@app.command()
+def run(
+    name: StudyName,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
+    ] = None,
+    results: Results = RESULTS,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Train a study's runs that are not stored yet."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
+    planned = plan.make_plan(spec.load_study(name), selection)
+    if workers is not None and workers < 1:
+        raise UserError(f"--workers {workers}: must be a whole number of at least 1")
+    store = Store(results)
+    for note in planned.notes:
+        say(f"Note: {note}.", as_json=True, quiet=quiet)
+    to_train = set(execute.missing(planned, store))
+    try:
+        with ProgressDisplay(planned, to_train, quiet) as display:
+            outcomes = execute.execute(planned, store, workers or available_cores(), display.update)
+    except KeyboardInterrupt:
+        say("Stopped. Finished runs are kept; the same command goes on with the others.", as_json=True)
+        return 130
+    if json:
+        _print_runs(planned.study.name, [(o.cell, o.status.name, o.trained) for o in outcomes])
+    else:
+        _tell_outcomes(planned, outcomes, store, quiet)
+    return 1 if any(outcome.status.name == "crashed" for outcome in outcomes) else 0
+
+
+@app.command()
+def status(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")] = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Say how far the runs of a study are, as it was last run or as selected."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    names = [name] if name else store.studies()
+    if not names and not json:
+        print(f"No study was run in {results} yet.")
+    documents = []
+    for study in names:
+        record = _record(store, study, selection)
+        states = [(run, store.status(run["run_id"]).name) for run in record["runs"]]
+        runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
+        documents.append({"schema": 1, "study": record["study"], "runs": runs})
+        if not json:
+            counts = Counter(state for _, state in states)
+            print(f"{record['study']}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
+            for run, state in states:
+                print(f"  {run['condition']:<18} seed {run['seed']:<6} {run['run_id']}  {state}")
+    if json:
+        print_json(documents[0] if name else {"schema": 1, "studies": documents})
+
+
+@app.command()
+def plot(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")] = None,
+    band: Annotated[str, typer.Option("--band", metavar="std|se|minmax", help="What the band shows.")] = "std",
+    window: Annotated[str, typer.Option("--window", metavar="budget-5%|trailing-100", help="Which episodes a point averages.")] = "budget-5%",
+    format: Annotated[list[str] | None, typer.Option("--format", metavar="png|svg|pdf", help="File formats (may be repeated; default: png and svg).")] = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Draw a study's figure: mean over seeds with a band, return and monsters killed."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    names = names or store.studies()
+    if not names:
+        raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
+    records = [_record(store, name, selection) for name in names]
+    from pneuma.analysis.curves import BANDS, WINDOWS
+    from pneuma.figures.curves import draw_study
+    from pneuma.figures.style import FORMATS
+
+    formats = tuple(format or ("png", "svg"))
+    _check_choice("--band", band, BANDS)
+    _check_choice("--window", window, WINDOWS)
+    for form in formats:
+        _check_choice("--format", form, FORMATS)
+    folder = out or results / "figures"
+    _check_folder("--out", folder)
+    paths = [path for record in records for path in draw_study(store, record, folder, band, window, formats)]
+    if json:
+        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
+    for path in paths:
+        print(f"wrote {path}")
+    return None
+
+
+@app.command()
+def export(
+    name: StudyName,
+    table: Annotated[str, typer.Option("--table", metavar="episodes|metrics|evaluations|curves", help="What to export.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The file to write.")],
+    format: Annotated[str, typer.Option("--format", metavar="csv|parquet|latex", help="Its format.")] = "csv",
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+) -> None:
+    """Write a study's records as one tidy table."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    record = _record(store, name, selection)
+    from pneuma.analysis.export import FORMATS, TABLES, export_table
+
+    _check_choice("--table", table, TABLES)
+    _check_choice("--format", format, FORMATS)
+    _check_folder("--out", out.parent)
+    rows = export_table(store, record, table, format, out)
+    print(f"wrote {out}: {rows:,} rows")
+
+
+# --- Helpers -------------------------------------------------------------------------------------
+
+
+def _record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
+    """Return the latest record of a study, or one made from a selection of its own."""
+    if selection is not None:
+        return execute.selection_record(plan.make_plan(spec.load_study(name), selection))
+    stem = Path(name).stem if name.endswith(".toml") else name
+    record = store.selection(stem)
+    if record is None:
+        if stem not in spec.list_studies() and not name.endswith(".toml"):
+            raise unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
+        raise UserError(
+            f"study {stem} has no runs in {store.root}: run `pneuma study run {name}` first, "
+            "or name the folder with --results"
+        )
+    return record
+
+
+def _check_choice(option: str, value: str, allowed: Any) -> None:
+    if value not in allowed:
+        raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
+
+
+def _check_folder(option: str, folder: Path) -> None:
+    """Refuse a folder that cannot be written, before any work is done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".pneuma-probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UserError(f"{option} {folder}: cannot be written ({error.strerror})") from None
+
+
+def _cell(cell: plan.Cell) -> dict[str, Any]:
+    return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
+
+
+def _identity(run: dict[str, Any]) -> dict[str, Any]:
+    return {key: run[key] for key in ("run_id", "condition", "seed")}
+
+
+def _print_runs(study: str, runs: list[tuple[plan.Cell, str, bool]]) -> None:
+    rows = [{**_cell(cell), "status": state, "trained": trained} for cell, state, trained in runs]
+    print_json({"schema": 1, "study": study, "runs": rows})
+
+
+def _tell_outcomes(planned: plan.Plan, outcomes: list[execute.Outcome], store: Store, quiet: bool) -> None:
+    for outcome in outcomes:
+        cell, state = outcome.cell, outcome.status
+        if state.name == "diverged":
+            say(f"{cell.condition} seed {cell.seed} diverged at step {state.step:,}; its records count")
+        if state.name == "crashed":
+            trace = store.run_folder(cell.run_id) / "error.txt"
+            say(f"{cell.condition} seed {cell.seed} crashed: {trace}")
+    trained = sum(outcome.trained for outcome in outcomes)
+    counts = Counter(outcome.status.name for outcome in outcomes)
+    states = ", ".join(f"{n} {state}" for state, n in counts.items())
+    say(f"{planned.study.name}: {states}; {trained} trained now, {len(outcomes) - trained} were stored.", quiet=quiet)
+    say(f"Draw it with: pneuma study plot {planned.study.path if planned.study.name not in spec.list_studies() else planned.study.name}", quiet=quiet)

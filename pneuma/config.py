@@ -1,0 +1,336 @@
+"""Run configuration: the typed values that cross every layer, and the names they may take.
+
+A `Run` is one training, complete and frozen: the environment's settings, the learner's, a budget
+and a seed. Studies resolve to runs, engines train them, the store is keyed by them. This module
+imports nothing of Pneuma but its error and nothing heavy, so that every command can read it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, TypeVar
+
+from pneuma.errors import UserError, nearest_name, unknown_name
+
+RULES_VERSION = 1
+"""Raised by hand when the same seed and actions give another world; part of every run id."""
+
+ENGINE_VERSIONS = {"sb3": 1}
+"""Raised by hand when an engine trains the same run to other numbers; part of every run id."""
+
+ENVIRONMENTS = ("pneuma/Pneuma-v0",)
+REWARDS = ("thesis",)
+ALGORITHMS = ("ppo",)
+ACTIVATIONS = ("tanh", "relu", "leaky-relu")
+CLIPPINGS = ("joint", "separate")
+ACTION_NAMES = ("down", "left", "up", "right", "attack")
+MAX_SLOTS = 1024
+
+OPTIMIZER_SETTINGS: dict[str, tuple[str, ...]] = {
+    "adam": ("betas", "epsilon"),
+    "sgd": ("momentum", "dampening"),
+    "rmsprop": ("smoothing", "epsilon", "momentum"),
+}
+"""Which of a run's settings each optimizer reads; the others are None in a resolved run."""
+
+_OPTIMIZER_DEFAULTS: dict[str, Any] = {
+    "betas": (0.9, 0.999),
+    "epsilon": 1e-5,
+    "momentum": 0.0,
+    "dampening": 0.0,
+    "smoothing": 0.99,
+}
+
+
+# --- What a value may be -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number within bounds; `whole` for integers, `optional` where "none" switches it off."""
+
+    low: float
+    high: float = math.inf
+    whole: bool = False
+    above: bool = False
+    """Whether `low` itself is excluded."""
+    below: bool = False
+    """Whether `high` itself is excluded."""
+    optional: bool = False
+
+    def read(self, value: object) -> int | float | None:
+        """Return the number, or raise ValueError."""
+        if self.optional and (value is None or value == "none"):
+            return None
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError
+        if not math.isfinite(value) or (self.whole and value != int(value)):
+            raise ValueError
+        too_low = value <= self.low if self.above else value < self.low
+        too_high = value >= self.high if self.below else value > self.high
+        if too_low or too_high:
+            raise ValueError
+        return int(value) if self.whole else float(value)
+
+    @property
+    def allowed(self) -> str:
+        """Say in words what is allowed."""
+        kind = "a whole number" if self.whole else "a number"
+        parts = [f"{'above' if self.above else 'of at least'} {self.low:g}"]
+        if self.high < math.inf:
+            parts.append(f"{'below' if self.below else 'at most'} {self.high:g}")
+        return f"{kind} {' and '.join(parts)}" + (', or "none"' if self.optional else "")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of a few names."""
+
+    names: tuple[str, ...]
+
+    def read(self, value: object) -> str:
+        """Return the name, or raise ValueError."""
+        if value not in self.names:
+            raise ValueError
+        return str(value)
+
+    @property
+    def allowed(self) -> str:
+        """Say in words what is allowed."""
+        return "one of " + ", ".join(self.names)
+
+
+@dataclass(frozen=True)
+class Flag:
+    """True or false."""
+
+    allowed: str = "true or false"
+
+    def read(self, value: object) -> bool:
+        """Return the flag, or raise ValueError."""
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Text:
+    """A name or a path."""
+
+    allowed: str = "a name or a path"
+
+    def read(self, value: object) -> str:
+        """Return the text, or raise ValueError."""
+        if not isinstance(value, str) or not value:
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Several:
+    """A list of numbers, each of one kind, with a least and a greatest length."""
+
+    each: Number
+    shortest: int
+    longest: int
+
+    def read(self, value: object) -> tuple[int | float | None, ...]:
+        """Return the numbers as a tuple, or raise ValueError."""
+        if not isinstance(value, (list, tuple)) or not self.shortest <= len(value) <= self.longest:
+            raise ValueError
+        return tuple(self.each.read(item) for item in value)
+
+    @property
+    def allowed(self) -> str:
+        """Say in words what is allowed."""
+        count = str(self.shortest) if self.shortest == self.longest else "a list"
+        return f"{count} of: {self.each.allowed}"
+
+
+Reader = Number | Choice | Flag | Text | Several
+
+
+def setting(default: Any, reader: Reader) -> Any:
+    """Declare a field of a configuration with what its value may be."""
+    return field(default=default, metadata={"reader": reader})
+
+
+# --- The configuration ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """The settings of one environment; each is a keyword of `gymnasium.make` and a key of a study.
+
+    The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text.
+    """
+
+    level: str = setting("thesis", Text())
+    """Name of a shipped level, or path of a folder of CSV layers."""
+    reward: str = setting("thesis", Choice(REWARDS))
+    episode_steps: int = setting(1000, Number(1, 1_000_000, whole=True))
+    """Time limit of an episode in agent steps of 8 ticks."""
+    end_on_clear: bool = setting(False, Flag())
+    """Whether the last monster's death ends the episode."""
+
+
+_UNIT = Number(0, 1)
+_LAYERS = Several(Number(1, 65536, whole=True), 1, 8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(EnvConfig):
+    """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
+
+    env: str = setting(ENVIRONMENTS[0], Choice(ENVIRONMENTS))
+    engine: str = setting("sb3", Choice(tuple(ENGINE_VERSIONS)))
+    algorithm: str = setting("ppo", Choice(ALGORITHMS))
+    seed: int = setting(0, Number(0, 2**32 - 1, whole=True))
+    steps: int = setting(50_000, Number(1, 10**12, whole=True))
+    """Budget in agent steps, summed over slots."""
+    slots: int = setting(1, Number(1, MAX_SLOTS, whole=True))
+    """Worlds that collect a rollout side by side."""
+
+    actor: tuple[int, ...] = setting((128,), _LAYERS)
+    critic: tuple[int, ...] = setting((256,), _LAYERS)
+    activation: str = setting("tanh", Choice(ACTIVATIONS))
+
+    gamma: float = setting(0.99, Number(0, 1))
+    gae_lambda: float = setting(0.95, _UNIT)
+    learning_rate: float = setting(3e-4, Number(0, 100, above=True))
+    clip_range: float = setting(0.1, Number(0, 100, above=True))
+    horizon: int = setting(256, Number(2, 10**6, whole=True))
+    """Steps of one rollout per slot; the n_steps of Stable-Baselines3."""
+    minibatch: int = setting(64, Number(2, 10**6, whole=True))
+    epochs: int = setting(10, Number(1, 1000, whole=True))
+    value_coefficient: float = setting(0.5, Number(0, 1e6))
+    entropy_coefficient: float = setting(0.01, Number(0, 1e6))
+    gradient_limit: float | None = setting(0.5, Number(0, 1e9, above=True, optional=True))
+    """Greatest L2 norm of the gradient; None for no limit (thesis section 6.2)."""
+    clip: str = setting("joint", Choice(CLIPPINGS))
+    """One norm over actor and critic together, as in Stable-Baselines3, or one for each."""
+
+    optimizer: str = setting("adam", Choice(tuple(OPTIMIZER_SETTINGS)))
+    betas: tuple[float, ...] | None = setting(None, Several(Number(0, 1, below=True), 2, 2))
+    epsilon: float | None = setting(None, Number(0, 1, above=True))
+    momentum: float | None = setting(None, Number(0, 1, below=True))
+    dampening: float | None = setting(None, _UNIT)
+    """Equal to `momentum`, it gives the thesis's update, whose new gradient weighs 1 - beta."""
+    smoothing: float | None = setting(None, Number(0, 1, below=True))
+    """Decay of RMSProp's mean square, torch's alpha."""
+    weight_decay: float = setting(0.0, Number(0, 1))
+    """L2 regularisation as torch's optimizers define it: added to the gradient."""
+
+    evaluation_episodes: int = setting(50, Number(1, 10_000, whole=True))
+
+    @property
+    def steps_per_update(self) -> int:
+        """Agent steps, over all slots, that one update learns from."""
+        return self.horizon * self.slots
+
+    @property
+    def updates(self) -> int:
+        """Number of updates that the budget holds."""
+        return self.steps // self.steps_per_update
+
+
+BASES: dict[str, dict[str, Any]] = {
+    "table-6-1": {
+        "clip_range": 0.2,
+        "horizon": 2048,
+        "epochs": 15,
+        "value_coefficient": 1.0,
+        "betas": (0.9, 0.999),
+        "activation": "relu",
+        "gradient_limit": None,
+    },
+    "table-6-2": {
+        "clip_range": 0.1,
+        "horizon": 256,
+        "epochs": 10,
+        "value_coefficient": 0.5,
+        "betas": (0.9, 0.9),
+        "activation": "tanh",
+        "gradient_limit": 0.5,
+    },
+}
+"""Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2)."""
+
+for _base in BASES.values():
+    _base.update(
+        gamma=0.99, gae_lambda=0.95, learning_rate=3e-4, minibatch=64, entropy_coefficient=0.01,
+        optimizer="adam", epsilon=1e-5, actor=(128,), critic=(256,), slots=1, clip="joint",
+    )  # fmt: skip
+
+_Config = TypeVar("_Config", bound=EnvConfig)
+
+
+def read_settings(config: type[_Config], settings: Mapping[str, object]) -> dict[str, Any]:
+    """Check a mapping of key to value and return it with every value in its final type.
+
+    Raises:
+        UserError: naming the key, the value and what is allowed.
+    """
+    return {key: read_setting(config, key, value) for key, value in settings.items()}
+
+
+def read_setting(config: type[_Config], key: str, value: object) -> Any:
+    """Check one key and value of a configuration; see `read_settings`."""
+    readers: dict[str, Reader] = {item.name: item.metadata["reader"] for item in fields(config)}
+    if key not in readers:
+        raise unknown_name("key", key, readers)
+    try:
+        return readers[key].read(value)
+    except (ValueError, TypeError):
+        reader = readers[key]
+        hint = nearest_name(value, reader.names) if isinstance(reader, Choice) and isinstance(value, str) else ""
+        shown = json.dumps(value, default=str)
+        raise UserError(f"{key} = {shown} is not allowed{hint}: {reader.allowed}") from None
+
+
+def make_run(settings: Mapping[str, object]) -> Run:
+    """Resolve settings (keys of `Run`) to a complete run: checked, rounded, nothing left implicit.
+
+    The optimizer's own settings get their defaults, and those that it does not read become None,
+    so that two ways to write the same training are the same run. The budget is rounded up to
+    whole horizons.
+
+    Raises:
+        UserError: for an unknown key, a value out of range, or two values that do not go together.
+    """
+    left_open = {key for key in _OPTIMIZER_DEFAULTS if settings.get(key, ...) is None}
+    values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
+    optimizer = values.get("optimizer", "adam")
+    for key, default in _OPTIMIZER_DEFAULTS.items():
+        used = key in OPTIMIZER_SETTINGS[optimizer]
+        values[key] = values.get(key, default) if used else None
+    run = Run(**values)
+    if run.minibatch > run.steps_per_update:
+        raise UserError(
+            f"minibatch = {run.minibatch} is not allowed: at most horizon x slots = {run.steps_per_update}"
+        )
+    whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
+    return run if whole == run.steps else Run(**{**values, "steps": whole})
+
+
+def env_config(run: Run) -> EnvConfig:
+    """Return the environment's part of a run."""
+    return EnvConfig(**{item.name: getattr(run, item.name) for item in fields(EnvConfig)})
+
+
+def as_settings(config: EnvConfig) -> dict[str, Any]:
+    """Return a configuration as a flat dictionary that JSON can hold; `make_run` reads it back."""
+    return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(config).items()}
+
+
+def stream_seed(seed: int, purpose: str, slot: int = 0) -> int:
+    """Return the 64-bit seed of one random stream of a run.
+
+    Streams are keyed by hash, never by adding: no two purposes, slots or runs share one.
+    """
+    digest = hashlib.sha256(f"{seed}/{purpose}/{slot}".encode()).digest()
+    return int.from_bytes(digest[:8], "little")

@@ -1,0 +1,1 @@
+"""Engines: what trains runs. `base` holds the contract, `sb3` the reference engine."""

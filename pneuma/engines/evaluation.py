@@ -1,0 +1,87 @@
+"""Evaluation: how well a frozen policy plays, on worlds that it was never trained on.
+
+Every engine evaluates here, in the same way: 50 episodes with sampled actions, and one with the
+most probable action from each distinct start place. The primary outcome is the share of monsters
+killed; a score puts it on the scale from the random player (0) to the scripted hunter (1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from pneuma.config import Run, env_config, stream_seed
+from pneuma.engines.policy import Policy
+from pneuma.env.players import Hunter, RandomPlayer
+from pneuma.env.worlds import Worlds
+
+
+class Evaluation:
+    """Plays the evaluations of one run; made once, asked at every evaluation point."""
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self.episodes = run.evaluation_episodes
+        probe = Worlds(1, env_config(run))
+        self.argmax_starts = len(probe.level.starts)
+        self.worlds = Worlds(self.episodes + self.argmax_starts, env_config(run))
+        chosen = np.arange(len(self.worlds)) - self.episodes
+        self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
+        self.random_share, self.hunter_share = self._anchors()
+
+    def evaluate(self, policy: Policy, step: int) -> dict[str, Any]:
+        """Return one row of `base.EVALUATION_COLUMNS` for the policy after `step` agent steps."""
+        generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
+
+        def act(worlds: Worlds) -> np.ndarray:
+            observations = worlds.observations[:, 0]
+            sampled = policy.sample(observations[: self.episodes], generator)
+            best = policy.best(observations[self.episodes :])
+            return np.concatenate([sampled, best])[:, None]
+
+        returns = self._play(act)
+        share = self.worlds.players["kills"][:, 0] / len(self.worlds.monster_stats)
+        died = self.worlds.worlds["ending"] == 1
+        sampled, best = slice(None, self.episodes), slice(self.episodes, None)
+        return {
+            "step": step,
+            "episodes": self.episodes,
+            "share_killed": float(share[sampled].mean()),
+            "score": self._score(share[sampled]),
+            "return": float(returns[sampled].mean()),
+            "length": float(self.worlds.worlds["steps"][sampled].mean()),
+            "died": float(died[sampled].mean()),
+            "argmax_starts": self.argmax_starts,
+            "argmax_share_killed": float(share[best].mean()),
+            "argmax_score": self._score(share[best]),
+            "argmax_return": float(returns[best].mean()),
+        }
+
+    def _score(self, share: np.ndarray) -> float:
+        """Return 0 for the random player's share of monsters killed, 1 for the hunter's."""
+        between = self.hunter_share - self.random_share
+        return float((share.mean() - self.random_share) / between) if between > 0 else float("nan")
+
+    def _anchors(self) -> tuple[float, float]:
+        """Return the share of monsters that the random player and the hunter kill on these worlds."""
+        shares = []
+        generator = np.random.default_rng(stream_seed(self.run.seed, "random-player"))
+        for player in (RandomPlayer(generator), Hunter(self.worlds)):
+            self._play(player.act)
+            killed = self.worlds.players["kills"][: self.episodes, 0]
+            shares.append(float(killed.mean()) / max(len(self.worlds.monster_stats), 1))
+        return shares[0], shares[1]
+
+    def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
+        """Play one episode in every world, always the same worlds; return the returns, (N,)."""
+        worlds = self.worlds
+        worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(worlds))])
+        worlds.reset(starts=self._starts)
+        returns = np.zeros(len(worlds))
+        running = len(worlds)
+        while running:
+            running -= worlds.step(act(worlds))
+            returns += worlds.events["reward"][:, 0]
+        return returns

@@ -1,0 +1,114 @@
+"""A stored policy: the actor as plain arrays, independent of what trained it.
+
+Written as safetensors plus JSON, so that reading a stranger's file runs no code.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from safetensors.numpy import load, save
+
+LEAKY_SLOPE = 0.01
+"""Slope of LeakyReLU below zero (thesis section 6.2)."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Actor and critic as multilayer perceptrons.
+
+    Attributes:
+        activation: of the hidden layers; one of `pneuma.config.ACTIVATIONS`.
+        actor: weight (inputs, outputs) and bias (outputs,) of each layer, the last giving logits.
+        critic: the same, the last giving one value.
+    """
+
+    activation: str
+    actor: tuple[tuple[np.ndarray, np.ndarray], ...]
+    critic: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+    def logits(self, observations: np.ndarray) -> np.ndarray:
+        """Return the unnormalised log-probabilities of actions: (N, features) -> (N, actions)."""
+        return forward(self.actor, self.activation, observations)[-1]
+
+    def values(self, observations: np.ndarray) -> np.ndarray:
+        """Return the critic's values: (N, features) -> (N,)."""
+        return forward(self.critic, self.activation, observations)[-1][:, 0]
+
+    def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        """Draw an action for each observation: (N, features) -> (N,)."""
+        logits = self.logits(observations)
+        weights = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1)
+        draws = generator.random((len(weights), 1), dtype=np.float32) * weights[:, -1:]
+        return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
+
+    def best(self, observations: np.ndarray) -> np.ndarray:
+        """Return the most probable action for each observation: (N, features) -> (N,)."""
+        return self.logits(observations).argmax(axis=1)
+
+    def to_bytes(self) -> bytes:
+        """Serialise as safetensors, with the activation in the header."""
+        arrays = {
+            f"{part}.{i}.{name}": np.ascontiguousarray(array)
+            for part in ("actor", "critic")
+            for i, layer in enumerate(getattr(self, part))
+            for name, array in zip(("weight", "bias"), layer, strict=True)
+        }
+        return save(arrays, metadata={"pneuma": json.dumps({"schema": 1, "activation": self.activation})})
+
+
+def read_policy(data: bytes) -> Policy:
+    """Read a policy back from `Policy.to_bytes`."""
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    activation = json.loads(header["__metadata__"]["pneuma"])["activation"]
+    arrays = load(data)
+
+    def layers(part: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        count = sum(name.startswith(f"{part}.") for name in arrays) // 2
+        return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
+
+    return Policy(activation, layers("actor"), layers("critic"))
+
+
+def forward(
+    layers: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, observations: np.ndarray
+) -> list[np.ndarray]:
+    """Return the output of every layer, hidden ones after their activation: [(N, units), …]."""
+    outputs = []
+    x = observations
+    for i, (weight, bias) in enumerate(layers):
+        x = x @ weight + bias
+        if i < len(layers) - 1:
+            x = activate(activation, x)
+        outputs.append(x)
+    return outputs
+
+
+def activate(activation: str, x: np.ndarray) -> np.ndarray:
+    """Apply an activation function."""
+    if activation == "tanh":
+        return np.tanh(x)
+    if activation == "relu":
+        return np.maximum(x, 0)
+    return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
+
+
+def dead_share(policy: Policy, observations: np.ndarray) -> float:
+    """Return the share of hidden units, of actor and critic, that are constant over a rollout.
+
+    Never above zero for the ReLU kinds; beyond 0.99 in size throughout for tanh.
+    """
+    hidden = np.concatenate(
+        [
+            layer
+            for part in (policy.actor, policy.critic)
+            for layer in forward(part, policy.activation, observations)[:-1]
+        ],
+        axis=1,
+    )  # (N, units)
+    if policy.activation == "tanh":
+        return float((np.abs(hidden) > 0.99).all(axis=0).mean())
+    return float((hidden <= 0).all(axis=0).mean())

@@ -1,0 +1,130 @@
+"""N worlds side by side: owns their state and drives the rules.
+
+Every face (single, vector, Stable-Baselines3) is a thin layer over `Worlds`, so all of them give
+the same bits for the same seeds and actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+
+from pneuma.config import ACTION_NAMES, EnvConfig
+from pneuma.env import characters, rules
+from pneuma.env.level import load_level, room_for_bodies
+from pneuma.env.observation import fill_scales, observation_space
+
+ENDINGS = ("running", "killed", "cleared", "time-limit")
+"""Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
+
+
+class Worlds:
+    """The state of `count` independent worlds with `players` players each.
+
+    Attributes:
+        worlds, players, monsters: the whole state, shapes (N,), (N, P) and (N, M), with the dtypes
+            `rules.WORLD`, `PLAYER` and `MONSTER`; copy them, put them back, and the worlds go on
+            as they would have.
+        events: (N, P) `rules.EVENTS`, what the last step did, the reward among it.
+        observations: (N, P, features) float32, overwritten by every step.
+    """
+
+    def __init__(self, count: int, config: EnvConfig | None = None, players: int = 1) -> None:
+        config = config or EnvConfig()
+        self.config = config
+        self.level = load_level(config.level, characters.monster_codes())
+        self.player_stats = characters.player_stats(("base",) * players)
+        self.monster_stats = characters.monster_stats(self.level, self.player_stats)
+        self.space = observation_space(self.level, self.monster_stats)
+        self.action_space = spaces.Discrete(len(ACTION_NAMES))
+        self.room = room_for_bodies(self.level, characters.margin(self.player_stats, self.monster_stats))
+        self.settings = self._settings(config)
+        self.worlds = np.zeros(count, rules.WORLD)
+        self.players = np.zeros((count, players), rules.PLAYER)
+        self.monsters = np.zeros((count, len(self.monster_stats)), rules.MONSTER)
+        self.events = np.zeros((count, players), rules.EVENTS)
+        self.observations = np.zeros((count, players, *self.space.shape), np.float32)
+        self._scratch = np.zeros(len(self.monster_stats), rules.SCRATCH)
+        self._every = np.ones(count, np.bool_)
+        self._anywhere = np.full(count, -1, np.int64)
+
+    def __len__(self) -> int:
+        """Return the number of worlds."""
+        return len(self.worlds)
+
+    def _settings(self, config: EnvConfig) -> np.ndarray:
+        settings = np.zeros(1, rules.SETTINGS)
+        row = settings[0]
+        row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
+        row["cells_per_pixel"] = 2 / self.level.tile
+        row["ticks"] = characters.TICKS_PER_STEP
+        row["step_limit"] = config.episode_steps
+        row["end_on_clear"] = config.end_on_clear
+        fill_scales(row, self.level, self.monster_stats)
+        return settings
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Key each world's random stream by its own seed; equal seeds make equal worlds."""
+        self.worlds["key"] = [world_key(seed) for seed in seeds]
+        self.worlds["draws"] = 0
+
+    def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
+        """Begin an episode in all worlds, or in those of `mask`, and observe all.
+
+        Args:
+            mask: (N,) booleans.
+            starts: (N,) indices of start places; below zero, or left out, drawn at random.
+        """
+        rules.reset_worlds(
+            self.worlds,
+            self.players,
+            self.monsters,
+            self.player_stats,
+            self.monster_stats,
+            self.level.starts,
+            self._anywhere if starts is None else starts,
+            self._every if mask is None else mask,
+        )
+        rules.observe_worlds(
+            self.worlds,
+            self.players,
+            self.monsters,
+            self.player_stats,
+            self.monster_stats,
+            self.settings,
+            self.observations,
+            self._scratch,
+        )
+
+    def step(self, actions: np.ndarray) -> int:
+        """Advance every running world; return how many episodes ended with this step.
+
+        Args:
+            actions: (N, P) whole numbers below 5, trusted.
+        """
+        return rules.step_worlds(
+            self.worlds,
+            self.players,
+            self.monsters,
+            self.player_stats,
+            self.monster_stats,
+            self.settings,
+            self.level.terrain,
+            self.room,
+            actions,
+            self.events,
+            self.observations,
+            self._scratch,
+        )
+
+    def ending(self, world: int) -> str:
+        """Name how a world's episode ended, or 'running'."""
+        return ENDINGS[self.worlds["ending"][world]]
+
+
+def world_key(seed: int) -> int:
+    """Return the key of the random stream of the world seeded `seed`."""
+    return int(seeding.np_random(seed)[0].integers(2**64, dtype=np.uint64))

@@ -1,0 +1,1 @@
+"""Figures: what people see. Reads analysis, draws with matplotlib, writes the same bytes every time."""

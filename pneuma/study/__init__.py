@@ -1,0 +1,1 @@
+"""Studies: from a TOML file to finished runs (spec, plan, execute, executors, store)."""

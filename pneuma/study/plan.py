@@ -1,0 +1,139 @@
+"""Plan a study: resolve a selection of conditions and seeds to runs.
+
+    study, preset and options → Plan of cells (condition × seed → Run and its id)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pneuma.config import Run, as_settings, make_run, read_setting
+from pneuma.errors import UserError, unknown_name
+from pneuma.study.identity import run_id
+from pneuma.study.spec import Study
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What of a study to run; None leaves a part to the preset.
+
+    Attributes:
+        preset: name of the preset.
+        seeds: the seeds, as numbers.
+        steps: agent steps of each run.
+        engine: name of the engine.
+        conditions: names; empty for all.
+        settings: fields of the run set in every condition, over everything else.
+    """
+
+    preset: str = "quick"
+    seeds: tuple[int, ...] | None = None
+    steps: int | None = None
+    engine: str | None = None
+    conditions: tuple[str, ...] = ()
+    settings: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training of a plan."""
+
+    condition: str
+    seed: int
+    run: Run
+    run_id: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The cells of a selection, seed by seed, and what a person should know about them.
+
+    Attributes:
+        same: groups of conditions that resolve to one configuration: comparing them is A/A.
+        notes: sentences, such as that the budget was rounded up.
+    """
+
+    study: Study
+    selection: Selection
+    cells: tuple[Cell, ...]
+    same: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Names of the conditions, in the study's order."""
+        return tuple(dict.fromkeys(cell.condition for cell in self.cells))
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of every condition."""
+        return tuple(dict.fromkeys(cell.seed for cell in self.cells))
+
+
+def make_plan(study: Study, selection: Selection) -> Plan:
+    """Resolve a selection of a study.
+
+    Raises:
+        UserError: for an unknown preset or condition, or settings that do not go together.
+    """
+    names = _conditions(study, selection.conditions)
+    preset = study.preset(selection.preset)
+    steps = selection.steps or preset.steps
+    over = {"steps": steps, **_settings(selection.settings or {})}
+    if selection.engine:
+        over["engine"] = read_setting(Run, "engine", selection.engine)
+    runs = {name: make_run({**study.settings(name), **over}) for name in names}
+    seeds = selection.seeds or preset.seeds
+    cells = tuple(_cell(name, replace(runs[name], seed=seed)) for seed in seeds for name in names)
+    return Plan(study, selection, cells, _same(runs), _notes(runs, steps))
+
+
+def differing_settings(plan: Plan) -> dict[str, dict[str, Any]]:
+    """Return, for every setting in which the conditions differ, its value by condition."""
+    resolved = {cell.condition: as_settings(cell.run) for cell in plan.cells}
+    some = next(iter(resolved.values()))
+    return {
+        key: {name: settings[key] for name, settings in resolved.items()}
+        for key in some
+        if key != "seed" and any(settings[key] != some[key] for settings in resolved.values())
+    }
+
+
+def _conditions(study: Study, wanted: Sequence[str]) -> tuple[str, ...]:
+    for name in wanted:
+        if name not in study.conditions:
+            raise unknown_name(f"condition of study {study.name}", name, study.conditions)
+    return tuple(name for name in study.conditions if not wanted or name in wanted)
+
+
+def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    for key, option in (("seed", "--seeds"), ("steps", "--steps")):
+        if key in settings:
+            raise UserError(f"{key} cannot be set by --set: use {option}")
+    return {key: read_setting(Run, key, value) for key, value in settings.items()}
+
+
+def _cell(condition: str, run: Run) -> Cell:
+    return Cell(condition, run.seed, run, run_id(run))
+
+
+def _same(runs: Mapping[str, Run]) -> tuple[tuple[str, ...], ...]:
+    groups: dict[Run, list[str]] = {}
+    for name, run in runs.items():
+        groups.setdefault(run, []).append(name)
+    return tuple(tuple(names) for names in groups.values() if len(names) > 1)
+
+
+def _notes(runs: Mapping[str, Run], steps: int) -> tuple[str, ...]:
+    rounded = {run.steps: run.steps_per_update for run in runs.values() if run.steps != steps}
+    notes = [
+        f"{steps:,} steps are rounded up to {whole:,}, whole horizons of {horizon:,}"
+        for whole, horizon in rounded.items()
+    ]
+    notes += [
+        f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
+        for names in _same(runs)
+    ]
+    return tuple(notes)

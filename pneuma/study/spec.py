@@ -1,0 +1,226 @@
+"""Studies as files: which conditions are compared, on what, at which presets.
+
+A study is a TOML file: a title, a base of settings, what all conditions share, and what each
+changes. It owns no results; `plan.py` resolves it to runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pneuma.config import BASES, OPTIMIZER_SETTINGS, Run, make_run, read_setting
+from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.study.toml_file import TomlFile, read_toml
+
+PRESETS = ("quick", "standard", "paper")
+MOST_SEEDS = 10_000
+
+_TOP_KEYS = ("title", "section", "about", "figure", "base", "baseline", "run", "conditions", "presets")
+_PLANNED = {"seed": "seeds", "steps": "steps"}
+"""Fields of a run that a selection decides, and the key of a preset that does."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How much of a study to run: seeds, and agent steps of each run."""
+
+    seeds: tuple[int, ...]
+    steps: int
+
+
+@dataclass(frozen=True)
+class Study:
+    """A comparison: named conditions that differ in what they set.
+
+    Attributes:
+        name: the file's name, or what its owner calls it.
+        title, section, about: for people.
+        figure: file stem of its figure.
+        baseline: the condition that the others are compared with.
+        shared: settings of every condition, base included.
+        conditions: what each condition sets on top.
+        presets: by name.
+    """
+
+    name: str
+    path: Path
+    title: str
+    section: str
+    about: str
+    figure: str
+    baseline: str
+    shared: Mapping[str, Any]
+    conditions: Mapping[str, Mapping[str, Any]]
+    presets: Mapping[str, Preset] = field(default_factory=dict)
+
+    def settings(self, condition: str) -> dict[str, Any]:
+        """Return what a condition sets, base and shared settings included."""
+        return {**self.shared, **self.conditions[condition]}
+
+    def preset(self, name: str) -> Preset:
+        """Return a preset by its name.
+
+        Raises:
+            UserError: when the study has none of that name.
+        """
+        if name not in self.presets:
+            raise unknown_name(f"preset of study {self.name}", name, self.presets)
+        return self.presets[name]
+
+
+def studies_folder() -> Path:
+    """Return the folder of shipped studies: in an installed package, or beside it in a source tree."""
+    try:
+        return Path(str(files("pneuma.studies")._paths[0]))  # type: ignore[attr-defined]
+    except (ModuleNotFoundError, AttributeError):
+        return Path(__file__).parents[2] / "studies"
+
+
+def list_studies() -> list[str]:
+    """Return the names of the shipped studies."""
+    return sorted(path.stem for path in studies_folder().glob("*.toml"))
+
+
+def load_study(name: str) -> Study:
+    """Load a shipped study by its name, or any by the path of its file.
+
+    Raises:
+        UserError: naming file, line, key, value and what is allowed.
+    """
+    if name.endswith(".toml"):
+        return _read_study(read_toml(Path(name)))
+    if name not in list_studies():
+        raise unknown_name("study", name, list_studies())
+    return _read_study(read_toml(studies_folder() / f"{name}.toml"))
+
+
+def read_seeds(value: object) -> tuple[int, ...]:
+    """Read seeds: a count n for 0 … n - 1, or a list.
+
+    Raises:
+        ValueError: for anything else, a repeated seed among them.
+    """
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SEEDS:
+        return tuple(range(value))
+    if isinstance(value, (list, tuple)) and value and len(set(value)) == len(value):
+        return tuple(read_setting(Run, "seed", seed) for seed in value)
+    raise ValueError
+
+
+def _read_study(file: TomlFile) -> Study:
+    data = file.data
+    file.refuse_unknown("", data, _TOP_KEYS)
+    for key in ("title", "base", "conditions", "presets"):
+        if key not in data:
+            raise UserError(f"{file.path}: the key {key!r} is missing")
+    texts = {key: _text(file, key) for key in ("title", "section", "about", "figure", "base", "baseline")}
+    if texts["base"] not in BASES:
+        raise file.mistake("", "base", str(unknown_name("base", texts["base"], BASES)))
+    shared = {**BASES[texts["base"]], **_read_settings(file, "run", file.table("", "run"))}
+    conditions = _read_conditions(file, shared)
+    baseline = texts["baseline"] or next(iter(conditions))
+    if baseline not in conditions:
+        raise file.mistake("", "baseline", str(unknown_name("condition", baseline, conditions)))
+    name = file.path.stem
+    return Study(
+        name=name,
+        path=file.path,
+        title=texts["title"],
+        section=texts["section"],
+        about=" ".join(texts["about"].split()),
+        figure=texts["figure"] or f"study-{name}",
+        baseline=baseline,
+        shared=shared,
+        conditions=conditions,
+        presets=_read_presets(file),
+    )
+
+
+def _text(file: TomlFile, key: str) -> str:
+    value = file.data.get(key, "")
+    if not isinstance(value, str):
+        raise file.mistake("", key, f"{key} must be text, not {value!r}")
+    return value
+
+
+def _read_conditions(file: TomlFile, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    names = file.table("", "conditions")
+    if not names:
+        raise file.mistake("", "conditions", "a study needs at least one condition")
+    conditions = {}
+    for name in names:
+        table = f"conditions.{name}"
+        conditions[name] = _read_settings(file, table, file.table("conditions", name))
+        try:
+            make_run({**shared, **conditions[name]})
+        except UserError as error:
+            raise file.mistake(table, "", str(error)) from None
+        _refuse_unread(file, table, {**shared, **conditions[name]}, conditions[name])
+    return conditions
+
+
+def _refuse_unread(
+    file: TomlFile, table: str, resolved: Mapping[str, Any], own: Mapping[str, Any]
+) -> None:
+    """Refuse a condition's optimizer setting that its optimizer would not read."""
+    optimizer = resolved.get("optimizer", "adam")
+    of_optimizers = {key for keys in OPTIMIZER_SETTINGS.values() for key in keys}
+    for key in own:
+        if key in of_optimizers and key not in OPTIMIZER_SETTINGS[optimizer]:
+            read = ", ".join(OPTIMIZER_SETTINGS[optimizer])
+            raise file.mistake(table, key, f"{key} does nothing: {optimizer} reads {read}")
+
+
+def _read_settings(file: TomlFile, table: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the fields of a run that a table of the file sets."""
+    allowed = tuple(item.name for item in fields(Run) if item.name not in _PLANNED)
+    for key in settings:
+        if key in _PLANNED:
+            raise file.mistake(
+                table, key, f"{key} is set by a preset ({_PLANNED[key]}) or an option, not here"
+            )
+    file.refuse_unknown(table, settings, allowed)
+    checked = {}
+    for key, value in settings.items():
+        try:
+            checked[key] = read_setting(Run, key, value)
+        except UserError as error:
+            raise file.mistake(table, key, str(error)) from None
+    return checked
+
+
+def _read_presets(file: TomlFile) -> dict[str, Preset]:
+    presets = {}
+    for name in file.table("", "presets"):
+        if name not in PRESETS:
+            hint = nearest_name(name, PRESETS)
+            raise file.mistake(
+                "presets", name, f"unknown preset {name!r}{hint}; known are {', '.join(PRESETS)}"
+            )
+        table = file.table("presets", name)
+        where = f"presets.{name}"
+        file.refuse_unknown(where, table, ("seeds", "steps"))
+        for key in ("seeds", "steps"):
+            if key not in table:
+                raise file.mistake(where, "", f"the key {key!r} is missing")
+        presets[name] = Preset(_preset_seeds(file, where, table["seeds"]), _preset_steps(file, where, table))
+    return presets
+
+
+def _preset_seeds(file: TomlFile, table: str, value: object) -> tuple[int, ...]:
+    try:
+        return read_seeds(value)
+    except (ValueError, UserError, TypeError):
+        allowed = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds"
+        raise file.mistake(table, "seeds", f"seeds = {value!r} is not allowed: {allowed}") from None
+
+
+def _preset_steps(file: TomlFile, table: str, values: Mapping[str, Any]) -> int:
+    try:
+        return int(read_setting(Run, "steps", values["steps"]))
+    except UserError as error:
+        raise file.mistake(table, "steps", str(error)) from None

@@ -1,0 +1,150 @@
+"""The store: what runs left behind, in a results folder.
+
+    results/runs/ID/        run.json         the resolved configuration
+                            provenance.json  what produced it, and how long that took
+                            episodes.parquet, metrics.parquet, evaluations.parquet
+                            policy.safetensors
+                            error.txt        a crash's traceback
+                            status.json      status, step, and the checksum of every other file
+    results/studies/NAME.json  the latest selection of a study and its run ids
+
+Every file appears whole or not at all, and status.json comes last: a run that it does not vouch
+for, checksum by checksum, is not there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pneuma.errors import UserError
+
+SCHEMA = 1
+FINISHED = ("done", "diverged")
+"""Statuses that are results: such a run is not trained again."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a run stands: planned, running, done, diverged, crashed; and agent steps trained."""
+
+    name: str
+    step: int = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing left to train."""
+        return self.name in FINISHED
+
+
+class Store:
+    """A results folder."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def check_writable(self) -> None:
+        """Make the folder if need be and try to write there.
+
+        Raises:
+            UserError: when that fails.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.root):
+                pass
+        except OSError as error:
+            raise UserError(
+                f"--results {self.root}: cannot be written ({error.strerror}); name another folder"
+            ) from None
+
+    # --- Runs ---------------------------------------------------------------------------------
+
+    def run_folder(self, run_id: str) -> Path:
+        """Return the folder of a run."""
+        return self.root / "runs" / run_id
+
+    def status(self, run_id: str) -> Status:
+        """Return how far a run is; 'planned' where nothing of it can be trusted."""
+        manifest = self._manifest(run_id)
+        if manifest is None:
+            return Status("planned")
+        return Status(manifest["status"], manifest["step"])
+
+    def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
+        """Write a run's files, then the status that vouches for them."""
+        folder = self.run_folder(run_id)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "status.json").unlink(missing_ok=True)
+        for name, data in files.items():
+            write_whole(folder / name, data)
+        checksums = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+        manifest = {"schema": SCHEMA, "status": status.name, "step": status.step, "files": checksums}
+        write_whole(folder / "status.json", to_json(manifest))
+
+    def read_file(self, run_id: str, name: str) -> bytes:
+        """Return one file of a run.
+
+        Raises:
+            UserError: when it is missing or not what was written.
+        """
+        manifest = self._manifest(run_id) or {"files": {}}
+        path = self.run_folder(run_id) / name
+        data = path.read_bytes() if path.is_file() else b""
+        if hashlib.sha256(data).hexdigest() != manifest["files"].get(name):
+            raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
+        return data
+
+    def _manifest(self, run_id: str) -> dict[str, Any] | None:
+        try:
+            manifest = json.loads((self.run_folder(run_id) / "status.json").read_bytes())
+        except (OSError, ValueError):
+            return None
+        known = isinstance(manifest, dict) and manifest.get("schema") == SCHEMA
+        return manifest if known else None
+
+    # --- Studies ------------------------------------------------------------------------------
+
+    def save_selection(self, study: str, record: Mapping[str, Any]) -> None:
+        """Record a study's latest selection and its run ids."""
+        folder = self.root / "studies"
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / f"{study}.json", to_json({"schema": SCHEMA, **record}))
+
+    def selection(self, study: str) -> dict[str, Any] | None:
+        """Return a study's latest record, or None when it was never run here."""
+        try:
+            record: dict[str, Any] = json.loads((self.root / "studies" / f"{study}.json").read_bytes())
+        except (OSError, ValueError):
+            return None
+        return record
+
+    def studies(self) -> list[str]:
+        """Return the names of the studies that were run here."""
+        return sorted(path.stem for path in (self.root / "studies").glob("*.json"))
+
+
+def to_json(value: object) -> bytes:
+    """Return a value as indented JSON with a final newline."""
+    return (json.dumps(value, indent=2) + "\n").encode()
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it is there whole or not at all, whatever happens meanwhile."""
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
