@@ -287,7 +287,9 @@ def read_setting(config: type[_Config], key: str, value: object) -> Any:
         return readers[key].read(value)
     except (ValueError, TypeError):
         reader = readers[key]
-        hint = nearest_name(value, reader.names) if isinstance(reader, Choice) and isinstance(value, str) else ""
+        hint = (
+            nearest_name(value, reader.names) if isinstance(reader, Choice) and isinstance(value, str) else ""
+        )
         shown = json.dumps(value, default=str)
         raise UserError(f"{key} = {shown} is not allowed{hint}: {reader.allowed}") from None
 

@@ -23,6 +23,4 @@ def nearest_name(word: str, names: Iterable[str]) -> str:
 def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
     """Build the error for a name that is none of `names`, with the nearest right one."""
     known = list(names)
-    return UserError(
-        f"unknown {what} {word!r}{nearest_name(word, known)}; known are {', '.join(known)}"
-    )
+    return UserError(f"unknown {what} {word!r}{nearest_name(word, known)}; known are {', '.join(known)}")

@@ -163,6 +163,4 @@ def _run_curve(
     ends = episodes.groupby("slot")["step"].min()
     from_step = ends.max() if len(ends) == slots else np.inf
     valid = (last > first) & (grid >= from_step)
-    return np.divide(
-        total[last] - total[first], last - first, out=np.full(grid.shape, np.nan), where=valid
-    )
+    return np.divide(total[last] - total[first], last - first, out=np.full(grid.shape, np.nan), where=valid)

@@ -17,7 +17,7 @@ from pneuma.errors import UserError
 
 app = typer.Typer(
     name="pneuma",
-    help="Reproduce, compare and judge reinforcement-learning experiments: those of the PneumaRL thesis, and your own.",
+    help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
     no_args_is_help=True,
     add_completion=True,
     rich_markup_mode=None,

@@ -18,7 +18,9 @@ def env(json: Json = False) -> None:
     if json:
         return print_json({"schema": 1, "cases": cases})
     for case in cases:
-        print(f"{case['case']:<28} {case['worlds']:>4} worlds {case['agent_steps_per_second']:>12,.0f} steps/s")
+        print(
+            f"{case['case']:<28} {case['worlds']:>4} worlds {case['agent_steps_per_second']:>12,.0f} steps/s"
+        )
     return None
 
 

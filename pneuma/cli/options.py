@@ -66,7 +66,9 @@ def read_selection(
     Raises:
         UserError: naming the option and what is allowed.
     """
-    if not any(given is not None for given in (preset, seeds, steps, engine)) and not (conditions or settings):
+    if not any(given is not None for given in (preset, seeds, steps, engine)) and not (
+        conditions or settings
+    ):
         return None
     if steps is not None and steps < 1:
         raise UserError(f"--steps {steps}: must be a whole number of at least 1")

@@ -89,5 +89,9 @@ class ProgressDisplay:
         total = sum(cell.run.steps for cell in {cell.run_id: cell for cell in self._cells}.values())
         share = sum(self._steps.values()) / total
         ended = f"{len(self._ended)}/{len(self._steps)} runs ended"
-        what = f"{progress.cell.condition} seed {progress.cell.seed}: {progress.status}; " if progress.status else ""
+        what = (
+            f"{progress.cell.condition} seed {progress.cell.seed}: {progress.status}; "
+            if progress.status
+            else ""
+        )
         print(f"{what}{ended}, {share:.0%} of all steps", file=sys.stderr, flush=True)

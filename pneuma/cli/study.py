@@ -100,8 +100,7 @@ def plan_(
     planned = plan.make_plan(spec.load_study(name), selection)
     store = Store(results)
     state = {
-        cell.run_id: "stored" if store.status(cell.run_id).finished else "to-train"
-        for cell in planned.cells
+        cell.run_id: "stored" if store.status(cell.run_id).finished else "to-train" for cell in planned.cells
     }
     if json:
         cells = [
@@ -113,7 +112,8 @@ def plan_(
     for key, values in plan.differing_settings(planned).items():
         print(f"Conditions differ in {key}: " + ", ".join(f"{c} {v}" for c, v in values.items()))
     for cell in planned.cells:
-        print(f"{cell.condition:<18} seed {cell.seed:<6} {cell.run.steps:>12,} steps  {cell.run_id}  {state[cell.run_id]}")
+        budget = f"{cell.run.steps:>12,} steps"
+        print(f"{cell.condition:<18} seed {cell.seed:<6} {budget}  {cell.run_id}  {state[cell.run_id]}")
     counts = Counter(state.values())
     print(f"{counts['stored']} stored, {counts['to-train']} to train.")
     return None
@@ -159,7 +159,9 @@ def run(
 
 @app.command()
 def status(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
+    ] = None,
     preset: Preset = None,
     seeds: Seeds = None,
     steps: Steps = None,
@@ -192,11 +194,25 @@ def status(
 
 @app.command()
 def plot(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")] = None,
-    band: Annotated[str, typer.Option("--band", metavar="std|se|minmax", help="What the band shows.")] = "std",
-    window: Annotated[str, typer.Option("--window", metavar="budget-5%|trailing-100", help="Which episodes a point averages.")] = "budget-5%",
-    format: Annotated[list[str] | None, typer.Option("--format", metavar="png|svg|pdf", help="File formats (may be repeated; default: png and svg).")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
+    ] = None,
+    band: Annotated[
+        str, typer.Option("--band", metavar="std|se|minmax", help="What the band shows.")
+    ] = "std",
+    window: Annotated[
+        str,
+        typer.Option("--window", metavar="budget-5%|trailing-100", help="Which episodes a point averages."),
+    ] = "budget-5%",
+    format: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format", metavar="png|svg|pdf", help="File formats (may be repeated; default: png and svg)."
+        ),
+    ] = None,
     preset: Preset = None,
     seeds: Seeds = None,
     steps: Steps = None,
@@ -235,7 +251,9 @@ def plot(
 @app.command()
 def export(
     name: StudyName,
-    table: Annotated[str, typer.Option("--table", metavar="episodes|metrics|evaluations|curves", help="What to export.")],
+    table: Annotated[
+        str, typer.Option("--table", metavar="episodes|metrics|evaluations|curves", help="What to export.")
+    ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The file to write.")],
     format: Annotated[str, typer.Option("--format", metavar="csv|parquet|latex", help="Its format.")] = "csv",
     preset: Preset = None,
@@ -318,5 +336,8 @@ def _tell_outcomes(planned: plan.Plan, outcomes: list[execute.Outcome], store: S
     trained = sum(outcome.trained for outcome in outcomes)
     counts = Counter(outcome.status.name for outcome in outcomes)
     states = ", ".join(f"{n} {state}" for state, n in counts.items())
-    say(f"{planned.study.name}: {states}; {trained} trained now, {len(outcomes) - trained} were stored.", quiet=quiet)
-    say(f"Draw it with: pneuma study plot {planned.study.path if planned.study.name not in spec.list_studies() else planned.study.name}", quiet=quiet)
+    say(
+        f"{planned.study.name}: {states}; {trained} trained now, {len(outcomes) - trained} were stored.",
+        quiet=quiet,
+    )
+    say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", quiet=quiet)

@@ -46,6 +46,8 @@ EVALUATION_COLUMNS = (
     "argmax_share_killed",
     "argmax_score",
     "argmax_return",
+    "random_share_killed",
+    "hunter_share_killed",
 )
 
 Row = Mapping[str, Any]
@@ -95,16 +97,14 @@ OnUpdate = Callable[[Progress], bool]
 class Engine(Protocol):
     """What `load_engine` returns: a module with this function."""
 
-    def train(
-        self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate
-    ) -> list[Result]:
+    def train(self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> list[Result]:
         """Train every run of a group; `checkpoints` maps an index of `runs` to where to go on from."""
         ...
 
 
 def load_engine(name: str) -> Engine:
     """Import an engine by its name in `pneuma.config.ENGINE_VERSIONS`."""
-    return import_module(f"pneuma.engines.{name}")  # type: ignore[return-value]
+    return import_module(f"pneuma.engines.{name}")
 
 
 def evaluation_updates(run: Run) -> set[int]:

@@ -57,6 +57,8 @@ class Evaluation:
             "argmax_share_killed": float(share[best].mean()),
             "argmax_score": self._score(share[best]),
             "argmax_return": float(returns[best].mean()),
+            "random_share_killed": self.random_share,
+            "hunter_share_killed": self.hunter_share,
         }
 
     def _score(self, share: np.ndarray) -> float:

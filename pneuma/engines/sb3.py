@@ -218,5 +218,3 @@ def is_finite(metrics: Mapping[str, float], model: PPO) -> bool:
     with torch.no_grad():
         total = sum(float(parameter.abs().sum()) for parameter in model.policy.parameters())
     return bool(np.isfinite([*(metrics[name] for name in watched), total]).all())
-
-

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.env import rules
+from pneuma.env import state
 from pneuma.env.level import Level
 
 TICKS_PER_SECOND = 60
@@ -36,16 +36,16 @@ def monster_codes() -> dict[int, str]:
 
 
 def player_stats(classes: tuple[str, ...]) -> np.ndarray:
-    """Return the stats of each player's class, shape (P,), dtype `rules.PLAYER_STATS`."""
-    stats = np.zeros(len(classes), rules.PLAYER_STATS)
+    """Return the stats of each player's class, shape (P,), dtype `state.PLAYER_STATS`."""
+    stats = np.zeros(len(classes), state.PLAYER_STATS)
     for row, name in zip(stats, classes, strict=True):
         _fill_player(row, shipped_characters()["players"][name])
     return stats
 
 
 def monster_stats(level: Level, players: np.ndarray) -> np.ndarray:
-    """Return the stats and home of each monster of a level, shape (M,), dtype `rules.MONSTER_STATS`."""
-    stats = np.zeros(len(level.monsters), rules.MONSTER_STATS)
+    """Return the stats and home of each monster of a level, shape (M,), dtype `state.MONSTER_STATS`."""
+    stats = np.zeros(len(level.monsters), state.MONSTER_STATS)
     for row, (kind, x, y) in zip(stats, level.monsters, strict=True):
         _fill_monster(row, shipped_characters()["monsters"][kind])
         row["home_x"], row["home_y"] = x, y

@@ -48,7 +48,7 @@ def observation_space(level: Level, monster_stats: np.ndarray) -> spaces.Box:
 
 
 def fill_scales(settings: Any, level: Level, monster_stats: np.ndarray) -> None:
-    """Write the scales of an observation into one row of `rules.SETTINGS`."""
+    """Write the scales of an observation into one row of `state.SETTINGS`."""
     left, top, right, bottom = level.land
     settings["middle_x"], settings["middle_y"] = (left + right) / 2, (top + bottom) / 2
     settings["scale_x"], settings["scale_y"] = 2 / (right - left), 2 / (bottom - top)

@@ -102,7 +102,9 @@ def chosen_starts(state: Worlds, options: dict[str, Any] | None) -> np.ndarray |
         return None
     starts = np.broadcast_to(np.asarray(options["start"], np.int64), (len(state),))
     if starts.min() < 0 or starts.max() >= len(state.level.starts):
-        raise ValueError(f"start {options['start']!r}: the level has places 0 to {len(state.level.starts) - 1}")
+        raise ValueError(
+            f"start {options['start']!r}: the level has places 0 to {len(state.level.starts) - 1}"
+        )
     return np.ascontiguousarray(starts)
 
 

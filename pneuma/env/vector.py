@@ -97,7 +97,7 @@ class PneumaVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Return the infos of the worlds that ended, in Gymnasium's form for this autoreset mode."""
         infos: dict[str, Any] = {}
         for world in np.flatnonzero(over):
-            info = ending_info(self.state, world)
+            info = ending_info(self.state, int(world))
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 final = self.state.observations[world, 0].copy()
                 info = {"final_obs": final, "final_info": info}

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 
 from pneuma.config import ACTION_NAMES, EnvConfig
-from pneuma.env import characters, rules
+from pneuma.env import characters, rules, state
 from pneuma.env.level import load_level, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 
@@ -26,9 +26,9 @@ class Worlds:
 
     Attributes:
         worlds, players, monsters: the whole state, shapes (N,), (N, P) and (N, M), with the dtypes
-            `rules.WORLD`, `PLAYER` and `MONSTER`; copy them, put them back, and the worlds go on
+            `state.WORLD`, `PLAYER` and `MONSTER`; copy them, put them back, and the worlds go on
             as they would have.
-        events: (N, P) `rules.EVENTS`, what the last step did, the reward among it.
+        events: (N, P) `state.EVENTS`, what the last step did, the reward among it.
         observations: (N, P, features) float32, overwritten by every step.
     """
 
@@ -40,14 +40,26 @@ class Worlds:
         self.monster_stats = characters.monster_stats(self.level, self.player_stats)
         self.space = observation_space(self.level, self.monster_stats)
         self.action_space = spaces.Discrete(len(ACTION_NAMES))
-        self.room = room_for_bodies(self.level, characters.margin(self.player_stats, self.monster_stats))
         self.settings = self._settings(config)
-        self.worlds = np.zeros(count, rules.WORLD)
-        self.players = np.zeros((count, players), rules.PLAYER)
-        self.monsters = np.zeros((count, len(self.monster_stats)), rules.MONSTER)
-        self.events = np.zeros((count, players), rules.EVENTS)
+        self.worlds = np.zeros(count, state.WORLD)
+        self.players = np.zeros((count, players), state.PLAYER)
+        self.monsters = np.zeros((count, len(self.monster_stats)), state.MONSTER)
+        self.events = np.zeros((count, players), state.EVENTS)
         self.observations = np.zeros((count, players, *self.space.shape), np.float32)
-        self._scratch = np.zeros(len(self.monster_stats), rules.SCRATCH)
+        margin = characters.margin(self.player_stats, self.monster_stats)
+        self._arrays = state.State(
+            self.worlds,
+            self.players,
+            self.monsters,
+            self.player_stats,
+            self.monster_stats,
+            self.settings,
+            self.level.terrain,
+            room_for_bodies(self.level, margin),
+            self.events,
+            self.observations,
+            np.zeros(len(self.monster_stats), state.SCRATCH),
+        )
         self._every = np.ones(count, np.bool_)
         self._anywhere = np.full(count, -1, np.int64)
 
@@ -56,7 +68,7 @@ class Worlds:
         return len(self.worlds)
 
     def _settings(self, config: EnvConfig) -> np.ndarray:
-        settings = np.zeros(1, rules.SETTINGS)
+        settings = np.zeros(1, state.SETTINGS)
         row = settings[0]
         row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
         row["cells_per_pixel"] = 2 / self.level.tile
@@ -79,25 +91,12 @@ class Worlds:
             starts: (N,) indices of start places; below zero, or left out, drawn at random.
         """
         rules.reset_worlds(
-            self.worlds,
-            self.players,
-            self.monsters,
-            self.player_stats,
-            self.monster_stats,
+            *self._arrays[:5],
             self.level.starts,
             self._anywhere if starts is None else starts,
             self._every if mask is None else mask,
         )
-        rules.observe_worlds(
-            self.worlds,
-            self.players,
-            self.monsters,
-            self.player_stats,
-            self.monster_stats,
-            self.settings,
-            self.observations,
-            self._scratch,
-        )
+        rules.observe_worlds(*self._arrays)
 
     def step(self, actions: np.ndarray) -> int:
         """Advance every running world; return how many episodes ended with this step.
@@ -105,20 +104,7 @@ class Worlds:
         Args:
             actions: (N, P) whole numbers below 5, trusted.
         """
-        return rules.step_worlds(
-            self.worlds,
-            self.players,
-            self.monsters,
-            self.player_stats,
-            self.monster_stats,
-            self.settings,
-            self.level.terrain,
-            self.room,
-            actions,
-            self.events,
-            self.observations,
-            self._scratch,
-        )
+        return int(rules.step_worlds(*self._arrays, actions))
 
     def ending(self, world: int) -> str:
         """Name how a world's episode ended, or 'running'."""

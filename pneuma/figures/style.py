@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -23,9 +24,11 @@ DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
 )
 """One to a colour, so that lines can be told apart in grey."""
 
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
 FORMATS = ("png", "svg", "pdf")
 
-_RC = {
+_RC: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
     "font.size": 8,
     "axes.titlesize": 9,

@@ -1,6 +1,6 @@
 """Execute a plan: train what is not in the store yet, and record the selection.
 
-    Plan → groups of runs → executor → store
+Plan → groups of runs → executor → store
 """
 
 from __future__ import annotations
@@ -62,9 +62,7 @@ def execute(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> 
 
 def missing(plan: Plan, store: Store) -> dict[str, Run]:
     """Return the plan's runs that are not finished in the store, by id, each once."""
-    return {
-        cell.run_id: cell.run for cell in plan.cells if not store.status(cell.run_id).finished
-    }
+    return {cell.run_id: cell.run for cell in plan.cells if not store.status(cell.run_id).finished}
 
 
 def check_environments(runs: list[Run]) -> None:

@@ -1,6 +1,6 @@
 """Plan a study: resolve a selection of conditions and seeds to runs.
 
-    study, preset and options → Plan of cells (condition × seed → Run and its id)
+study, preset and options → Plan of cells (condition × seed → Run and its id)
 """
 
 from __future__ import annotations

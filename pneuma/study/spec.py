@@ -163,9 +163,7 @@ def _read_conditions(file: TomlFile, shared: Mapping[str, Any]) -> dict[str, dic
     return conditions
 
 
-def _refuse_unread(
-    file: TomlFile, table: str, resolved: Mapping[str, Any], own: Mapping[str, Any]
-) -> None:
+def _refuse_unread(file: TomlFile, table: str, resolved: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     """Refuse a condition's optimizer setting that its optimizer would not read."""
     optimizer = resolved.get("optimizer", "adam")
     of_optimizers = {key for keys in OPTIMIZER_SETTINGS.values() for key in keys}

@@ -42,9 +42,7 @@ class TomlFile:
         for key in given:
             if key not in allowed:
                 hint = nearest_name(key, allowed)
-                raise self.mistake(
-                    table, key, f"unknown key {key!r}{hint}; known are {', '.join(allowed)}"
-                )
+                raise self.mistake(table, key, f"unknown key {key!r}{hint}; known are {', '.join(allowed)}")
 
 
 def read_toml(path: Path) -> TomlFile:

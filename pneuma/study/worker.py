@@ -56,9 +56,7 @@ def train_group(runs: Sequence[Run], store: Store, events: TextIO) -> int:
     except Exception:
         for run in runs:
             error = traceback.format_exc().encode()
-            store.save_run(
-                run_id(run), Status("crashed"), {"run.json": run_file(run), "error.txt": error}
-            )
+            store.save_run(run_id(run), Status("crashed"), {"run.json": run_file(run), "error.txt": error})
             _send(events, {"event": "end", "run_id": run_id(run), "status": "crashed", "step": 0})
         return 1
     seconds = (time.perf_counter() - clock) / len(results)

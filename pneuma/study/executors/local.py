@@ -34,6 +34,13 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
+def one_thread_environment() -> dict[str, str]:
+    """Return environment variables for a child that computes on one thread and imports this code."""
+    source = str(Path(__file__).parents[3])  # on the child's path even when Pneuma is not installed
+    path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH", "")]))
+    return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), "PYTHONPATH": path}
+
+
 def run_groups(groups: Iterable[Sequence[Run]], store: Store, workers: int, on_event: OnEvent) -> None:
     """Train every group, `workers` at a time; hand every event of theirs to `on_event`.
 
@@ -69,13 +76,13 @@ class _Worker:
 
 
 def _start(group: Sequence[Run], store: Store) -> _Worker:
-    errors = tempfile.TemporaryFile()
+    errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the worker is buried)
     process = subprocess.Popen(
         [sys.executable, "-m", "pneuma.study.worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=errors,
-        env={**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), "PYTHONPATH": _import_path()},
+        env=one_thread_environment(),
         start_new_session=True,  # Ctrl-C reaches the parent alone
         bufsize=0,
     )
@@ -83,12 +90,6 @@ def _start(group: Sequence[Run], store: Store) -> _Worker:
     assert process.stdin is not None
     process.stdin.write(json.dumps(job).encode() + b"\n")
     return _Worker(process, group, errors, set())
-
-
-def _import_path() -> str:
-    """Return a PYTHONPATH under which a worker imports this same code, installed or not."""
-    source = str(Path(__file__).parents[3])
-    return os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH", "")]))
 
 
 def _read(worker: _Worker, selector: selectors.BaseSelector, store: Store, on_event: OnEvent) -> None:
