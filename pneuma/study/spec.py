@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from importlib.resources import files
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +75,8 @@ class Study:
 def studies_folder() -> Path:
     """Return the folder of shipped studies: in an installed package, or beside it in a source tree."""
     try:
-        return Path(str(files("pneuma.studies")._paths[0]))  # type: ignore[attr-defined]
-    except (ModuleNotFoundError, AttributeError):
+        return Path(next(iter(import_module("pneuma.studies").__path__)))
+    except ModuleNotFoundError:
         return Path(__file__).parents[2] / "studies"
 
 

@@ -1,0 +1,88 @@
+"""Evaluation: its scale, its independence, and its worlds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.config import BASES, Run, make_run
+from pneuma.engines.base import EVALUATION_COLUMNS, evaluation_updates
+from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.policy import Policy
+from pneuma.engines.sb3 import make_env
+
+
+def run_of(**settings: object) -> Run:
+    return make_run({**BASES["table-6-2"], "evaluation_episodes": 24, **settings})
+
+
+def constant_policy(logits: list[float]) -> Policy:
+    layer = (np.zeros((60, 5), np.float32), np.array(logits, np.float32))
+    return Policy("tanh", (layer,), (layer,))
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Evaluation:
+    return Evaluation(run_of(seed=3))
+
+
+def test_a_row_has_exactly_the_columns_of_the_contract(evaluation: Evaluation) -> None:
+    assert tuple(evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 100)) == EVALUATION_COLUMNS
+
+
+def test_score_is_zero_for_the_random_player_and_one_for_the_hunter(evaluation: Evaluation) -> None:
+    assert evaluation._score(np.array([evaluation.random_share])) == 0.0
+    assert evaluation._score(np.array([evaluation.hunter_share])) == 1.0
+    assert evaluation.hunter_share == 1.0  # it clears the level from every start
+    assert 0.0 < evaluation.random_share < 0.15
+
+
+def test_a_uniform_policy_scores_about_zero(evaluation: Evaluation) -> None:
+    row = evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 100)
+    assert abs(row["score"]) < 0.1
+    assert row["score"] == pytest.approx(
+        (row["share_killed"] - evaluation.random_share) / (evaluation.hunter_share - evaluation.random_share)
+    )
+
+
+def test_a_certain_policy_plays_each_start_the_same_way_sampled_or_not(evaluation: Evaluation) -> None:
+    # Nothing in the world is random but the start place, so episode lengths must agree by place.
+    evaluation.evaluate(constant_policy([50, 0, 0, 0, 0]), 100)  # always down
+    worlds = evaluation.worlds.worlds
+    by_place = dict(zip(worlds["start"][24:].tolist(), worlds["steps"][24:].tolist(), strict=True))
+    assert worlds["steps"][:24].tolist() == [by_place[place] for place in worlds["start"][:24].tolist()]
+
+
+def test_evaluating_again_gives_the_same_row_whatever_went_before(evaluation: Evaluation) -> None:
+    policy = constant_policy([0.3, 0.1, 0.0, 0.2, 0.4])
+    first = evaluation.evaluate(policy, 500)
+    evaluation.evaluate(constant_policy([1, 0, 0, 0, 0]), 600)
+    np.random.seed(1)
+    assert evaluation.evaluate(policy, 500) == first
+    assert Evaluation(run_of(seed=3)).evaluate(policy, 500) == first
+    assert Evaluation(run_of(seed=4)).evaluate(policy, 500) != first
+
+
+def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
+    run = run_of(seed=3, slots=16, minibatch=64)
+    evaluation = Evaluation(run)
+    evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 1)
+    training = set(make_env(run).state.worlds["key"].tolist())
+    held_out = set(evaluation.worlds.worlds["key"].tolist())
+    assert len(training) == 16
+    assert not training & held_out
+
+
+def test_every_start_place_is_played_once_with_the_best_action(evaluation: Evaluation) -> None:
+    evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 1)
+    assert evaluation.worlds.worlds["start"][24:].tolist() == [0, 1, 2, 3, 4, 5]
+    assert evaluation.argmax_starts == 6
+
+
+def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:
+    # 196 updates: after ceil(196 k / 20) = 10, 20, 30, 40, 49, … 196.
+    updates = sorted(evaluation_updates(run_of(steps=50_176)))
+    assert updates[:5] == [10, 20, 30, 40, 49]
+    assert updates[-1] == 196
+    assert len(updates) == 20
+    assert evaluation_updates(run_of(steps=256 * 3)) == {1, 2, 3}

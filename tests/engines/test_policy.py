@@ -1,0 +1,75 @@
+"""The stored policy: arithmetic by hand, and a file that comes back as it was."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.engines.policy import Policy, dead_share, read_policy
+
+
+def tiny(activation: str) -> Policy:
+    """Two features, two hidden units, three actions; weights small enough to follow by hand."""
+    hidden = (np.array([[1.0, -1.0], [0.0, 2.0]], np.float32), np.array([0.0, 1.0], np.float32))
+    actor = (np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], np.float32), np.zeros(3, np.float32))
+    critic = (np.array([[1.0], [1.0]], np.float32), np.array([0.5], np.float32))
+    return Policy(activation, (hidden, actor), (hidden, critic))
+
+
+# For the observation (-1, 1): hidden before activation = (-1·1 + 1·0, -1·-1 + 1·2 + 1) = (-1, 4).
+OBSERVATION = np.array([[-1.0, 1.0]], np.float32)
+
+
+@pytest.mark.parametrize(
+    ("activation", "logits", "value"),
+    [
+        ("relu", [0.0, 4.0, 0.0], 4.5),
+        ("leaky-relu", [-0.01, 4.0, 0.0], 4.49),
+        ("tanh", [np.tanh(-1.0), np.tanh(4.0), 0.0], np.tanh(-1.0) + np.tanh(4.0) + 0.5),
+    ],
+)
+def test_forward_pass_by_hand(activation: str, logits: list[float], value: float) -> None:
+    policy = tiny(activation)
+    np.testing.assert_allclose(policy.logits(OBSERVATION)[0], logits, rtol=1e-6)
+    np.testing.assert_allclose(policy.values(OBSERVATION)[0], value, rtol=1e-6)
+    assert policy.best(OBSERVATION)[0] == 1
+
+
+def test_sampled_actions_follow_the_softmax() -> None:
+    # Logits (ln 1, ln 2, ln 5) mean probabilities 1/8, 2/8 and 5/8.
+    bias = np.log(np.array([1.0, 2.0, 5.0])).astype(np.float32)
+    layer = (np.zeros((1, 3), np.float32), bias)
+    policy = Policy("tanh", (layer,), (layer,))
+    draws = policy.sample(np.zeros((80_000, 1), np.float32), np.random.default_rng(0))
+    shares = np.bincount(draws, minlength=3) / len(draws)
+    # One standard error of a share is at most sqrt(0.25 / 80,000) = 0.0018.
+    np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=0.008)
+
+
+def test_a_certain_action_is_always_sampled_even_with_huge_logits() -> None:
+    layer = (np.zeros((1, 3), np.float32), np.array([-1e6, 0.0, -1e6], np.float32))
+    policy = Policy("relu", (layer,), (layer,))
+    draws = policy.sample(np.zeros((1000, 1), np.float32), np.random.default_rng(0))
+    assert set(draws) == {1}
+
+
+def test_stored_policy_comes_back_whole_and_twice_with_the_same_bytes() -> None:
+    policy = tiny("leaky-relu")
+    data = policy.to_bytes()
+    again = read_policy(data)
+    assert again.activation == "leaky-relu"
+    assert again.to_bytes() == data
+    np.testing.assert_array_equal(again.logits(OBSERVATION), policy.logits(OBSERVATION))
+    assert data[8:9] == b"{"  # safetensors: a length, then JSON; nothing that could run
+
+
+def test_dead_units_are_those_constant_over_the_rollout() -> None:
+    observations = np.array([[-1.0, 1.0], [-2.0, 3.0]], np.float32)
+    # Hidden before activation: (-1, 4) and (-2, 9). Unit 0 is never above zero, unit 1 always;
+    # actor and critic hold the same hidden layer here, so half of the four units are dead.
+    assert dead_share(tiny("relu"), observations) == 0.5
+    assert dead_share(tiny("leaky-relu"), observations) == 0.5
+    # tanh(-1) = -0.76 and tanh(-2) = -0.96 are inside 0.99; tanh(4) and tanh(9) are beyond.
+    assert dead_share(tiny("tanh"), observations) == 0.5
+    assert dead_share(tiny("relu"), -observations) == 0.5  # now unit 0 lives and unit 1 is dead
+    assert dead_share(tiny("relu"), np.concatenate([observations, -observations])) == 0.0
