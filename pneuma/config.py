@@ -23,6 +23,7 @@ ENGINE_VERSIONS = {"sb3": 1}
 """Raised by hand when an engine trains the same run to other numbers; part of every run id."""
 
 ENVIRONMENTS = ("pneuma/Pneuma-v0",)
+SHIPPED_LEVELS = ("thesis",)
 REWARDS = ("thesis",)
 ALGORITHMS = ("ppo",)
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
@@ -74,16 +75,19 @@ class Number:
         too_high = value >= self.high if self.below else value > self.high
         if too_low or too_high:
             raise ValueError
-        return int(value) if self.whole else float(value)
+        return int(value) if self.whole else float(value) + 0.0  # -0.0 is 0.0
 
     @property
     def allowed(self) -> str:
         """Say in words what is allowed."""
         kind = "a whole number" if self.whole else "a number"
-        parts = [f"{'above' if self.above else 'of at least'} {self.low:g}"]
+        parts = [f"{'above' if self.above else 'of at least'} {self._told(self.low)}"]
         if self.high < math.inf:
-            parts.append(f"{'below' if self.below else 'at most'} {self.high:g}")
+            parts.append(f"{'below' if self.below else 'at most'} {self._told(self.high)}")
         return f"{kind} {' and '.join(parts)}" + (', or "none"' if self.optional else "")
+
+    def _told(self, bound: float) -> str:
+        return str(int(bound)) if self.whole else f"{bound:g}"
 
 
 @dataclass(frozen=True)
@@ -285,7 +289,7 @@ def read_setting(config: type[_Config], key: str, value: object) -> Any:
         raise unknown_name("key", key, readers)
     try:
         return readers[key].read(value)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         reader = readers[key]
         hint = (
             nearest_name(value, reader.names) if isinstance(reader, Choice) and isinstance(value, str) else ""
@@ -310,7 +314,11 @@ def make_run(settings: Mapping[str, object]) -> Run:
     for key, default in _OPTIMIZER_DEFAULTS.items():
         used = key in OPTIMIZER_SETTINGS[optimizer]
         values[key] = values.get(key, default) if used else None
+    if values["momentum"] == 0 and values["dampening"] is not None:
+        values["dampening"] = 0.0  # torch reads it only beside a momentum
     run = Run(**values)
+    if run.gradient_limit is None and run.clip != "joint":
+        return make_run({**values, "clip": "joint"})  # nothing is clipped either way
     if run.minibatch > run.steps_per_update:
         raise UserError(
             f"minibatch = {run.minibatch} is not allowed: at most horizon x slots = {run.steps_per_update}"

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.tables import FinishedRun, StudyData
+
 GRID_POINTS = 200
-WINDOW_SHARE = 0.05
+WINDOW_POINTS = 10
+"""A twentieth of the grid: the window of a training curve."""
 WINDOWS = ("budget-5%", "trailing-100")
 TRAILING_EPISODES = 100
 
@@ -87,37 +89,40 @@ BANDS = {
 }
 
 
-def training_curves(
-    episodes: pd.DataFrame, record: Mapping[str, Any], column: str, window: str = WINDOWS[0]
-) -> list[Curve]:
-    """Return a training curve of an episode column (`return`, `length`, `kills`) per condition.
+def training_curves(data: StudyData, column: str, window: str = WINDOWS[0]) -> list[Curve]:
+    """Return the training curve of an episode column (`return`, `length`, `kills`) of every condition.
 
     Args:
-        episodes: the table `episodes` of `analysis.tables`.
-        record: the selection that it was loaded for.
+        data: the study's finished runs.
         column: what to average.
         window: 'budget-5%', or 'trailing-100' for the mean of the last 100 episodes of a run, which
             is what Stable-Baselines3 logs.
     """
-    budget = max(run["run"]["steps"] for run in record["runs"])
-    grid = np.linspace(0, budget, GRID_POINTS + 1)[1:]
+    grid = data.budget * np.arange(1, GRID_POINTS + 1) / GRID_POINTS
+    table = data.table("episodes")
+    episodes = {key: own for key, own in table.groupby(["condition", "run_id"], sort=False)}
     curves = []
-    for condition, part in _by_condition(episodes):
-        slots = {run["run_id"]: run["run"]["slots"] for run in record["runs"]}
-        runs = [
-            _run_curve(run, column, grid, budget, slots[str(name)], window)
-            for name, run in part.groupby("run_id", sort=False)
+    for condition in data.conditions:
+        runs = data.of_condition(condition)
+        values = [
+            _run_curve(run, episodes.get((condition, run.run_id), table[:0]), column, grid, window)
+            for run in runs
         ]
-        curves.append(Curve(condition, grid, np.stack(runs)))
+        if runs:
+            curves.append(Curve(condition, grid, np.stack(values)))
     return curves
 
 
-def evaluation_curves(evaluations: pd.DataFrame, column: str = "share_killed") -> list[Curve]:
-    """Return the curve of an evaluation column per condition, at the evaluations' own steps."""
+def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
+    """Return the curve of an evaluation column of every condition, at the evaluations' own steps."""
+    evaluations = data.table("evaluations")
     curves = []
-    for condition, part in _by_condition(evaluations):
-        wide = part.pivot(index="seed", columns="step", values=column)
-        curves.append(Curve(condition, wide.columns.to_numpy(float), wide.to_numpy(float)))
+    for condition in data.conditions:
+        runs = [run.run_id for run in data.of_condition(condition)]
+        own = evaluations[evaluations["condition"] == condition]
+        wide = own.pivot(index="run_id", columns="step", values=column).reindex(runs)
+        if runs:
+            curves.append(Curve(condition, wide.columns.to_numpy(float), wide.to_numpy(float)))
     return curves
 
 
@@ -144,14 +149,10 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def _by_condition(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    return [(str(name), part) for name, part in table.groupby("condition", sort=False)]
-
-
 def _run_curve(
-    episodes: pd.DataFrame, column: str, grid: np.ndarray, budget: int, slots: int, window: str
+    run: FinishedRun, episodes: pd.DataFrame, column: str, grid: np.ndarray, window: str
 ) -> np.ndarray:
-    """Return one run's curve on the grid, (points,)."""
+    """Return one run's curve on the grid, (points,); blank before its first episodes and past its end."""
     episodes = episodes.sort_values("step", kind="stable")
     step = episodes["step"].to_numpy()
     total = np.concatenate([[0.0], np.cumsum(episodes[column].to_numpy(float))])
@@ -159,8 +160,9 @@ def _run_curve(
     if window == "trailing-100":
         first = np.maximum(last - TRAILING_EPISODES, 0)
     else:
-        first = np.searchsorted(step, grid - WINDOW_SHARE * budget, side="right")
-    ends = episodes.groupby("slot")["step"].min()
-    from_step = ends.max() if len(ends) == slots else np.inf
-    valid = (last > first) & (grid >= from_step)
+        before = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
+        first = np.searchsorted(step, before, side="right")
+    begins = episodes.groupby("slot")["step"].min()
+    from_step = begins.max() if len(begins) == run.slots else np.inf
+    valid = (last > first) & (grid >= from_step) & (grid <= run.end)
     return np.divide(total[last] - total[first], last - first, out=np.full(grid.shape, np.nan), where=valid)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,27 +10,26 @@ import pandas as pd
 
 from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
 from pneuma.analysis.tables import TABLES as RECORD_TABLES
-from pneuma.analysis.tables import load_table
-from pneuma.study.store import Store, write_whole
+from pneuma.analysis.tables import StudyData
+from pneuma.study.store import write_whole
 
 TABLES = (*RECORD_TABLES, "curves")
 FORMATS = ("csv", "parquet", "latex")
 
 
-def export_table(store: Store, record: Mapping[str, Any], table: str, form: str, path: Path) -> int:
+def export_table(data: StudyData, table: str, form: str, path: Path) -> int:
     """Write one of `TABLES` in one of `FORMATS`; return the number of rows.
 
     The same runs give the same bytes; no table holds wall-clock values.
     """
-    frame = _curves(store, record) if table == "curves" else load_table(store, record, table)
+    frame = _curves(data) if table == "curves" else data.table(table)
     write_whole(path, _encode(frame, form))
     return len(frame)
 
 
-def _curves(store: Store, record: Mapping[str, Any]) -> pd.DataFrame:
-    episodes, evaluations = (load_table(store, record, name) for name in ("episodes", "evaluations"))
-    curves = {name: training_curves(episodes, record, name) for name in ("return", "length", "kills")}
-    curves["share_killed"] = evaluation_curves(evaluations)
+def _curves(data: StudyData) -> pd.DataFrame:
+    curves = {name: training_curves(data, name) for name in ("return", "length", "kills")}
+    curves["share_killed"] = evaluation_curves(data)
     return curves_table(curves, "std")
 
 
@@ -56,8 +55,15 @@ def _latex_row(cells: Any) -> str:
 
 def _latex_cell(cell: object) -> str:
     if isinstance(cell, float):
-        return f"{cell:.6g}"
-    text = str(cell).replace("\\", r"\textbackslash{}")
-    for special in "&%$#_{}":
-        text = text.replace(special, "\\" + special) if special not in "{}" else text
-    return text
+        return "--" if math.isnan(cell) else f"{cell:.6g}"
+    return str(cell).translate(_LATEX)
+
+
+_LATEX = str.maketrans(
+    {
+        **{special: "\\" + special for special in "&%$#_{}"},
+        "\\": r"\textbackslash{}",
+        "^": r"\textasciicircum{}",
+        "~": r"\textasciitilde{}",
+    }
+)

@@ -65,7 +65,8 @@ def run() -> None:
 
 
 def _refuse(message: str) -> int:
-    line = " ".join(message.split())
-    if line:  # a bare `pneuma` has printed its help and says nothing more
-        print(f"pneuma: {line}", file=sys.stderr)
+    if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
+        print(message, file=sys.stderr)
+    else:
+        print(f"pneuma: {' '.join(message.split())}", file=sys.stderr)
     return 2

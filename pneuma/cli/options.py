@@ -13,7 +13,7 @@ import typer
 
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection
-from pneuma.study.spec import PRESETS, read_seeds
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds
 
 StudyName = Annotated[
     str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
@@ -35,7 +35,7 @@ Seeds = Annotated[
     ),
 ]
 Steps = Annotated[
-    int | None,
+    str | None,
     typer.Option("--steps", metavar="N", help="Steps of each run, rounded up to whole horizons."),
 ]
 EngineName = Annotated[
@@ -56,7 +56,7 @@ Settings = Annotated[
 def read_selection(
     preset: str | None,
     seeds: str | None,
-    steps: int | None,
+    steps: str | None,
     engine: str | None,
     conditions: Sequence[str] | None,
     settings: Sequence[str] | None,
@@ -64,22 +64,29 @@ def read_selection(
     """Turn the selecting options into a `Selection`; None when none of them was given.
 
     Raises:
-        UserError: naming the option and what is allowed.
+        UserError: naming the option, the value and what is allowed.
     """
-    if not any(given is not None for given in (preset, seeds, steps, engine)) and not (
-        conditions or settings
-    ):
+    if all(given in (None, []) for given in (preset, seeds, steps, engine, conditions, settings)):
         return None
-    if steps is not None and steps < 1:
-        raise UserError(f"--steps {steps}: must be a whole number of at least 1")
     return Selection(
-        preset=preset or "quick",
+        preset=preset,
         seeds=None if seeds is None else _read_seeds(seeds),
-        steps=steps,
+        steps=None if steps is None else read_count("--steps", steps),
         engine=engine,
         conditions=tuple(conditions or ()),
         settings=dict(_read_setting(text) for text in settings or ()),
     )
+
+
+def read_count(option: str, text: str) -> int:
+    """Read a whole number of at least 1; underscores may group its digits."""
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if count < 1:
+        raise UserError(f"{option} {text}: must be a whole number of at least 1")
+    return count
 
 
 def _read_seeds(text: str) -> tuple[int, ...]:
@@ -87,10 +94,7 @@ def _read_seeds(text: str) -> tuple[int, ...]:
         parts = [int(part) for part in text.split(",") if part.strip()]
         return read_seeds(parts if "," in text else parts[0])
     except (ValueError, IndexError, UserError):
-        raise UserError(
-            f"--seeds {text}: must be a count of at least 1, or different seeds of at least 0 "
-            "separated by commas, as in 3,5,8"
-        ) from None
+        raise UserError(f"--seeds {text}: must be {SEEDS_ALLOWED}, as in 3,5,8") from None
 
 
 def _read_setting(text: str) -> tuple[str, Any]:

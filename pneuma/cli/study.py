@@ -20,6 +20,7 @@ from pneuma.cli.options import (
     Steps,
     StudyName,
     print_json,
+    read_count,
     read_selection,
     say,
 )
@@ -129,7 +130,7 @@ def run(
     condition: Conditions = None,
     set_: Settings = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
+        str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
     ] = None,
     results: Results = RESULTS,
     json: Json = False,
@@ -138,22 +139,20 @@ def run(
     """Train a study's runs that are not stored yet."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
     planned = plan.make_plan(spec.load_study(name), selection)
-    if workers is not None and workers < 1:
-        raise UserError(f"--workers {workers}: must be a whole number of at least 1")
+    at_once = available_cores() if workers is None else read_count("--workers", workers)
     store = Store(results)
+    todo = execute.prepare(planned, store)
     for note in planned.notes:
         say(f"Note: {note}.", as_json=True, quiet=quiet)
-    to_train = set(execute.missing(planned, store))
     try:
-        with ProgressDisplay(planned, to_train, quiet) as display:
-            outcomes = execute.execute(planned, store, workers or available_cores(), display.update)
+        with ProgressDisplay(planned, set(todo), quiet) as display:
+            outcomes = execute.execute(planned, todo, store, at_once, display.update)
     except KeyboardInterrupt:
         say("Stopped. Finished runs are kept; the same command goes on with the others.", as_json=True)
         return 130
+    _tell_outcomes(planned, outcomes, store, json, quiet)
     if json:
         _print_runs(planned.study.name, [(o.cell, o.status.name, o.trained) for o in outcomes])
-    else:
-        _tell_outcomes(planned, outcomes, store, quiet)
     return 1 if any(outcome.status.name == "crashed" for outcome in outcomes) else 0
 
 
@@ -230,17 +229,19 @@ def plot(
         raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
     records = [_record(store, name, selection) for name in names]
     from pneuma.analysis.curves import BANDS, WINDOWS
+    from pneuma.analysis.tables import StudyData
     from pneuma.figures.curves import draw_study
     from pneuma.figures.style import FORMATS
 
     formats = tuple(format or ("png", "svg"))
-    _check_choice("--band", band, BANDS)
-    _check_choice("--window", window, WINDOWS)
+    for option, value, allowed in (("--band", band, BANDS), ("--window", window, WINDOWS)):
+        _check_choice(option, value, allowed)
     for form in formats:
         _check_choice("--format", form, FORMATS)
+    studies = [StudyData(store, record) for record in records]
     folder = out or results / "figures"
     _check_folder("--out", folder)
-    paths = [path for record in records for path in draw_study(store, record, folder, band, window, formats)]
+    paths = [path for data in studies for path in draw_study(data, folder, band, window, formats)]
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
@@ -269,11 +270,15 @@ def export(
     store = Store(results)
     record = _record(store, name, selection)
     from pneuma.analysis.export import FORMATS, TABLES, export_table
+    from pneuma.analysis.tables import StudyData
 
     _check_choice("--table", table, TABLES)
     _check_choice("--format", format, FORMATS)
+    data = StudyData(store, record)
     _check_folder("--out", out.parent)
-    rows = export_table(store, record, table, format, out)
+    if out.is_dir():
+        raise UserError(f"--out {out}: is a folder; name a file")
+    rows = export_table(data, table, format, out)
     print(f"wrote {out}: {rows:,} rows")
 
 
@@ -281,11 +286,13 @@ def export(
 
 
 def _record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
-    """Return the latest record of a study, or one made from a selection of its own."""
-    if selection is not None:
-        return execute.selection_record(plan.make_plan(spec.load_study(name), selection))
+    """Return a study's latest record, or the one of a selection; what that leaves open is the latest's."""
     stem = Path(name).stem if name.endswith(".toml") else name
     record = store.selection(stem)
+    if selection is not None:
+        study = spec.load_study(record["path"] if record else name)
+        latest = execute.recorded_selection(record) if record else plan.Selection()
+        return execute.selection_record(plan.make_plan(study, selection.over(latest)))
     if record is None:
         if stem not in spec.list_studies() and not name.endswith(".toml"):
             raise unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
@@ -325,19 +332,23 @@ def _print_runs(study: str, runs: list[tuple[plan.Cell, str, bool]]) -> None:
     print_json({"schema": 1, "study": study, "runs": rows})
 
 
-def _tell_outcomes(planned: plan.Plan, outcomes: list[execute.Outcome], store: Store, quiet: bool) -> None:
+def _tell_outcomes(
+    planned: plan.Plan, outcomes: list[execute.Outcome], store: Store, as_json: bool, quiet: bool
+) -> None:
     for outcome in outcomes:
         cell, state = outcome.cell, outcome.status
         if state.name == "diverged":
-            say(f"{cell.condition} seed {cell.seed} diverged at step {state.step:,}; its records count")
+            say(
+                f"{cell.condition} seed {cell.seed} diverged at step {state.step:,}; its records count",
+                as_json,
+            )
         if state.name == "crashed":
             trace = store.run_folder(cell.run_id) / "error.txt"
-            say(f"{cell.condition} seed {cell.seed} crashed: {trace}")
+            say(f"{cell.condition} seed {cell.seed} crashed: {trace}", as_json)
     trained = sum(outcome.trained for outcome in outcomes)
     counts = Counter(outcome.status.name for outcome in outcomes)
     states = ", ".join(f"{n} {state}" for state, n in counts.items())
-    say(
-        f"{planned.study.name}: {states}; {trained} trained now, {len(outcomes) - trained} were stored.",
-        quiet=quiet,
-    )
-    say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", quiet=quiet)
+    kept = len(outcomes) - trained
+    say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
+    if not counts["crashed"]:
+        say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", as_json, quiet)

@@ -33,6 +33,16 @@ OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
     "sgd": torch.optim.SGD,
     "rmsprop": torch.optim.RMSprop,
 }
+_LOGGED = {
+    "policy_loss": (1, "policy_gradient_loss"),
+    "value_loss": (1, "value_loss"),
+    "entropy": (-1, "entropy_loss"),
+    "approx_kl": (1, "approx_kl"),
+    "clip_fraction": (1, "clip_fraction"),
+    "explained_variance": (1, "explained_variance"),
+}
+"""Columns of the metrics, with sign and name in the learner's own log."""
+
 _TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 
 
@@ -56,8 +66,8 @@ def train_one(run: Run, on_update: OnUpdate, env: VecEnv | None = None) -> Resul
         model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)  # type: ignore[arg-type]
         rollout = rollout_metrics(model, policy)
         model._update_current_progress_remaining(model.num_timesteps, run.steps)
-        model.train()
-        records.metrics.append({"step": step, **logged_metrics(model), **norms.take(), **rollout})
+        losses = learn_from_rollout(model)
+        records.metrics.append({"step": step, **losses, **norms.take(), **rollout})
         records.episodes.extend(finished_episodes(model.env))
         if not is_finite(records.metrics[-1], model):
             return Result(run, "diverged", step, records, None)
@@ -68,6 +78,22 @@ def train_one(run: Run, on_update: OnUpdate, env: VecEnv | None = None) -> Resul
             status = "done" if update == run.updates else "stopped"
             break
     return Result(run, status, step, records, policy)
+
+
+def learn_from_rollout(model: PPO) -> dict[str, float]:
+    """Let the learner train on the rollout it collected; return its log of that.
+
+    Once a weight is not a number, torch refuses the next minibatch; that is no crash but a run that
+    diverged, whose losses are then not numbers either.
+    """
+    try:
+        model.train()
+    except (ValueError, RuntimeError):
+        if all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters()):
+            raise
+        return dict.fromkeys(_LOGGED, float("nan"))
+    log = model.logger.name_to_value
+    return {name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in _LOGGED.items()}
 
 
 def make_env(run: Run) -> PneumaVecEnv:
@@ -185,19 +211,6 @@ def rollout_metrics(model: PPO, policy: Policy) -> dict[str, float]:
     return {
         "dead_units": dead_share(policy, observations),
         **{f"action_{i}": float(share) for i, share in enumerate(shares)},
-    }
-
-
-def logged_metrics(model: PPO) -> dict[str, float]:
-    """Read the learner's own log of the last update."""
-    log = model.logger.name_to_value
-    return {
-        "policy_loss": float(log["train/policy_gradient_loss"]),
-        "value_loss": float(log["train/value_loss"]),
-        "entropy": -float(log["train/entropy_loss"]),
-        "approx_kl": float(log["train/approx_kl"]),
-        "clip_fraction": float(log["train/clip_fraction"]),
-        "explained_variance": float(log["train/explained_variance"]),
     }
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,45 +12,38 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from pneuma.analysis.curves import BANDS, WINDOWS, Curve, evaluation_curves, training_curves
-from pneuma.analysis.tables import load_table
-from pneuma.figures.style import COLOURS, DASHES, MARKERS, house_style, save_figure
-from pneuma.study.store import Store
+from pneuma.analysis.tables import StudyData
+from pneuma.figures.style import condition_look, house_style, save_figure
 
 WIDTH_INCHES, HEIGHT_INCHES = 7.0, 3.4
 LEGEND_COLUMNS = 4
 
 
 def draw_study(
-    store: Store,
-    record: Mapping[str, Any],
+    data: StudyData,
     folder: Path,
     band: str = "std",
     window: str = WINDOWS[0],
     formats: tuple[str, ...] = ("png", "svg"),
 ) -> list[Path]:
-    """Draw a study's figure from the finished runs of a selection; return the files written.
-
-    Raises:
-        UserError: when no run has finished.
-    """
-    returns = training_curves(load_table(store, record, "episodes"), record, "return", window)
-    evaluations = load_table(store, record, "evaluations")
-    killed = evaluation_curves(evaluations)
-    order = list(dict.fromkeys(run["condition"] for run in record["runs"]))
+    """Draw a study's figure from its finished runs; return the files written."""
+    evaluations = data.table("evaluations")
+    returns, killed = training_curves(data, "return", window), evaluation_curves(data)
     with house_style():
         figure = Figure(figsize=(WIDTH_INCHES, HEIGHT_INCHES), layout="constrained")
         left, right = figure.subplots(1, 2)
-        _draw_panel(left, returns, order, band)
-        _draw_panel(right, killed, order, band, MARKERS)
-        level = evaluations["random_share_killed"].mean()
-        right.axhline(level, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)), label="random player")
+        _draw_panel(left, data, returns, band)
+        _draw_panel(right, data, killed, band, marked=True)
+        if len(evaluations):
+            level = evaluations["random_share_killed"].mean()
+            right.axhline(level, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)), label="random player")
         left.set(title="Return in training", xlabel="Environment steps", ylabel="Return of an episode")
         right.set(title="Monsters killed in evaluation", xlabel="Environment steps", ylabel="Share killed")
         right.set_ylim(0, max(right.get_ylim()[1], 0.01))
         decimals = 0 if right.get_ylim()[1] > 0.05 else 1
         right.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=decimals))
-        _add_words(figure, right, _headline(record), _caption(record, evaluations, band, window))
-        return save_figure(figure, folder, record["figure"], formats)
+        _add_words(figure, right, _headline(data), _caption(data, evaluations, band, window))
+        return save_figure(figure, folder, data.figure, formats)
 
 
 def _add_words(figure: Figure, axes: Axes, headline: str, caption: str) -> None:
@@ -68,39 +60,36 @@ def _add_words(figure: Figure, axes: Axes, headline: str, caption: str) -> None:
 
 
 def _draw_panel(
-    axes: Axes, curves: Sequence[Curve], order: Sequence[str], band: str, markers: Sequence[str] = ("",)
+    axes: Axes, data: StudyData, curves: Sequence[Curve], band: str, marked: bool = False
 ) -> None:
-    for curve in sorted(curves, key=lambda curve: order.index(curve.condition)):
-        place = order.index(curve.condition)
-        look: dict[str, Any] = {
-            "color": COLOURS[place % len(COLOURS)],
-            "linestyle": DASHES[place % len(DASHES)],
-            "marker": markers[place % len(markers)],
-        }
+    for curve in curves:
+        look = condition_look(data.conditions.index(curve.condition))
         low, high = curve.band(band)
         axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
         label = f"{curve.condition} (n = {len(curve.runs)})"
+        look["marker"] = look["marker"] if marked else ""
         axes.plot(curve.step, curve.mean, label=label, markersize=2.8, **look)
-    ends = [curve.step[-1] for curve in curves]
-    axes.set_xlim(0, max(ends))
+    axes.set_xlim(0, data.budget)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     if np.ptp(axes.get_ylim()) > 5000:
         axes.yaxis.set_major_formatter(EngFormatter(sep=""))
 
 
-def _headline(record: Mapping[str, Any]) -> str:
-    same = [" = ".join(names) for names in record["same"]]
-    return record["title"] + (f"   (A/A: {'; '.join(same)} are one configuration)" if same else "")
+def _headline(data: StudyData) -> str:
+    same = "; ".join(" = ".join(names) for names in data.same)
+    return data.title + (f"   (A/A: {same} are one configuration)" if same else "")
 
 
-def _caption(record: Mapping[str, Any], evaluations: pd.DataFrame, band: str, window: str) -> str:
+def _caption(data: StudyData, evaluations: pd.DataFrame, band: str, window: str) -> str:
     episodes = {
         WINDOWS[0]: "the episodes that ended in the last 5 % of the budget",
         WINDOWS[1]: "each run's last 100 episodes",
     }[window]
-    environment = ", ".join(dict.fromkeys(run["run"]["env"] for run in record["runs"]))
-    hunter = evaluations["hunter_share_killed"].mean()
-    return (
-        f"{environment}. Lines: mean over n runs; bands: {BANDS[band].label}. Return averages {episodes}.\n"
-        f"On the scale of the right panel the scripted hunter kills {hunter:.0%}."
+    words = (
+        f"{', '.join(data.environments)}. Lines: mean over n runs; bands: {BANDS[band].label}. "
+        f"Return averages {episodes}."
     )
+    if len(evaluations):
+        hunter = evaluations["hunter_share_killed"].mean()
+        words += f"\nOn the scale of the right panel the scripted hunter kills {hunter:.0%}."
+    return words

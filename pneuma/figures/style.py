@@ -61,6 +61,19 @@ _NO_DATES = {
 }
 
 
+def condition_look(place: int) -> dict[str, Any]:
+    """Return colour, dashes and marker of a study's condition by its place.
+
+    Past the last colour they start again with other dashes and markers.
+    """
+    round_, colour = divmod(place, len(COLOURS))
+    return {
+        "color": COLOURS[colour],
+        "linestyle": DASHES[(colour + round_) % len(DASHES)],
+        "marker": MARKERS[(colour + 2 * round_) % len(MARKERS)],
+    }
+
+
 @contextmanager
 def house_style() -> Iterator[None]:
     """Draw in Pneuma's look, whatever the user's own settings are."""

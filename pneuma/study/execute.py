@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
 from pneuma.study.executors import local
-from pneuma.study.plan import Cell, Plan
+from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
 
@@ -38,8 +38,8 @@ class Progress:
 OnProgress = Callable[[Progress], None]
 
 
-def execute(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> list[Outcome]:
-    """Train the plan's cells that are not finished in the store; return all cells' outcomes.
+def prepare(plan: Plan, store: Store) -> dict[str, Run]:
+    """Check all that can be checked, record the selection, and return the runs to train, by id.
 
     Raises:
         UserError: before anything is written, for an environment that cannot be made or a results
@@ -49,12 +49,20 @@ def execute(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> 
     check_environments(list(todo.values()))
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
+    return todo
+
+
+def execute(
+    plan: Plan, todo: Mapping[str, Run], store: Store, workers: int, on_progress: OnProgress
+) -> list[Outcome]:
+    """Train the runs that `prepare` returned; return the outcomes of all the plan's cells."""
+    cells: dict[str, list[Cell]] = {}
+    for cell in plan.cells:
+        cells.setdefault(cell.run_id, []).append(cell)
 
     def report(event: local.Event) -> None:
-        name = event["run_id"]
-        for cell in plan.cells:
-            if cell.run_id == name:
-                on_progress(Progress(cell, event["step"], event.get("status", "")))
+        for cell in cells[event["run_id"]]:
+            on_progress(Progress(cell, event["step"], event.get("status", "")))
 
     local.run_groups([[run] for run in todo.values()], store, workers, report)
     return [Outcome(cell, store.status(cell.run_id), cell.run_id in todo) for cell in plan.cells]
@@ -83,6 +91,7 @@ def selection_record(plan: Plan) -> dict[str, Any]:
         "figure": plan.study.figure,
         "baseline": plan.study.baseline,
         "same": [list(names) for names in plan.same],
+        "selection": asdict(plan.selection),
         "saved": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "runs": [
             {
@@ -96,6 +105,14 @@ def selection_record(plan: Plan) -> dict[str, Any]:
     }
 
 
-def read_selection(record: Mapping[str, Any]) -> list[tuple[str, int, str]]:
-    """Return (condition, seed, run id) of every run of a recorded selection."""
-    return [(run["condition"], run["seed"], run["run_id"]) for run in record["runs"]]
+def recorded_selection(record: Mapping[str, Any]) -> Selection:
+    """Return the selection that a study's record was made from."""
+    kept = record["selection"]
+    seeds = kept["seeds"]
+    return Selection(
+        **{
+            **kept,
+            "seeds": None if seeds is None else tuple(seeds),
+            "conditions": tuple(kept["conditions"]),
+        }
+    )

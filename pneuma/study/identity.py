@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from pathlib import Path
+from importlib import import_module
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_settings
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, SHIPPED_LEVELS, Run, as_settings
 
 
 def run_id(run: Run) -> str:
@@ -18,19 +18,18 @@ def run_id(run: Run) -> str:
     """
     identity = {
         "run": {key: value for key, value in as_settings(run).items() if value is not None},
-        "contents": _contents(Path(run.level)),
+        "contents": _contents(run.level),
         "rules": RULES_VERSION,
         "engine": ENGINE_VERSIONS[run.engine],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _contents(folder: Path) -> str:
-    """Return a digest of a user's level folder; shipped levels are part of the rules' version."""
-    if not (folder / "level.toml").is_file():
+def _contents(level: str) -> str:
+    """Return a digest of the files of a user's own level; shipped ones are part of the rules' version."""
+    if level in SHIPPED_LEVELS or level.startswith("random:"):
         return ""
     digest = hashlib.sha256()
-    for path in sorted(folder.iterdir()):
-        if path.is_file():
-            digest.update(f"{path.name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    for path in import_module("pneuma.env.level").level_files(level):
+        digest.update(f"{path.name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
     return digest.hexdigest()

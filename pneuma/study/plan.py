@@ -12,7 +12,7 @@ from typing import Any
 from pneuma.config import Run, as_settings, make_run, read_setting
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
-from pneuma.study.spec import Study
+from pneuma.study.spec import Study, does_nothing, unread_settings
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Selection:
     """What of a study to run; None leaves a part to the preset.
 
     Attributes:
-        preset: name of the preset.
+        preset: name of the preset; quick when left out.
         seeds: the seeds, as numbers.
         steps: agent steps of each run.
         engine: name of the engine.
@@ -28,12 +28,23 @@ class Selection:
         settings: fields of the run set in every condition, over everything else.
     """
 
-    preset: str = "quick"
+    preset: str | None = None
     seeds: tuple[int, ...] | None = None
     steps: int | None = None
     engine: str | None = None
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] | None = None
+
+    def over(self, recorded: Selection) -> Selection:
+        """Fill what this selection leaves open from a recorded one."""
+        return Selection(
+            preset=self.preset or recorded.preset,
+            seeds=self.seeds or (None if self.preset else recorded.seeds),
+            steps=self.steps or (None if self.preset else recorded.steps),
+            engine=self.engine or recorded.engine,
+            conditions=self.conditions or recorded.conditions,
+            settings={**(recorded.settings or {}), **(self.settings or {})},
+        )
 
 
 @dataclass(frozen=True)
@@ -79,12 +90,14 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         UserError: for an unknown preset or condition, or settings that do not go together.
     """
     names = _conditions(study, selection.conditions)
-    preset = study.preset(selection.preset)
+    preset = study.preset(selection.preset or "quick")
     steps = selection.steps or preset.steps
     over = {"steps": steps, **_settings(selection.settings or {})}
     if selection.engine:
         over["engine"] = read_setting(Run, "engine", selection.engine)
     runs = {name: make_run({**study.settings(name), **over}) for name in names}
+    for key in unread_settings(runs.values(), selection.settings or {}):
+        raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     seeds = selection.seeds or preset.seeds
     cells = tuple(_cell(name, replace(runs[name], seed=seed)) for seed in seeds for name in names)
     return Plan(study, selection, cells, _same(runs), _notes(runs, steps))

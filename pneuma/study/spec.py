@@ -6,7 +6,8 @@ changes. It owns no results; `plan.py` resolves it to runs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
@@ -14,10 +15,11 @@ from typing import Any
 
 from pneuma.config import BASES, OPTIMIZER_SETTINGS, Run, make_run, read_setting
 from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.study.toml_file import TomlFile, read_toml
+from pneuma.study.toml_file import TomlFile, Where, read_toml
 
 PRESETS = ("quick", "standard", "paper")
 MOST_SEEDS = 10_000
+SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
 _TOP_KEYS = ("title", "section", "about", "figure", "base", "baseline", "run", "conditions", "presets")
 _PLANNED = {"seed": "seeds", "steps": "steps"}
@@ -91,11 +93,15 @@ def load_study(name: str) -> Study:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    if name.endswith(".toml"):
-        return _read_study(read_toml(Path(name)))
-    if name not in list_studies():
-        raise unknown_name("study", name, list_studies())
-    return _read_study(read_toml(studies_folder() / f"{name}.toml"))
+    if not name.endswith(".toml"):
+        if name not in list_studies():
+            raise unknown_name("study", name, list_studies())
+        return _read_study(read_toml(studies_folder() / f"{name}.toml"))
+    path = Path(name)
+    shipped = studies_folder() / path.name
+    if shipped.is_file() and path.resolve() != shipped.resolve():
+        raise UserError(f"{path}: a shipped study is called {path.stem}; give yours another file name")
+    return _read_study(read_toml(path))
 
 
 def read_seeds(value: object) -> tuple[int, ...]:
@@ -113,26 +119,27 @@ def read_seeds(value: object) -> tuple[int, ...]:
 
 def _read_study(file: TomlFile) -> Study:
     data = file.data
-    file.refuse_unknown("", data, _TOP_KEYS)
+    file.refuse_unknown((), data, _TOP_KEYS)
     for key in ("title", "base", "conditions", "presets"):
         if key not in data:
             raise UserError(f"{file.path}: the key {key!r} is missing")
     texts = {key: _text(file, key) for key in ("title", "section", "about", "figure", "base", "baseline")}
     if texts["base"] not in BASES:
-        raise file.mistake("", "base", str(unknown_name("base", texts["base"], BASES)))
-    shared = {**BASES[texts["base"]], **_read_settings(file, "run", file.table("", "run"))}
+        raise file.mistake((), str(unknown_name("base", texts["base"], BASES)), "base")
+    if not re.fullmatch(r"[\w.-]*", texts["figure"]):
+        raise file.mistake((), f"figure = {texts['figure']!r} must be a plain file name", "figure")
+    shared = {**BASES[texts["base"]], **_read_settings(file, ("run",))}
     conditions = _read_conditions(file, shared)
     baseline = texts["baseline"] or next(iter(conditions))
     if baseline not in conditions:
-        raise file.mistake("", "baseline", str(unknown_name("condition", baseline, conditions)))
-    name = file.path.stem
+        raise file.mistake((), str(unknown_name("condition", baseline, conditions)), "baseline")
     return Study(
-        name=name,
+        name=file.path.stem,
         path=file.path,
         title=texts["title"],
         section=texts["section"],
         about=" ".join(texts["about"].split()),
-        figure=texts["figure"] or f"study-{name}",
+        figure=texts["figure"] or f"study-{file.path.stem}",
         baseline=baseline,
         shared=shared,
         conditions=conditions,
@@ -143,82 +150,87 @@ def _read_study(file: TomlFile) -> Study:
 def _text(file: TomlFile, key: str) -> str:
     value = file.data.get(key, "")
     if not isinstance(value, str):
-        raise file.mistake("", key, f"{key} must be text, not {value!r}")
+        raise file.mistake((), f"{key} must be text, not {value!r}", key)
     return value
 
 
 def _read_conditions(file: TomlFile, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    names = file.table("", "conditions")
+    names = file.table(("conditions",))
     if not names:
-        raise file.mistake("", "conditions", "a study needs at least one condition")
-    conditions = {}
+        raise file.mistake((), "a study needs at least one condition", "conditions")
+    conditions, runs = {}, []
     for name in names:
-        table = f"conditions.{name}"
-        conditions[name] = _read_settings(file, table, file.table("conditions", name))
+        where = ("conditions", name)
+        conditions[name] = _read_settings(file, where)
         try:
-            make_run({**shared, **conditions[name]})
+            runs.append(make_run({**shared, **conditions[name]}))
         except UserError as error:
-            raise file.mistake(table, "", str(error)) from None
-        _refuse_unread(file, table, {**shared, **conditions[name]}, conditions[name])
+            raise file.mistake(where, str(error)) from None
+        for key in unread_settings(runs[-1:], conditions[name]):
+            raise file.mistake(where, does_nothing(key, runs[-1:]), key)
+    for key in unread_settings(runs, file.table(("run",))):
+        raise file.mistake(("run",), does_nothing(key, runs), key)
     return conditions
 
 
-def _refuse_unread(file: TomlFile, table: str, resolved: Mapping[str, Any], own: Mapping[str, Any]) -> None:
-    """Refuse a condition's optimizer setting that its optimizer would not read."""
-    optimizer = resolved.get("optimizer", "adam")
-    of_optimizers = {key for keys in OPTIMIZER_SETTINGS.values() for key in keys}
-    for key in own:
-        if key in of_optimizers and key not in OPTIMIZER_SETTINGS[optimizer]:
-            read = ", ".join(OPTIMIZER_SETTINGS[optimizer])
-            raise file.mistake(table, key, f"{key} does nothing: {optimizer} reads {read}")
+def unread_settings(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
+    """Return those of `keys` that are an optimizer's settings and that none of the runs' reads."""
+    of_optimizers = {key for own in OPTIMIZER_SETTINGS.values() for key in own}
+    read = {key for run in runs for key in OPTIMIZER_SETTINGS[run.optimizer]}
+    return [key for key in keys if key in of_optimizers - read]
 
 
-def _read_settings(file: TomlFile, table: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+def does_nothing(key: str, runs: Iterable[Run]) -> str:
+    """Say which settings the runs' optimizers do read."""
+    optimizers = sorted({run.optimizer for run in runs})
+    read = "; ".join(f"{name} reads {', '.join(OPTIMIZER_SETTINGS[name])}" for name in optimizers)
+    return f"{key} does nothing: {read}"
+
+
+def _read_settings(file: TomlFile, where: Where) -> dict[str, Any]:
     """Check the fields of a run that a table of the file sets."""
-    allowed = tuple(item.name for item in fields(Run) if item.name not in _PLANNED)
+    settings = file.table(where)
     for key in settings:
         if key in _PLANNED:
-            raise file.mistake(
-                table, key, f"{key} is set by a preset ({_PLANNED[key]}) or an option, not here"
-            )
-    file.refuse_unknown(table, settings, allowed)
+            message = f"{key} is set by a preset ({_PLANNED[key]}) or an option, not here"
+            raise file.mistake(where, message, key)
+    file.refuse_unknown(where, settings, tuple(f.name for f in fields(Run) if f.name not in _PLANNED))
     checked = {}
     for key, value in settings.items():
         try:
             checked[key] = read_setting(Run, key, value)
         except UserError as error:
-            raise file.mistake(table, key, str(error)) from None
+            raise file.mistake(where, str(error), key) from None
     return checked
 
 
 def _read_presets(file: TomlFile) -> dict[str, Preset]:
     presets = {}
-    for name in file.table("", "presets"):
+    for name in file.table(("presets",)):
+        where = ("presets", name)
         if name not in PRESETS:
             hint = nearest_name(name, PRESETS)
-            raise file.mistake(
-                "presets", name, f"unknown preset {name!r}{hint}; known are {', '.join(PRESETS)}"
-            )
-        table = file.table("presets", name)
-        where = f"presets.{name}"
+            message = f"unknown preset {name!r}{hint}; known are {', '.join(PRESETS)}"
+            raise file.mistake(("presets",), message, name)
+        table = file.table(where)
         file.refuse_unknown(where, table, ("seeds", "steps"))
         for key in ("seeds", "steps"):
             if key not in table:
-                raise file.mistake(where, "", f"the key {key!r} is missing")
-        presets[name] = Preset(_preset_seeds(file, where, table["seeds"]), _preset_steps(file, where, table))
+                raise file.mistake(where, f"the key {key!r} is missing")
+        presets[name] = Preset(_preset_seeds(file, where, table), _preset_steps(file, where, table))
     return presets
 
 
-def _preset_seeds(file: TomlFile, table: str, value: object) -> tuple[int, ...]:
+def _preset_seeds(file: TomlFile, where: Where, table: Mapping[str, Any]) -> tuple[int, ...]:
     try:
-        return read_seeds(value)
+        return read_seeds(table["seeds"])
     except (ValueError, UserError, TypeError):
-        allowed = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds"
-        raise file.mistake(table, "seeds", f"seeds = {value!r} is not allowed: {allowed}") from None
+        message = f"seeds = {table['seeds']!r} is not allowed: {SEEDS_ALLOWED}"
+        raise file.mistake(where, message, "seeds") from None
 
 
-def _preset_steps(file: TomlFile, table: str, values: Mapping[str, Any]) -> int:
+def _preset_steps(file: TomlFile, where: Where, table: Mapping[str, Any]) -> int:
     try:
-        return int(read_setting(Run, "steps", values["steps"]))
+        return int(read_setting(Run, "steps", table["steps"]))
     except UserError as error:
-        raise file.mistake(table, "steps", str(error)) from None
+        raise file.mistake(where, str(error), "steps") from None

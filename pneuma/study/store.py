@@ -56,6 +56,8 @@ class Store:
             UserError: when that fails.
         """
         try:
+            if any(path.is_file() for path in (self.root, *self.root.parents)):
+                raise OSError(0, "there is a file in its place")
             self.root.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=self.root):
                 pass
@@ -71,17 +73,24 @@ class Store:
         return self.root / "runs" / run_id
 
     def status(self, run_id: str) -> Status:
-        """Return how far a run is; 'planned' where nothing of it can be trusted."""
+        """Return how far a run is; 'planned' where nothing is stored or something is damaged."""
         manifest = self._manifest(run_id)
         if manifest is None:
+            return Status("planned")
+        try:
+            for name in manifest["files"]:
+                self.read_file(run_id, name)
+        except UserError:
             return Status("planned")
         return Status(manifest["status"], manifest["step"])
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
-        """Write a run's files, then the status that vouches for them."""
+        """Write a run's files, then the status that vouches for them; earlier files of the run go."""
         folder = self.run_folder(run_id)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "status.json").unlink(missing_ok=True)
+        for path in folder.iterdir():
+            path.unlink()
         for name, data in files.items():
             write_whole(folder / name, data)
         checksums = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
@@ -102,12 +111,8 @@ class Store:
         return data
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
-        try:
-            manifest = json.loads((self.run_folder(run_id) / "status.json").read_bytes())
-        except (OSError, ValueError):
-            return None
-        known = isinstance(manifest, dict) and manifest.get("schema") == SCHEMA
-        return manifest if known else None
+        manifest = _read_document(self.run_folder(run_id) / "status.json")
+        return manifest if manifest and {"status", "step", "files"} <= manifest.keys() else None
 
     # --- Studies ------------------------------------------------------------------------------
 
@@ -119,15 +124,21 @@ class Store:
 
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here."""
-        try:
-            record: dict[str, Any] = json.loads((self.root / "studies" / f"{study}.json").read_bytes())
-        except (OSError, ValueError):
-            return None
-        return record
+        return _read_document(self.root / "studies" / f"{study}.json")
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
         return sorted(path.stem for path in (self.root / "studies").glob("*.json"))
+
+
+def _read_document(path: Path) -> dict[str, Any] | None:
+    """Return a JSON document of this schema, or None where there is no sound one."""
+    try:
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    sound = isinstance(document, dict) and document.get("schema") == SCHEMA
+    return document if sound else None
 
 
 def to_json(value: object) -> bytes:

@@ -5,14 +5,16 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError, nearest_name
+
+Where = tuple[str, ...]
+"""The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
 
 
 @dataclass(frozen=True)
@@ -23,26 +25,29 @@ class TomlFile:
     text: str
     data: dict[str, Any]
 
-    def mistake(self, table: str, key: str, message: str) -> UserError:
-        """Build an error that names file, line, table and what is wrong."""
-        line = _line_of(self.text, table, key)
-        where = f"{self.path}, line {line}" if line else str(self.path)
-        return UserError(f"{where}: {f'[{table}] ' if table else ''}{message}")
+    def mistake(self, where: Where, message: str, key: str = "") -> UserError:
+        """Build an error that names file, line, table and what is wrong with it or one of its keys."""
+        line = _line_of(self.text, (*where, key) if key else where)
+        place = f"{self.path}, line {line}" if line else str(self.path)
+        table = f"[{'.'.join(where)}] " if where else ""
+        return UserError(f"{place}: {table}{message}")
 
-    def table(self, table: str, key: str) -> dict[str, Any]:
-        """Return the sub-table `key` of `table`, empty when there is none, and refuse other values."""
-        parent = self.data if not table else self.data[table]
-        value = parent.get(key, {})
-        if not isinstance(value, dict):
-            raise self.mistake(table, key, f"{key} must be a table, not {value!r}")
-        return value
+    def table(self, where: Where) -> dict[str, Any]:
+        """Return a table, empty when there is none, and refuse another value in its place."""
+        value: Any = self.data
+        for key in where:
+            value = value.get(key, {})
+            if not isinstance(value, dict):
+                raise self.mistake(where[:-1], f"{key} must be a table, not {value!r}", key)
+        return dict(value)
 
-    def refuse_unknown(self, table: str, given: Mapping[str, Any], allowed: tuple[str, ...]) -> None:
+    def refuse_unknown(self, where: Where, given: Mapping[str, Any], allowed: tuple[str, ...]) -> None:
         """Raise for the first key of a table that is none of `allowed`."""
         for key in given:
             if key not in allowed:
                 hint = nearest_name(key, allowed)
-                raise self.mistake(table, key, f"unknown key {key!r}{hint}; known are {', '.join(allowed)}")
+                message = f"unknown key {key!r}{hint}; known are {', '.join(allowed)}"
+                raise self.mistake(where, message, key)
 
 
 def read_toml(path: Path) -> TomlFile:
@@ -62,18 +67,42 @@ def read_toml(path: Path) -> TomlFile:
         raise UserError(f"{path}: not TOML: {error}") from None
 
 
-def _line_of(text: str, table: str, key: str) -> int | None:
-    """Return the line, from 1, on which `key` of `table` is set, or on which the table begins."""
-    current, table_line = "", None
-    wanted = re.compile(rf"""\s*["']?{re.escape(key)}["']?\s*(=|\.)""")
-    header = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]")
+def _line_of(text: str, wanted: Where) -> int | None:
+    """Return the line, from 1, where `wanted` is set, or failing that the closest table around it."""
+    best, best_depth = None, 0
+    for number, path in _paths(text):
+        depth = len(path) if path == wanted[: len(path)] else 0
+        if depth > best_depth:
+            best, best_depth = number, depth
+    return best
+
+
+def _paths(text: str) -> Iterator[tuple[int, Where]]:
+    """Yield the line and full path of every header and key; texts over several lines are passed over."""
+    table: Where = ()
+    inside = ""  # the quotes of a text that goes on
     for number, line in enumerate(text.splitlines(), start=1):
-        if match := header.match(line):
-            current = re.sub(r"""["'\s]""", "", match[1])
-            if current == f"{table}.{key}".strip("."):
-                return number
-            if current == table:
-                table_line = number
-        elif current == table and wanted.match(line):
-            return number
-    return table_line
+        opened = inside
+        for quotes in ('"""', "'''"):
+            if line.count(quotes) % 2 and inside in ("", quotes):
+                inside = "" if inside else quotes
+        if opened:
+            continue
+        if line.lstrip().startswith("["):
+            table = _nesting(line) or table
+            yield number, table
+        elif "=" in line and (own := _nesting(f"{line.partition('=')[0]} = 0")):
+            yield number, table + own
+
+
+def _nesting(line: str) -> Where:
+    """Return the path of the one key or table that a line of TOML sets."""
+    try:
+        value: Any = tomllib.loads(line)
+    except tomllib.TOMLDecodeError:
+        return ()
+    path: Where = ()
+    while isinstance(value, dict) and value:
+        key, value = next(iter(value.items()))
+        path += (key,)
+    return path

@@ -9,10 +9,12 @@ from __future__ import annotations
 import json
 import os
 import selectors
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -88,7 +90,8 @@ def _start(group: Sequence[Run], store: Store) -> _Worker:
     )
     job = {"results": str(store.root.resolve()), "runs": [as_settings(run) for run in group]}
     assert process.stdin is not None
-    process.stdin.write(json.dumps(job).encode() + b"\n")
+    with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
+        process.stdin.write(json.dumps(job).encode() + b"\n")
     return _Worker(process, group, errors, set())
 
 
@@ -115,13 +118,21 @@ def _bury(worker: _Worker, store: Store, on_event: OnEvent) -> None:
     for run in worker.group:
         if run_id(run) in worker.ended:
             continue
-        message = f"the worker process ended with code {code}\n".encode() + last_words
+        message = f"the worker process {_reason(code)}\n".encode() + last_words
         files = {
             "run.json": to_json({"schema": 1, "run_id": run_id(run), "run": as_settings(run)}),
             "error.txt": message,
         }
         store.save_run(run_id(run), Status("crashed"), files)
         on_event({"event": "end", "run_id": run_id(run), "status": "crashed", "step": 0})
+
+
+def _reason(code: int) -> str:
+    if code >= 0:
+        return f"ended with code {code}"
+    name = signal.Signals(-code).name
+    hint = " (by hand, or by the system when memory ran out)" if name == "SIGKILL" else ""
+    return f"was killed by {name}{hint}"
 
 
 def _kill(worker: _Worker) -> None:

@@ -1,0 +1,270 @@
+"""Curves against examples worked out by hand (design section 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pneuma.analysis.curves import (
+    BANDS,
+    WINDOWS,
+    Curve,
+    curves_table,
+    evaluation_curves,
+    training_curves,
+)
+from pneuma.analysis.tables import FinishedRun, StudyData
+
+NAN = float("nan")
+TRAILING = "trailing-100"
+
+Episode = tuple[int, float]  # step at which it ended, and its return
+
+
+class _Data(StudyData):
+    """Finished runs given by hand, as (condition, id, budget, slots), and their tables."""
+
+    def __init__(self, runs: Sequence[tuple[str, str, int, int]], **tables: pd.DataFrame) -> None:
+        self.runs = [
+            FinishedRun(condition, seed, name, slots, budget, budget)
+            for seed, (condition, name, budget, slots) in enumerate(runs)
+        ]
+        self.conditions = list(dict.fromkeys(run.condition for run in self.runs))
+        self._tables = tables
+
+
+def _episodes(condition: str, name: str, slots: dict[int, list[Episode]]) -> pd.DataFrame:
+    rows = [
+        {"condition": condition, "run_id": name, "slot": slot, "step": step, "return": value}
+        for slot, episodes in slots.items()
+        for step, value in episodes
+    ]
+    return pd.DataFrame(rows)
+
+
+def _one_run(
+    slots: dict[int, list[Episode]], budget: int = 200, slot_count: int = 1, window: str = WINDOWS[0]
+) -> dict[float, float]:
+    """Return the curve of a single run as {t: value}."""
+    table = _episodes("a", "r", slots)
+    (curve,) = training_curves(_Data([("a", "r", budget, slot_count)], episodes=table), "return", window)
+    assert curve.runs.shape == (1, 200)
+    return dict(zip(curve.step.tolist(), curve.runs[0].tolist(), strict=True))
+
+
+# --- One run -------------------------------------------------------------------------------------
+
+# A budget of 200 steps: the grid is 1, 2, … 200, and 5 % are the last 10 steps.
+EXAMPLE: list[Episode] = [(12, 3.0), (17, 5.0), (22, 10.0), (60, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [
+        (1, NAN),
+        (11, NAN),  # nothing has ended yet
+        (12, 3.0),  # (2, 12] is closed on the right
+        (16, 3.0),
+        (17, 4.0),  # (3 + 5) / 2
+        (21, 4.0),  # (11, 21]
+        (22, 7.5),  # (12, 22] is open on the left: (5 + 10) / 2
+        (26, 7.5),
+        (27, 10.0),  # (17, 27]
+        (31, 10.0),
+        (32, NAN),  # (22, 32] holds no end of an episode
+        (59, NAN),
+        (60, 1.0),
+        (69, 1.0),
+        (70, NAN),
+        (200, NAN),
+    ],
+)
+def test_a_point_is_the_mean_of_what_ended_in_the_last_twentieth(at: float, value: float) -> None:
+    assert _one_run({0: EXAMPLE})[at] == pytest.approx(value, nan_ok=True)
+
+
+def test_the_grid_has_200_points_up_to_the_budget() -> None:
+    steps = list(_one_run({0: EXAMPLE}, budget=50_000))
+    assert len(steps) == 200
+    assert (steps[0], steps[1], steps[-1]) == (250, 500, 50_000)
+
+
+def test_both_ends_of_the_window_are_exact_for_the_quick_budget() -> None:
+    """50,176 / 200 = 250.88; point 25 is 6,272, and point 35 lies 5 % (2,508.8) after it: 8,780.8."""
+    values = list(_one_run({0: [(6272, 1.0), (43_904, 2.0)]}, budget=50_176).values())
+    assert np.isnan(values[23]) and np.isnan(values[173])
+    assert values[24:34] == [1.0] * 10
+    assert np.isnan(values[34])
+    assert values[174:184] == [2.0] * 10  # 43,904 is point 175
+    assert np.isnan(values[184])
+
+
+def test_a_curve_is_blank_until_every_slot_has_finished_an_episode() -> None:
+    curve = _one_run({0: [(12, 4.0), (25, 6.0)], 1: [(30, 8.0)]}, slot_count=2)
+    assert all(np.isnan(curve[t]) for t in range(1, 30))
+    assert curve[30] == 7.0  # (20, 30]: 6 and 8
+    assert curve[35] == 8.0  # (25, 35]
+
+
+def test_a_slot_that_never_finishes_leaves_the_curve_blank() -> None:
+    assert np.isnan(list(_one_run({0: EXAMPLE}, slot_count=2).values())).all()
+
+
+def test_the_order_of_rows_does_not_matter() -> None:
+    forwards, backwards = _one_run({0: EXAMPLE}), _one_run({0: EXAMPLE[::-1]})
+    np.testing.assert_equal(list(forwards.values()), list(backwards.values()))
+
+
+def test_trailing_100_is_the_mean_of_the_last_hundred_episodes() -> None:
+    """Episode k ends at step k and returns k."""
+    curve = _one_run({0: [(k, float(k)) for k in range(1, 151)]}, window=TRAILING)
+    assert curve[1] == 1.0
+    assert curve[50] == 25.5  # 1 … 50
+    assert curve[100] == 50.5  # 1 … 100
+    assert curve[101] == 51.5  # 2 … 101
+    assert curve[150] == 100.5  # 51 … 150
+    assert curve[200] == 100.5  # still the last hundred
+
+
+def test_trailing_100_too_is_blank_until_every_slot_has_finished_an_episode() -> None:
+    curve = _one_run({0: [(12, 4.0)], 1: [(30, 8.0)]}, slot_count=2, window=TRAILING)
+    assert np.isnan(curve[29])
+    assert curve[30] == 6.0
+
+
+# --- Several runs --------------------------------------------------------------------------------
+
+
+def test_runs_of_different_ends_are_averaged_where_they_are() -> None:
+    table = pd.concat(
+        [_episodes("a", "long", {0: [(40, 2.0), (80, 4.0)]}), _episodes("a", "short", {0: [(40, 6.0)]})]
+    )
+    runs = [("a", "long", 200, 1), ("a", "short", 200, 1)]
+    (curve,) = training_curves(_Data(runs, episodes=table), "return")
+    at = {int(t): i for i, t in enumerate(curve.step)}
+    assert [curve.count[at[t]] for t in (39, 40, 49, 50, 80, 90)] == [0, 2, 2, 0, 1, 0]
+    assert curve.mean[at[40]] == 4.0  # of 2 and 6
+    assert curve.mean[at[80]] == 4.0  # of the long one alone
+    assert np.isnan(curve.mean[at[50]])
+
+
+def test_a_shorter_budget_is_not_extrapolated() -> None:
+    """Design section 7: no extrapolation. One run was asked for 100 steps, the other for 200."""
+    table = pd.concat([_episodes("a", name, {0: [(50, 2.0), (90, 4.0)]}) for name in ("long", "short")])
+    runs = [("a", "long", 200, 1), ("a", "short", 100, 1)]
+    (curve,) = training_curves(_Data(runs, episodes=table), "return", TRAILING)
+    long, short = curve.runs
+    assert long[149] == 3.0  # at 150
+    assert short[99] == 3.0  # at 100, its end
+    assert np.isnan(short[100:]).all()
+
+
+def test_conditions_keep_their_order_and_their_runs() -> None:
+    tables = [_episodes("b", "r1", {0: [(5, 1.0)]}), _episodes("a", "r2", {0: [(5, 2.0)]})]
+    tables.append(_episodes("b", "r3", {0: [(5, 3.0)]}))
+    runs = [("b", "r1", 200, 1), ("a", "r2", 200, 1), ("b", "r3", 200, 1)]
+    curves = training_curves(_Data(runs, episodes=pd.concat(tables)), "return")
+    assert [(curve.condition, curve.runs[:, 4].tolist()) for curve in curves] == [
+        ("b", [1.0, 3.0]),
+        ("a", [2.0]),
+    ]
+
+
+def test_one_configuration_under_two_names_is_two_equal_curves() -> None:
+    table = pd.concat([_episodes(name, "same", {0: EXAMPLE}) for name in ("a", "b")])
+    runs = [("a", "same", 200, 1), ("b", "same", 200, 1)]
+    first, second = training_curves(_Data(runs, episodes=table), "return")
+    np.testing.assert_equal(first.runs, second.runs)
+
+
+# --- Mean, deviation, bands ----------------------------------------------------------------------
+
+# Points of three runs, two, none and one.
+CURVE = Curve(
+    "a",
+    np.array([1.0, 2.0, 3.0, 4.0]),
+    np.array([[1.0, 2.0, NAN, NAN], [3.0, NAN, NAN, 4.0], [8.0, 4.0, NAN, NAN]]),
+)
+# means (1 + 3 + 8) / 3 = 4, (2 + 4) / 2 = 3; squares about them 9 + 1 + 16 = 26 over 2, 1 + 1 = 2 over 1
+ROOT_13, ROOT_2 = 3.605551275463989, 1.4142135623730951
+
+
+def test_count_mean_and_deviation() -> None:
+    np.testing.assert_array_equal(CURVE.count, [3, 2, 0, 1])
+    np.testing.assert_allclose(CURVE.mean, [4, 3, NAN, 4])
+    np.testing.assert_allclose(CURVE.deviation, [ROOT_13, ROOT_2, NAN, NAN])
+
+
+@pytest.mark.parametrize(
+    ("band", "low", "high"),
+    [
+        ("std", [4 - ROOT_13, 3 - ROOT_2], [4 + ROOT_13, 3 + ROOT_2]),
+        ("se", [4 - 2.0816659994661326, 2], [4 + 2.0816659994661326, 4]),  # sqrt(13 / 3), sqrt(2 / 2)
+        ("minmax", [1, 2], [8, 4]),
+    ],
+)
+def test_a_band_has_its_edges_and_none_for_a_single_run(
+    band: str, low: list[float], high: list[float]
+) -> None:
+    edges = CURVE.band(band)
+    np.testing.assert_allclose(edges[0], [*low, NAN, NAN])
+    np.testing.assert_allclose(edges[1], [*high, NAN, NAN])
+
+
+def test_every_band_says_what_it_is() -> None:
+    assert {name: band.label for name, band in BANDS.items()} == {
+        "std": "± 1 standard deviation",
+        "se": "± 1 standard error",
+        "minmax": "least to greatest",
+    }
+
+
+@pytest.mark.parametrize("band", BANDS)
+def test_one_run_has_a_mean_and_no_band(band: str) -> None:
+    curve = Curve("a", np.array([1.0, 2.0]), np.array([[5.0, 6.0]]))
+    np.testing.assert_array_equal(curve.mean, [5, 6])
+    assert np.isnan(np.concatenate(curve.band(band))).all()
+
+
+def test_equal_runs_have_a_band_of_no_width() -> None:
+    low, high = Curve("a", np.array([1.0]), np.array([[5.0], [5.0]])).band("std")
+    assert (low[0], high[0]) == (5.0, 5.0)
+
+
+# --- Evaluations, and the table of curves --------------------------------------------------------
+
+
+def test_evaluation_curves_stand_at_the_evaluations_own_steps() -> None:
+    rows = [
+        ("b", "r1", 64, 0.25),
+        ("b", "r1", 128, 0.5),
+        ("b", "r2", 64, 0.75),  # and then it diverged
+        ("a", "r3", 64, 0.0),
+        ("a", "r3", 128, 1.0),
+    ]
+    table = pd.DataFrame(rows, columns=["condition", "run_id", "step", "share_killed"])
+    runs = [("b", "r1", 128, 1), ("b", "r2", 128, 1), ("a", "r3", 128, 1)]
+    first, second = evaluation_curves(_Data(runs, evaluations=table))
+    assert (first.condition, second.condition) == ("b", "a")
+    np.testing.assert_array_equal(first.step, [64, 128])
+    np.testing.assert_array_equal(first.runs, [[0.25, 0.5], [0.75, NAN]])
+    np.testing.assert_array_equal(first.mean, [0.5, 0.5])
+    np.testing.assert_array_equal(first.count, [2, 1])
+    np.testing.assert_array_equal(second.runs, [[0, 1]])
+
+
+def test_another_column_of_the_evaluations_can_be_asked_for() -> None:
+    table = pd.DataFrame({"condition": ["a"], "run_id": ["r"], "step": [64], "score": [0.5]})
+    (curve,) = evaluation_curves(_Data([("a", "r", 64, 1)], evaluations=table), "score")
+    np.testing.assert_array_equal(curve.runs, [[0.5]])
+
+
+def test_the_table_of_curves_has_a_row_for_each_point() -> None:
+    table = curves_table({"return": [CURVE], "kills": [CURVE]}, "minmax")
+    assert list(table.columns) == ["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]
+    assert len(table) == 8
+    assert table.iloc[1].to_list() == ["a", "return", 2.0, 3.0, 2.0, 4.0, "minmax", 2]
+    assert table["quantity"].to_list() == ["return"] * 4 + ["kills"] * 4

@@ -1,0 +1,105 @@
+"""Tidy tables of a study, and their forms in a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.analysis.export import export_table
+from pneuma.analysis.tables import StudyData
+from pneuma.engines.base import EPISODE_COLUMNS
+from pneuma.errors import UserError
+from pneuma.study.store import Status, Store
+from pneuma.study.tables import to_parquet
+
+
+def _episode(episode: int, **values: Any) -> dict[str, Any]:
+    row = {"slot": 0, "episode": episode, "step": 50 * (episode + 1), "return": -1.5, "length": 50}
+    return {**row, "kills": 0, "hp": 12.0, "ending": "time-limit", **values}
+
+
+def _record(*runs: tuple[str, int, str]) -> dict[str, Any]:
+    settings = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 100}
+    return {
+        "study": "mine",
+        "title": "Mine",
+        "figure": "fig-mine",
+        "same": [],
+        "runs": [{"condition": c, "seed": s, "run_id": name, "run": settings} for c, s, name in runs],
+    }
+
+
+def _save(store: Store, run_id: str, status: str, *rows: dict[str, Any]) -> None:
+    store.save_run(run_id, Status(status, 100), {"episodes.parquet": to_parquet(rows, EPISODE_COLUMNS)})
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    _save(store, "r-done", "done", _episode(0), _episode(1, ending="killed"))
+    _save(store, "r-diverged", "diverged", _episode(0, kills=2))
+    _save(store, "r-empty", "diverged")
+    _save(store, "r-crashed", "crashed", _episode(0))
+    return store
+
+
+def test_rows_stand_in_the_selections_order_with_what_they_belong_to(store: Store) -> None:
+    frame = StudyData(store, _record(("b", 1, "r-diverged"), ("a", 0, "r-done"))).table("episodes")
+    assert list(frame.columns) == ["condition", "seed", "run_id", *EPISODE_COLUMNS]
+    assert frame[["condition", "seed", "run_id", "episode", "kills"]].to_numpy().tolist() == [
+        ["b", 1, "r-diverged", 0, 2],
+        ["a", 0, "r-done", 0, 0],
+        ["a", 0, "r-done", 1, 0],
+    ]
+
+
+def test_a_run_without_rows_leaves_the_others_types_alone(store: Store) -> None:
+    frame = StudyData(store, _record(("a", 0, "r-empty"), ("a", 1, "r-done"))).table("episodes")
+    assert len(frame) == 2
+    assert {str(frame[name].dtype) for name in ("slot", "episode", "step", "length", "kills")} == {"int64"}
+
+
+def test_runs_that_are_not_finished_are_left_out(store: Store) -> None:
+    record = _record(("a", 0, "r-crashed"), ("a", 1, "r-done"), ("a", 2, "r-unknown"))
+    assert set(StudyData(store, record).table("episodes")["seed"]) == {1}
+
+
+def test_a_study_without_a_finished_run_is_told(store: Store) -> None:
+    with pytest.raises(
+        UserError, match="no run of this selection of study mine has finished in .*results.*pneuma study run"
+    ):
+        StudyData(store, _record(("a", 0, "r-crashed"))).table("episodes")
+
+
+def test_a_damaged_table_is_not_read(store: Store) -> None:
+    (store.run_folder("r-done") / "episodes.parquet").write_bytes(b"damaged")
+    with pytest.raises(UserError):
+        StudyData(store, _record(("a", 0, "r-done"))).table("episodes")
+
+
+# --- In a file -----------------------------------------------------------------------------------
+
+
+def test_a_csv_file_is_what_a_spreadsheet_reads(store: Store, tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    assert export_table(StudyData(store, _record(("a,b", 1, "r-diverged"))), "episodes", "csv", path) == 1
+    assert path.read_bytes() == (
+        b"condition,seed,run_id,slot,episode,step,return,length,kills,hp,ending\n"
+        b'"a,b",1,r-diverged,0,0,50,-1.5,50,2,12.0,time-limit\n'
+    )
+
+
+def test_a_latex_table_is_what_latex_reads(store: Store, tmp_path: Path) -> None:
+    path = tmp_path / "x.tex"
+    export_table(StudyData(store, _record(("50 %_a&b", 1, "r-diverged"))), "episodes", "latex", path)
+    assert path.read_text().splitlines() == [
+        r"\begin{tabular}{lrlrrrrrrrl}",  # l for words, r for numbers
+        r"\hline",
+        r"condition & seed & run\_id & slot & episode & step & return & length & kills & hp & ending \\",
+        r"\hline",
+        r"50 \%\_a\&b & 1 & r-diverged & 0 & 0 & 50 & -1.5 & 50 & 2 & 12 & time-limit \\",
+        r"\hline",
+        r"\end{tabular}",
+    ]

@@ -1,0 +1,25 @@
+"""What a person waits for: `import pneuma` and `pneuma --help` load nothing heavy (design section 1)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "jax", "numba", "pandas", "matplotlib", "optuna")
+
+STATEMENTS = {
+    "import pneuma": "import pneuma",
+    "import pneuma.cli": "import pneuma.cli",
+    "pneuma --help": "from pneuma.cli import main; assert main(['--help']) == 0",
+    "pneuma study run --help": "from pneuma.cli import main; assert main(['study', 'run', '--help']) == 0",
+    "gymnasium's registry": "import gymnasium, pneuma; gymnasium.spec('pneuma/Pneuma-v0')",
+}
+
+
+@pytest.mark.parametrize("what", STATEMENTS)
+def test_nothing_heavy_is_loaded(what: str) -> None:
+    code = f"{STATEMENTS[what]}\nimport sys\nprint('loaded:', *sorted(set({HEAVY}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded:"

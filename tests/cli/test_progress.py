@@ -1,0 +1,89 @@
+"""What a person sees while a study runs: plain lines in a log, bars on a terminal."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from pneuma.cli import progress
+from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay
+from pneuma.study.execute import Progress
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.spec import load_study
+
+Captured = pytest.CaptureFixture[str]
+
+
+class _Clock:
+    """Time that passes only when told to."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
+    clock = _Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def plan() -> Plan:
+    """Two runs of 2,560 steps: seed 0 of tanh and of ReLU."""
+    return make_plan(load_study("activation"), Selection(seeds=(0,), steps=2560, conditions=("tanh", "relu")))
+
+
+def _ids(plan: Plan) -> set[str]:
+    return {cell.run_id for cell in plan.cells}
+
+
+def test_a_log_gets_a_line_now_and_then_and_one_for_every_end(
+    plan: Plan, clock: _Clock, capsys: Captured
+) -> None:
+    tanh, relu = plan.cells
+    with ProgressDisplay(plan, _ids(plan), quiet=False) as display:
+        display.update(Progress(tanh, 256))  # too early for a line
+        clock.now = LINE_SECONDS
+        display.update(Progress(relu, 1024))
+        display.update(Progress(tanh, 2560, "done"))
+        display.update(Progress(relu, 2560, "diverged"))
+    assert capsys.readouterr().err.splitlines() == [
+        "0/2 runs ended, 25% of all steps",  # (256 + 1,024) / 5,120
+        "tanh seed 0: done; 1/2 runs ended, 70% of all steps",  # (2,560 + 1,024) / 5,120
+        "relu seed 0: diverged; 2/2 runs ended, 100% of all steps",
+    ]
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_nothing_is_shown_when_asked_for_quiet_or_when_nothing_is_trained(
+    plan: Plan, quiet: bool, capsys: Captured
+) -> None:
+    with ProgressDisplay(plan, _ids(plan) if quiet else set(), quiet) as display:
+        if quiet:
+            display.update(Progress(plan.cells[0], 2560, "done"))
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_a_bar_for_each_condition(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    tanh, relu = plan.cells
+    with ProgressDisplay(plan, _ids(plan), quiet=False) as display:
+        display.update(Progress(tanh, 2560, "done"))
+        display.update(Progress(relu, 1280))
+    last = screen.getvalue().split("\n")
+    text = "\n".join(last[-3:])
+    assert "tanh" in text and "1/1 runs" in text and "2560/2560" in text
+    assert "relu" in text and "0/1 runs" in text and "1280/2560" in text

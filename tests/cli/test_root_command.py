@@ -1,0 +1,44 @@
+"""`pneuma` itself: help, version, and how it ends."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+import pytest
+import typer
+
+from pneuma.cli import main
+from pneuma.study import spec
+
+Captured = pytest.CaptureFixture[str]
+
+
+def test_help_lists_every_group_of_commands(capsys: Captured) -> None:
+    assert main(["--help"]) == 0
+    output = capsys.readouterr()
+    assert output.err == ""
+    words = output.out.split()
+    assert "study" in words and "bench" in words
+
+
+@pytest.mark.parametrize("command", ["list", "show", "plan", "run", "status", "plot", "export"])
+def test_every_study_command_has_help(command: str, capsys: Captured) -> None:
+    assert main(["study", command, "--help"]) == 0
+    assert f"study {command}" in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_package(capsys: Captured) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"pneuma {version('pneuma')}\n"
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, typer.Abort])
+def test_an_interrupted_command_leaves_with_code_130(
+    interruption: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    def interrupt() -> None:
+        raise interruption
+
+    monkeypatch.setattr(spec, "list_studies", interrupt)
+    assert main(["study", "list"]) == 130
+    assert capsys.readouterr().err in ("", "pneuma: stopped\n")

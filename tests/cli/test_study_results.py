@@ -1,0 +1,364 @@
+"""The study commands over runs that are really trained: a tiny activation study, once for the module."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from pneuma.cli import main
+from pneuma.study import execute
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store
+
+CLI = Path(__file__).parents[2] / "cli.py"
+SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
+TINY = [
+    "--steps", "250",  # 4 horizons of 64 are 256
+    "--condition", "tanh",
+    "--condition", "relu",
+    *(part for setting in SETTINGS for part in ("--set", setting)),
+]  # fmt: skip
+
+# Design section 2, word for word.
+EPISODES = "condition, seed, run_id, slot, episode, step, return, length, kills, hp, ending"
+METRICS = (
+    "condition, seed, run_id, step, policy_loss, value_loss, entropy, approx_kl, clip_fraction, grad_norm, "
+    "grad_norm_actor, grad_norm_critic, explained_variance, dead_units, "
+    "action_0, action_1, action_2, action_3, action_4"
+)
+
+
+@dataclass(frozen=True)
+class Called:
+    """What a command gave: exit code, standard output, standard error."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> Any:
+        return json.loads(self.out)
+
+
+def _call(*arguments: str | Path) -> Called:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(argument) for argument in arguments])
+    return Called(code, out.getvalue(), err.getvalue())
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A results folder with two conditions of two seeds, and what the two runs of the study said."""
+
+    results: Path
+    first: Called
+    second: Called
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    results = tmp_path_factory.mktemp("trained") / "results"
+    first = _call("study", "run", "activation", *TINY, "--seeds", "1", "--json", "--results", results)
+    second = _call("study", "run", "activation", *TINY, "--seeds", "2", "--results", results)
+    return Trained(results, first, second)
+
+
+# --- run -----------------------------------------------------------------------------------------
+
+
+def test_run_gives_one_document_and_tells_people_on_standard_error(trained: Trained) -> None:
+    assert trained.first.code == 0
+    document = trained.first.document
+    assert {key: document[key] for key in ("schema", "study")} == {"schema": 1, "study": "activation"}
+    assert [{k: run[k] for k in run if k != "run_id"} for run in document["runs"]] == [
+        {"condition": condition, "seed": 0, "status": "done", "trained": True}
+        for condition in ("tanh", "relu")
+    ]
+    assert len({run["run_id"] for run in document["runs"]}) == 2
+    assert "250 steps are rounded up to 256" in trained.first.err
+
+
+def test_one_seed_more_trains_only_the_new_runs(trained: Trained) -> None:
+    assert trained.second.code == 0
+    assert "activation: 4 done; 2 trained now, 2 were stored." in trained.second.out
+
+
+def test_run_again_trains_nothing(trained: Trained) -> None:
+    again = _call("study", "run", "activation", *TINY, "--seeds", "2", "--json", "--results", trained.results)
+    assert again.code == 0
+    assert [(run["status"], run["trained"]) for run in again.document["runs"]] == [("done", False)] * 4
+
+
+def test_a_quiet_run_says_nothing_when_all_is_well(trained: Trained) -> None:
+    again = _call(
+        "study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", trained.results
+    )
+    assert again == Called(0, "", "")
+
+
+def test_the_folder_can_be_named_by_the_environment(
+    trained: Trained, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PNEUMA_RESULTS", str(trained.results))
+    assert len(_call("study", "status", "activation", "--json").document["runs"]) == 4
+
+
+# --- plan, status --------------------------------------------------------------------------------
+
+
+def test_plan_tells_what_is_stored_and_what_is_not(trained: Trained) -> None:
+    called = _call(
+        "study", "plan", "activation", *TINY, "--seeds", "3", "--json", "--results", trained.results
+    )
+    document = called.document
+    assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
+    assert [set(run) for run in document["runs"]] == [
+        {"run_id", "condition", "seed", "state", "expected_seconds"}
+    ] * 6
+    assert [run["state"] for run in document["runs"]] == ["stored"] * 4 + ["to-train"] * 2
+    assert [run["seed"] for run in document["runs"]] == [0, 0, 1, 1, 2, 2]
+
+
+def test_a_plan_says_in_what_the_conditions_differ(trained: Trained) -> None:
+    called = _call("study", "plan", "activation", *TINY, "--seeds", "3", "--results", trained.results)
+    assert "Conditions differ in activation: tanh tanh, relu relu" in called.out
+    assert "4 stored, 2 to train." in called.out
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"), [("3,5,8", [3, 5, 8]), ("7,", [7]), ("2", [0, 1]), ("1", [0]), ("5, 3", [5, 3])]
+)
+def test_seeds_are_a_count_or_a_list(text: str, seeds: list[int], tmp_path: Path) -> None:
+    called = _call(
+        "study", "plan", "activation", "--condition", "tanh", "--seeds", text, "--json", "--results", tmp_path
+    )
+    assert [run["seed"] for run in called.document["runs"]] == seeds
+
+
+def test_status_is_of_the_latest_selection(trained: Trained) -> None:
+    called = _call("study", "status", "activation", "--json", "--results", trained.results)
+    document = called.document
+    assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
+    assert [set(run) for run in document["runs"]] == [
+        {"run_id", "condition", "seed", "status", "trained"}
+    ] * 4
+    assert {(run["condition"], run["seed"], run["status"], run["trained"]) for run in document["runs"]} == {
+        (condition, seed, "done", False) for condition in ("tanh", "relu") for seed in (0, 1)
+    }
+
+
+def test_status_of_a_selection_of_its_own(trained: Trained) -> None:
+    called = _call(
+        "study", "status", "activation", *TINY, "--seeds", "1,2", "--json", "--results", trained.results
+    )
+    runs = [(run["seed"], run["status"]) for run in called.document["runs"]]
+    assert runs == [(1, "done"), (1, "done"), (2, "planned"), (2, "planned")]
+
+
+def test_status_for_people_counts_and_lists(trained: Trained) -> None:
+    called = _call("study", "status", "--results", trained.results)
+    lines = called.out.splitlines()
+    assert lines[0] == "activation: 4 done"
+    assert len(lines) == 5
+
+
+# --- plot ----------------------------------------------------------------------------------------
+
+
+def test_plot_writes_into_the_results_unless_told_otherwise(trained: Trained, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained.results, tmp_path / "results"))
+    called = _call("study", "plot", "--results", results)
+    assert called.code == 0
+    assert sorted(os.listdir(results / "figures")) == ["fig-6-5.png", "fig-6-5.svg"]
+    out = tmp_path / "out"
+    called = _call(
+        "study", "plot", "activation", "--results", results, "--out", out, "--format", "pdf", "--json"
+    )
+    assert called.document == {"schema": 1, "figures": [str(out / "fig-6-5.pdf")]}
+    assert (out / "fig-6-5.pdf").read_bytes().startswith(b"%PDF")
+
+
+# --- export --------------------------------------------------------------------------------------
+
+
+def _export(trained: Trained, table: str, form: str, out: Path, *selection: str) -> bytes:
+    called = _call(
+        "study", "export", "activation", "--table", table, "--format", form, "--out", out, *selection,
+        "--results", trained.results,
+    )  # fmt: skip
+    assert called.code == 0
+    return out.read_bytes()
+
+
+@pytest.mark.parametrize(("table", "columns"), [("episodes", EPISODES), ("metrics", METRICS)])
+def test_an_exported_table_has_exactly_the_documented_columns(
+    trained: Trained, table: str, columns: str, tmp_path: Path
+) -> None:
+    header = _export(trained, table, "csv", tmp_path / "x.csv").decode().splitlines()[0]
+    assert header == columns.replace(", ", ",")
+    frame = pd.read_parquet(io.BytesIO(_export(trained, table, "parquet", tmp_path / "x.parquet")))
+    assert list(frame.columns) == columns.split(", ")
+
+
+@pytest.mark.parametrize("table", ["episodes", "metrics", "evaluations", "curves"])
+@pytest.mark.parametrize("form", ["csv", "parquet", "latex"])
+def test_exporting_twice_gives_the_same_bytes(
+    trained: Trained, table: str, form: str, tmp_path: Path
+) -> None:
+    first = _export(trained, table, form, tmp_path / "first")
+    time.sleep(0.01)
+    assert _export(trained, table, form, tmp_path / "second") == first
+    assert first
+
+
+def test_all_formats_hold_the_same_rows(trained: Trained, tmp_path: Path) -> None:
+    csv = pd.read_csv(io.BytesIO(_export(trained, "metrics", "csv", tmp_path / "x.csv")))
+    parquet = pd.read_parquet(io.BytesIO(_export(trained, "metrics", "parquet", tmp_path / "x.parquet")))
+    latex = _export(trained, "metrics", "latex", tmp_path / "x.tex").decode()
+    assert len(csv) == len(parquet) == 2 * 2 * 4  # conditions, seeds, updates
+    pd.testing.assert_frame_equal(csv, parquet, check_dtype=False, rtol=1e-12)
+    rows = [line for line in latex.splitlines() if line.endswith(r"\\")]
+    assert len(rows) == 1 + 16
+    assert r"run\_id" in rows[0]
+
+
+def test_rows_come_in_the_studys_order_seed_by_seed(trained: Trained, tmp_path: Path) -> None:
+    frame = pd.read_csv(io.BytesIO(_export(trained, "metrics", "csv", tmp_path / "x.csv")))
+    blocks = list(dict.fromkeys(zip(frame["seed"], frame["condition"], strict=True)))
+    assert blocks == [(0, "tanh"), (0, "relu"), (1, "tanh"), (1, "relu")]
+    assert frame["step"].to_list() == [64, 128, 192, 256] * 4
+
+
+def test_a_selection_exports_only_its_own_runs(trained: Trained, tmp_path: Path) -> None:
+    data = _export(trained, "episodes", "csv", tmp_path / "x.csv", *TINY, "--seeds", "1,")
+    assert set(pd.read_csv(io.BytesIO(data))["seed"]) == {1}
+
+
+def test_actions_of_every_update_add_up(trained: Trained, tmp_path: Path) -> None:
+    frame = pd.read_csv(io.BytesIO(_export(trained, "metrics", "csv", tmp_path / "x.csv")))
+    shares = frame[[f"action_{i}" for i in range(5)]]
+    assert shares.sum(axis=1).to_numpy() == pytest.approx(1)
+    assert (shares.to_numpy() * 64 % 1 == 0).all()  # each a count of 64 steps
+
+
+def test_exporting_to_a_folder_is_refused_in_one_line(trained: Trained, tmp_path: Path) -> None:
+    called = _call(
+        "study",
+        "export",
+        "activation",
+        "--table",
+        "episodes",
+        "--out",
+        tmp_path,
+        "--results",
+        trained.results,
+    )
+    assert (called.code, called.out) == (2, "")
+    (line,) = called.err.splitlines()
+    assert line.startswith("pneuma: --out ")
+    assert os.listdir(tmp_path) == []
+
+
+# --- Ends that are no success --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path, as_json: bool) -> None:
+    (cell,) = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",))).cells
+    Store(tmp_path).save_run(cell.run_id, Status("diverged", 512), {})
+    options = ["--json"] if as_json else []
+    called = _call(
+        "study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path, *options
+    )
+    assert called.code == 0
+    text = called.err if as_json else called.out
+    assert "tanh seed 0 diverged at step 512" in text
+    if as_json:
+        assert called.document["runs"][0]["status"] == "diverged"
+
+
+def test_a_crash_is_exit_code_1_and_says_where_to_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "python"
+    script.write_text("#!/bin/sh\nread job\necho out of luck >&2\nexit 3\n")
+    script.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(script))
+    results = tmp_path / "results"
+    called = _call("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", results)
+    assert called.code == 1
+    (trace,) = results.glob("runs/*/error.txt")
+    assert f"tanh seed 0 crashed: {trace}" in called.out
+    assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
+    status = _call("study", "status", "activation", "--json", "--results", results)
+    assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
+
+
+def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(execute, "execute", interrupt)
+    called = _call("study", "run", "activation", "--quiet", "--results", tmp_path)
+    assert (called.code, called.out) == (130, "")
+    assert len(called.err.splitlines()) == 1
+
+
+def test_ctrl_c_stops_a_running_study(tmp_path: Path) -> None:
+    command = ["study", "run", "activation", "--seeds", "1", "--steps", "1000000", "--results", str(tmp_path)]
+    process = subprocess.Popen(
+        [sys.executable, str(CLI), *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        deadline = time.monotonic() + 20
+        while not (tmp_path / "studies" / "activation.json").exists():
+            assert time.monotonic() < deadline, "the study did not start"
+            time.sleep(0.02)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=10)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130
+    assert err.splitlines()[-1].startswith("Stopped.")
+    assert "Traceback" not in err
+    assert not list(tmp_path.glob("runs/*/*"))
+
+
+# --- list, show ----------------------------------------------------------------------------------
+
+
+def test_the_shipped_studies_are_listed() -> None:
+    called = _call("study", "list", "--json")
+    assert called.code == 0
+    names = [study["study"] for study in called.document["studies"]]
+    assert "activation" in names
+    assert [line.split()[0] for line in _call("study", "list").out.splitlines()] == names
+
+
+def test_show_says_what_a_study_compares() -> None:
+    text = _call("study", "show", "activation").out
+    assert "activation: tanh tanh, relu relu, leaky-relu leaky-relu" in text
+    assert "Compared with: relu" in text
+    assert "gradient_limit = 0.5" in text
+    document = _call("study", "show", "activation", "--json").document
+    assert document["baseline"] == "relu"
+    assert list(document["conditions"]) == ["tanh", "relu", "leaky-relu"]
+    assert document["presets"]["paper"]["steps"] == 1_000_000

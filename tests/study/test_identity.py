@@ -1,0 +1,160 @@
+"""What a run is called: the same for the same bits, another for anything that could change them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.config import Run, make_run
+from pneuma.env.level import LEVELS
+from pneuma.study import identity
+from pneuma.study.identity import run_id
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+
+ACTIVATION_QUICK_SEED_0 = {
+    "tanh": "1a23d58c0648dea2",
+    "relu": "c9f041112efed36b",
+    "leaky-relu": "9b80934d39cc8170",
+}
+"""Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
+
+OTHER: dict[str, Any] = {
+    "episode_steps": 500,
+    "end_on_clear": True,
+    "seed": 1,
+    "steps": 100_000,
+    "slots": 2,
+    "actor": [64],
+    "critic": [64],
+    "activation": "relu",
+    "gamma": 0.98,
+    "gae_lambda": 0.9,
+    "learning_rate": 1e-3,
+    "clip_range": 0.2,
+    "horizon": 128,
+    "minibatch": 32,
+    "epochs": 9,
+    "value_coefficient": 1.0,
+    "entropy_coefficient": 0.0,
+    "gradient_limit": "none",
+    "clip": "separate",
+    "optimizer": "sgd",
+    "betas": [0.9, 0.9],
+    "epsilon": 1e-8,
+    "weight_decay": 0.01,
+    "evaluation_episodes": 20,
+}
+"""For every field with more than one value, one that is not the default."""
+
+OF_OTHER_OPTIMIZERS = {"momentum": ("sgd", 0.9), "dampening": ("sgd", 0.9), "smoothing": ("rmsprop", 0.9)}
+OF_ONE_VALUE = {"env", "reward", "engine", "algorithm"}
+
+
+def test_every_field_of_a_run_is_tested_here() -> None:
+    tested = {*OTHER, *OF_OTHER_OPTIMIZERS, *OF_ONE_VALUE, "level"}
+    assert tested == {item.name for item in fields(Run)}
+
+
+def test_the_shipped_studys_runs_keep_their_names() -> None:
+    cells = make_plan(load_study("activation"), Selection(preset="quick", seeds=(0,))).cells
+    assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_QUICK_SEED_0
+
+
+@pytest.mark.parametrize("key", OTHER)
+def test_every_setting_changes_the_name(key: str) -> None:
+    assert run_id(make_run({key: OTHER[key]})) != run_id(make_run({}))
+
+
+@pytest.mark.parametrize("key", OF_OTHER_OPTIMIZERS)
+def test_a_setting_changes_the_name_under_an_optimizer_that_reads_it(key: str) -> None:
+    optimizer, value = OF_OTHER_OPTIMIZERS[key]
+    settings: dict[str, object] = {"optimizer": optimizer}
+    if key == "dampening":
+        settings["momentum"] = 0.5  # which it dampens
+    assert run_id(make_run({**settings, key: value})) != run_id(make_run(settings))
+    assert run_id(make_run({key: value})) == run_id(make_run({}))  # Adam reads none of them
+
+
+def test_a_thousand_different_runs_have_a_thousand_names() -> None:
+    names = {run_id(make_run({"seed": seed})) for seed in range(1000)}
+    assert len(names) == 1000
+    assert all(len(name) == 16 and set(name) <= set("0123456789abcdef") for name in names)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ({"steps": 1}, {"steps": 256}),
+        ({"gamma": 1}, {"gamma": 1.0}),
+        ({"actor": [64]}, {"actor": (64.0,)}),
+        ({"entropy_coefficient": 0.0}, {"entropy_coefficient": -0.0}),
+        ({"gradient_limit": None}, {"gradient_limit": None, "clip": "separate"}),
+    ],
+)
+def test_two_ways_to_write_one_training_have_one_name(one: dict[str, Any], other: dict[str, Any]) -> None:
+    assert run_id(make_run(one)) == run_id(make_run(other))
+
+
+@pytest.mark.parametrize("version", ["RULES_VERSION", "ENGINE_VERSIONS"])
+def test_a_raised_version_changes_the_name(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = run_id(make_run({}))
+    monkeypatch.setattr(identity, version, 2 if version == "RULES_VERSION" else {"sb3": 2})
+    assert run_id(make_run({})) != before
+
+
+def test_the_same_run_has_one_name_in_two_studies(tmp_path: Path) -> None:
+    presets = "[presets.quick]\nseeds = 1\nsteps = 256\n"
+    one, two = tmp_path / "one.toml", tmp_path / "two.toml"
+    one.write_text(f'title = "A"\nbase = "table-6-2"\n[conditions.a]\n{presets}')
+    two.write_text(
+        f'title = "B"\nfigure = "b"\nbase = "table-6-2"\n[run]\nepochs = 10\n[conditions.b]\n{presets}'
+    )
+    (first,), (second,) = (make_plan(load_study(str(path)), Selection()).cells for path in (one, two))
+    assert first.run_id == second.run_id
+
+
+# --- Levels of a user's own ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def level(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(LEVELS / "thesis", tmp_path / "mine"))
+
+
+def _name(level: Path | str) -> str:
+    return run_id(make_run({"level": str(level)}))
+
+
+@pytest.mark.parametrize("file", ["level.toml", "ground.csv", "obstacles.csv", "objects.csv"])
+def test_the_contents_of_a_level_folder_change_the_name(level: Path, file: str) -> None:
+    before = _name(level)
+    assert _name(level) == before
+    original = (level / file).read_bytes()
+    (level / file).write_bytes(original + b"\n")
+    assert _name(level) != before
+    (level / file).write_bytes(original)
+    assert _name(level) == before
+
+
+def test_contents_cannot_be_shifted_from_one_file_to_the_next(level: Path) -> None:
+    (level / "ground.csv").write_bytes(b"ab")
+    (level / "obstacles.csv").write_bytes(b"c")
+    before = _name(level)
+    (level / "ground.csv").write_bytes(b"a")
+    (level / "obstacles.csv").write_bytes(b"bc")
+    assert _name(level) != before
+
+
+def test_a_shipped_level_is_not_mistaken_for_a_folder_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shipped name means the shipped level (`pneuma.env.level`), wherever the command is called."""
+    before = _name("thesis")
+    shutil.copytree(LEVELS / "thesis", tmp_path / "thesis")
+    monkeypatch.chdir(tmp_path)
+    assert _name("thesis") == before

@@ -1,0 +1,151 @@
+"""A plan: which runs a selection of a study means, in what order, and what a person is told of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.study.plan import Selection, differing_settings, make_plan
+from pneuma.study.spec import Study, load_study
+
+STUDY = """\
+title = "Optimizers"
+base = "table-6-2"
+[conditions.adam]
+[conditions.sgd]
+optimizer = "sgd"
+[conditions.also-adam]
+optimizer = "adam"
+epsilon = 1e-5
+[presets.quick]
+seeds = 2
+steps = 50_000
+[presets.paper]
+seeds = [9, 4]
+steps = 1_024
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Study:
+    path = tmp_path / "optimizers.toml"
+    path.write_text(STUDY)
+    return load_study(str(path))
+
+
+def test_cells_go_seed_by_seed_in_the_studys_order(study: Study) -> None:
+    plan = make_plan(study, Selection())
+    assert [(cell.seed, cell.condition) for cell in plan.cells] == [
+        (0, "adam"),
+        (0, "sgd"),
+        (0, "also-adam"),
+        (1, "adam"),
+        (1, "sgd"),
+        (1, "also-adam"),
+    ]
+    assert plan.seeds == (0, 1)
+    assert plan.conditions == ("adam", "sgd", "also-adam")
+
+
+def test_a_cells_run_is_the_condition_with_the_seed_and_the_budget(study: Study) -> None:
+    plan = make_plan(study, Selection(preset="paper", conditions=("sgd",)))
+    assert [(cell.run.seed, cell.run.steps, cell.run.optimizer) for cell in plan.cells] == [
+        (9, 1024, "sgd"),
+        (4, 1024, "sgd"),
+    ]
+    assert all(cell.seed == cell.run.seed for cell in plan.cells)
+    assert plan.cells[0].run.horizon == 256  # of the base
+
+
+def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
+    plan = make_plan(study, Selection())
+    assert plan.same == (("adam", "also-adam"),)
+    assert [note for note in plan.notes if "A/A" in note and "adam, also-adam" in note]
+    first, _, third = plan.cells[:3]
+    assert first.run_id == third.run_id
+
+
+def test_different_conditions_are_not_a_a(study: Study) -> None:
+    plan = make_plan(study, Selection(conditions=("adam", "sgd")))
+    assert plan.same == ()
+    assert not [note for note in plan.notes if "A/A" in note]
+
+
+def test_a_rounded_budget_is_told(study: Study) -> None:
+    # 195 horizons of 256 are 49,920, so 50,000 steps need 196
+    notes = make_plan(study, Selection(conditions=("sgd",))).notes
+    assert notes == ("50,000 steps are rounded up to 50,176, whole horizons of 256",)
+
+
+def test_a_whole_budget_needs_no_word(study: Study) -> None:
+    assert make_plan(study, Selection(preset="paper", conditions=("sgd",))).notes == ()
+
+
+def test_options_go_over_the_preset(study: Study) -> None:
+    plan = make_plan(study, Selection(seeds=(5,), steps=512, conditions=("sgd", "adam")))
+    # conditions keep the study's order, whatever order they were named in
+    assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
+        ("adam", 5, 512),
+        ("sgd", 5, 512),
+    ]
+
+
+def test_a_setting_goes_over_every_condition(study: Study) -> None:
+    plan = make_plan(study, Selection(settings={"horizon": 128, "optimizer": "rmsprop"}))
+    assert {cell.run.horizon for cell in plan.cells} == {128}
+    assert {cell.run.optimizer for cell in plan.cells} == {"rmsprop"}
+    assert plan.same == (("adam", "sgd", "also-adam"),)  # now nothing tells them apart
+
+
+def test_a_setting_that_some_condition_reads_is_taken(study: Study) -> None:
+    momenta = {
+        cell.condition: cell.run.momentum
+        for cell in make_plan(study, Selection(settings={"momentum": 0.5})).cells
+    }
+    assert momenta == {"adam": None, "sgd": 0.5, "also-adam": None}
+
+
+def test_a_setting_that_no_condition_reads_is_refused(study: Study) -> None:
+    """Otherwise a person believes to have trained with a momentum that nothing used."""
+    with pytest.raises(UserError, match=r"momentum .*adam"):
+        make_plan(study, Selection(conditions=("adam",), settings={"momentum": 0.5}))
+
+
+@pytest.mark.parametrize(("key", "option"), [("seed", "--seeds"), ("steps", "--steps")])
+def test_seed_and_steps_have_options_of_their_own(study: Study, key: str, option: str) -> None:
+    with pytest.raises(UserError, match=f"^{key} cannot be set by --set: use {option}$"):
+        make_plan(study, Selection(settings={key: 3}))
+
+
+@pytest.mark.parametrize(
+    ("selection", "message"),
+    [
+        (Selection(preset="papr"), r"unknown preset .*'papr' \(did you mean paper\?\)"),
+        (Selection(conditions=("adma",)), r"unknown condition .*'adma' \(did you mean adam\?\)"),
+        (Selection(engine="sb4"), r"engine = \"sb4\" is not allowed \(did you mean sb3\?\)"),
+        (Selection(settings={"gama": 1}), r"unknown key 'gama' \(did you mean gamma\?\)"),
+        (Selection(settings={"gamma": 2}), r"gamma = 2 is not allowed"),
+        (Selection(settings={"minibatch": 512}), r"minibatch = 512 is not allowed: at most .* 256"),
+    ],
+)
+def test_a_selection_that_means_nothing_is_refused(study: Study, selection: Selection, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make_plan(study, selection)
+
+
+def test_what_differs_between_conditions_is_told(study: Study) -> None:
+    differing = differing_settings(make_plan(study, Selection(conditions=("adam", "sgd"))))
+    # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0
+    assert differing == {
+        "optimizer": {"adam": "adam", "sgd": "sgd"},
+        "betas": {"adam": [0.9, 0.9], "sgd": None},
+        "epsilon": {"adam": 1e-5, "sgd": None},
+        "momentum": {"adam": None, "sgd": 0.0},
+        "dampening": {"adam": None, "sgd": 0.0},
+    }
+
+
+def test_nothing_differs_between_one_configuration_and_itself(study: Study) -> None:
+    assert differing_settings(make_plan(study, Selection(conditions=("adam", "also-adam")))) == {}

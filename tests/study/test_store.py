@@ -1,0 +1,201 @@
+"""The store: files are there whole or not at all, and nothing damaged is ever read."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.study.store import Status, Store, to_json, write_whole
+
+NAME = "0123456789abcdef"
+FILES = {"run.json": b"{}\n", "episodes.parquet": bytes(range(256))}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    store.save_run(NAME, Status("done", 512), FILES)
+    return store
+
+
+# --- Files whole or not at all -------------------------------------------------------------------
+
+
+def _fail(*_: object) -> NoReturn:
+    raise OSError("no space left on device")
+
+
+def test_a_file_is_written_whole(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    write_whole(path, b"first")
+    write_whole(path, b"second")
+    assert path.read_bytes() == b"second"
+    assert os.listdir(tmp_path) == ["file"]
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace", "chmod"])
+def test_a_failed_write_leaves_what_was_there_and_nothing_else(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_bytes(b"first")
+    monkeypatch.setattr(os, step, _fail)
+    with pytest.raises(OSError, match="no space left"):
+        write_whole(tmp_path / "file", b"second")
+    assert os.listdir(tmp_path) == ["file"]
+    assert (tmp_path / "file").read_bytes() == b"first"
+
+
+def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "file", b"data")
+    assert os.listdir(tmp_path) == []
+
+
+def test_json_ends_with_a_line() -> None:
+    assert to_json({"a": [1, None]}) == b'{\n  "a": [\n    1,\n    null\n  ]\n}\n'
+
+
+# --- Runs ----------------------------------------------------------------------------------------
+
+
+def test_a_saved_run_comes_back(store: Store) -> None:
+    assert store.status(NAME) == Status("done", 512)
+    assert {name: store.read_file(NAME, name) for name in FILES} == FILES
+    assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
+
+
+@pytest.mark.parametrize(
+    ("name", "finished"),
+    [
+        ("planned", False),
+        ("running", False),
+        ("done", True),
+        ("diverged", True),
+        ("crashed", False),
+        ("killed", False),
+        ("timeout", False),
+    ],
+)
+def test_results_are_what_is_done_or_diverged(name: str, finished: bool) -> None:
+    assert Status(name).finished is finished
+
+
+def test_an_unknown_run_is_planned(store: Store) -> None:
+    assert store.status("f" * 16) == Status("planned", 0)
+
+
+def test_a_run_without_its_status_is_planned(store: Store) -> None:
+    (store.run_folder(NAME) / "status.json").unlink()
+    assert store.status(NAME) == Status("planned", 0)
+    with pytest.raises(UserError, match="missing or damaged"):
+        store.read_file(NAME, "run.json")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "3", '{"schema": 2, "status": "done", "step": 1, "files": {}}', "\x00", '{"schema": 1}'],
+)
+def test_a_damaged_status_reads_as_planned(store: Store, text: str) -> None:
+    (store.run_folder(NAME) / "status.json").write_text(text)
+    assert store.status(NAME) == Status("planned", 0)
+    with pytest.raises(UserError, match="missing or damaged"):
+        store.read_file(NAME, "run.json")
+
+
+@pytest.mark.parametrize("bit", [0, 1023, 2047])
+def test_one_flipped_bit_is_noticed(store: Store, bit: int) -> None:
+    path = store.run_folder(NAME) / "episodes.parquet"
+    data = bytearray(path.read_bytes())  # 256 bytes: 2,048 bits
+    data[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+    with pytest.raises(UserError, match="episodes.parquet: missing or damaged; run the study again"):
+        store.read_file(NAME, "episodes.parquet")
+
+
+def test_a_damaged_run_is_to_be_trained_again(store: Store) -> None:
+    """Design section 4: a damaged file is noticed and retrained."""
+    (store.run_folder(NAME) / "episodes.parquet").write_bytes(b"damaged")
+    assert not store.status(NAME).finished
+
+
+def test_a_run_that_lacks_a_file_is_to_be_trained_again(store: Store) -> None:
+    (store.run_folder(NAME) / "episodes.parquet").unlink()
+    with pytest.raises(UserError, match="missing or damaged"):
+        store.read_file(NAME, "episodes.parquet")
+    assert not store.status(NAME).finished
+
+
+def test_a_file_that_nothing_vouches_for_is_not_read(store: Store) -> None:
+    (store.run_folder(NAME) / "extra.parquet").write_bytes(b"")
+    with pytest.raises(UserError, match="missing or damaged"):
+        store.read_file(NAME, "extra.parquet")
+
+
+def test_a_run_saved_again_holds_only_its_new_files(store: Store) -> None:
+    store.save_run(NAME, Status("crashed"), {"run.json": b"{}", "error.txt": b"why"})
+    assert {path.name for path in store.run_folder(NAME).iterdir()} == {
+        "run.json",
+        "error.txt",
+        "status.json",
+    }
+    store.save_run(NAME, Status("done", 512), FILES)
+    assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
+
+
+def test_a_save_that_fails_half_way_leaves_the_run_planned(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "fsync", _fail)
+    with pytest.raises(OSError, match="no space left"):
+        store.save_run(NAME, Status("done", 1024), FILES)
+    assert store.status(NAME) == Status("planned", 0)
+
+
+# --- Studies -------------------------------------------------------------------------------------
+
+
+def test_the_latest_selection_of_a_study_comes_back(store: Store) -> None:
+    store.save_selection("one", {"study": "one", "runs": []})
+    store.save_selection("two", {"study": "two", "runs": []})
+    store.save_selection("one", {"study": "one", "runs": [{"run_id": NAME}]})
+    assert store.selection("one") == {"schema": 1, "study": "one", "runs": [{"run_id": NAME}]}
+    assert store.studies() == ["one", "two"]
+    path = store.root / "studies" / "one.json"
+    assert json.loads(path.read_bytes()) == store.selection("one")
+
+
+def test_a_study_that_was_not_run_has_no_selection(store: Store) -> None:
+    assert store.selection("activation") is None
+    assert Store(store.root / "nowhere").studies() == []
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": 2, "runs": []}'])
+def test_a_damaged_selection_reads_as_none(store: Store, text: str) -> None:
+    store.save_selection("one", {"study": "one", "runs": []})
+    (store.root / "studies" / "one.json").write_text(text)
+    assert store.selection("one") is None
+
+
+# --- The folder ----------------------------------------------------------------------------------
+
+
+def test_a_folder_is_made_and_left_empty(tmp_path: Path) -> None:
+    Store(tmp_path / "a" / "b").check_writable()
+    assert os.listdir(tmp_path / "a" / "b") == []
+
+
+@pytest.mark.parametrize("below", [".", "below"])
+def test_a_file_in_the_folders_place_is_told(below: str, tmp_path: Path) -> None:
+    (tmp_path / "results").write_text("")
+    with pytest.raises(UserError, match=r"^--results .*results.* cannot be written"):
+        Store(tmp_path / "results" / below).check_writable()

@@ -1,0 +1,137 @@
+"""A worker: takes a job, reports in lines of JSON, stores how every run ended, and dies with its parent."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import Run, as_settings, make_run
+from pneuma.engines.base import METRIC_COLUMNS, Engine, OnUpdate, Progress, Records, Result, Row
+from pneuma.engines.policy import Policy, read_policy
+from pneuma.study import worker
+from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.identity import run_id
+from pneuma.study.provenance import provenance
+from pneuma.study.store import Status, Store
+from pneuma.study.tables import from_parquet
+
+RUNS = [make_run({"seed": seed, "steps": 512}) for seed in (0, 1)]
+TABLES = {"episodes.parquet", "metrics.parquet", "evaluations.parquet"}
+
+
+class _Engine:
+    """Trains nothing: seed 0 ends well and seed 1 diverges, or the whole group breaks."""
+
+    def __init__(self, breaks: bool = False) -> None:
+        self._breaks = breaks
+
+    def train(self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> list[Result]:
+        for run in runs:
+            on_update(Progress(run, 256, Records()))
+        if self._breaks:
+            raise RuntimeError("the engine broke")
+        layer = (np.zeros((3, 2), np.float32), np.zeros(2, np.float32))
+        metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
+        return [
+            Result(runs[0], "done", 512, Records(), Policy("tanh", (layer,), (layer,))),
+            Result(runs[1], "diverged", 256, Records(metrics=metrics), None),
+        ]
+
+
+def _train(
+    engine: Engine, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> tuple[int, Store, list[dict[str, Any]]]:
+    monkeypatch.setattr(worker, "load_engine", lambda _: engine)
+    store, events = Store(folder), io.StringIO()
+    code = worker.train_group(RUNS, store, events)
+    return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
+
+
+def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, store, events = _train(_Engine(), tmp_path, monkeypatch)
+    done, diverged = (run_id(run) for run in RUNS)
+    assert code == 0
+    assert (store.status(done), store.status(diverged)) == (Status("done", 512), Status("diverged", 256))
+    assert [event for event in events if event["event"] == "end"] == [
+        {"event": "end", "run_id": done, "status": "done", "step": 512},
+        {"event": "end", "run_id": diverged, "status": "diverged", "step": 256},
+    ]
+    assert read_policy(store.read_file(done, "policy.safetensors")).activation == "tanh"
+
+
+def test_a_diverged_run_keeps_its_records_and_has_no_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, store, _ = _train(_Engine(), tmp_path, monkeypatch)
+    name = run_id(RUNS[1])
+    files = {path.name for path in store.run_folder(name).iterdir()}
+    assert files == {*TABLES, "run.json", "provenance.json", "status.json"}
+    (row,) = from_parquet(store.read_file(name, "metrics.parquet")).to_pylist()
+    assert (row["step"], row["policy_loss"]) == (256, 0.5)
+
+
+def test_an_engine_that_breaks_is_a_crash_of_every_run_with_its_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch)
+    assert code == 1
+    for run in RUNS:
+        assert store.status(run_id(run)).name == "crashed"
+        error = store.read_file(run_id(run), "error.txt").decode()
+        assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
+    assert [event["status"] for event in events if event["event"] == "end"] == ["crashed", "crashed"]
+
+
+def test_progress_is_reported_sparingly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two updates within a fraction of a second are one report."""
+    _, _, events = _train(_Engine(), tmp_path, monkeypatch)
+    steps = [event for event in events if event["event"] == "step"]
+    assert steps == [{"event": "step", "run_id": run_id(RUNS[0]), "step": 256}]
+
+
+def test_a_worker_leaves_within_two_seconds_when_its_parent_does(tmp_path: Path) -> None:
+    run = make_run(
+        {"steps": 10**9, "horizon": 64, "minibatch": 32, "episode_steps": 50, "evaluation_episodes": 1}
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pneuma.study.worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=one_thread_environment(),
+    )
+    try:
+        assert process.stdin is not None and process.stdout is not None
+        job = {"results": str(tmp_path), "runs": [as_settings(run)]}
+        process.stdin.write(json.dumps(job).encode() + b"\n")
+        process.stdin.flush()
+        event = json.loads(process.stdout.readline())  # it is training
+        assert (event["event"], event["run_id"]) == ("step", run_id(run))
+        closed = time.monotonic()
+        process.stdin.close()
+        assert process.wait(timeout=10) != 0
+        assert time.monotonic() - closed < 2
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+    assert Store(tmp_path).status(run_id(run)).name == "planned"
+
+
+def test_a_runs_start_is_told_in_universal_time() -> None:
+    noon_in_tokyo = datetime(2024, 5, 1, 12, 0, 0, tzinfo=timezone(timedelta(hours=9)))
+    about = provenance(noon_in_tokyo, 1.23456, threads=1)
+    assert about["started"] == "2024-05-01T03:00:00+00:00"  # Tokyo is nine hours ahead
+    assert datetime.fromisoformat(about["started"]).tzinfo == UTC
+    assert about["wall_seconds"] == 1.235

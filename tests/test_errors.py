@@ -1,0 +1,24 @@
+"""The error that people see, and the nearest right name in it."""
+
+import pytest
+
+from pneuma.errors import UserError, nearest_name, unknown_name
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [("activaton", "activation"), ("Activation", "activation"), ("activation-study", "activation")],
+)
+def test_a_near_name_is_suggested(written: str, meant: str) -> None:
+    assert nearest_name(written, ["search", "activation"]) == f" (did you mean {meant}?)"
+
+
+def test_nothing_is_suggested_when_no_name_is_near() -> None:
+    assert nearest_name("xyz", ["search", "activation"]) == ""
+    assert nearest_name("xyz", []) == ""
+
+
+def test_an_unknown_name_is_told_with_the_nearest_and_all_known_ones() -> None:
+    error = unknown_name("study", "serch", iter(["activation", "search"]))
+    assert isinstance(error, UserError)
+    assert str(error) == "unknown study 'serch' (did you mean search?); known are activation, search"
