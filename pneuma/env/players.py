@@ -41,6 +41,8 @@ class Hunter:
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
+        if not len(worlds.monster_stats):
+            return np.full(worlds.players.shape, rules.ATTACK)
         x, y = _offsets(worlds)
         alive = worlds.monsters["hp"][:, None, :] > 0
         nearest = np.where(alive, np.hypot(x, y), np.inf).argmin(axis=-1)[..., None]

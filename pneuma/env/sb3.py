@@ -39,12 +39,13 @@ class PneumaVecEnv(VecEnv):
         self._no_dones = np.zeros(self.num_envs, np.bool_)
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in every world; seeds given to `seed()` beforehand key its streams."""
+        """Begin an episode in every world, with the seeds and options set beforehand."""
         if self._seeds[0] is not None:
             self.state.seed([int(seed) for seed in self._seeds if seed is not None])
+        starts = [options.get("start", -1) for options in self._options]
         self._reset_seeds()
         self._reset_options()
-        self.state.reset()
+        self.state.reset(starts=np.array(starts, np.int64))
         self._returns[:] = 0.0
         return self.state.observations[:, 0].copy()
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from pneuma.config import EnvConfig, read_settings
-from pneuma.env import rules
+from pneuma.config import ACTION_NAMES, EnvConfig, read_settings
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -68,14 +68,15 @@ class PneumaEnv(gymnasium.Env[np.ndarray, np.int64]):
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
-        if not 0 <= action < rules.ATTACK + 1:
+        index = operator.index(action)
+        if not 0 <= index < len(ACTION_NAMES):
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         state = self.state
-        self._actions[0, 0] = action
-        observation_end = state.step(self._actions)
+        self._actions[0, 0] = index
+        ended = state.step(self._actions)
         reward = state.events["reward"].item()
         observation = state.observations[0, 0].copy()
-        if not observation_end:
+        if not ended:
             return observation, reward, False, False, {}
         truncated = state.ending(0) == "time-limit"
         return observation, reward, not truncated, truncated, ending_info(state, 0)

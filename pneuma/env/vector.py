@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Sequence
 from typing import Any
 
@@ -53,21 +54,41 @@ class PneumaVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed: int | Sequence[int] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in every world, or in those of `options["reset_mask"]`."""
-        super().reset(seed=seed if seed is None or isinstance(seed, int) else int(seed[0]))
-        self._key_streams(seed)
-        mask = (options or {}).get("reset_mask")
+        """Begin an episode in every world, or in those of `options["reset_mask"]`.
+
+        A seed, or one for each world, keys the random streams of the worlds that are reset.
+        """
+        seeds = self._seeds(seed)
+        super().reset(seed=None if seeds is None else seeds[0])
+        mask = self._reset_mask(options)
+        if seeds is None and not self._keyed:
+            seeds = self._seeds(int(self.np_random.integers(2**62)))
+        if seeds is not None:
+            self.state.seed(seeds, mask)
+            self._keyed = True
         self.state.reset(mask, chosen_starts(self.state, options))
-        self._over[:] = False if mask is None else self._over & ~mask
+        self._over &= ~mask
         return self.state.observations[:, 0].copy(), {}
 
-    def _key_streams(self, seed: int | Sequence[int] | None) -> None:
-        if seed is None and self._keyed:
-            return
+    def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
+        """Return a seed for each world."""
         if seed is None:
-            seed = int(self.np_random.integers(2**62))
-        self.state.seed([seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed)
-        self._keyed = True
+            return None
+        if isinstance(seed, numbers.Integral):
+            return [int(seed) + i for i in range(self.num_envs)]
+        seeds = [int(own) for own in seed]  # type: ignore[union-attr]
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} worlds")
+        return seeds
+
+    def _reset_mask(self, options: dict[str, Any] | None) -> np.ndarray:
+        """Return which worlds to reset, (N,)."""
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)):
+            raise TypeError(f"reset_mask must be an array of {self.num_envs} booleans, not {mask!r}")
+        return mask
 
     def step(
         self, actions: np.ndarray

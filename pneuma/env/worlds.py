@@ -16,6 +16,7 @@ from pneuma.config import ACTION_NAMES, EnvConfig
 from pneuma.env import characters, rules, state
 from pneuma.env.level import load_level, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
+from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
@@ -33,6 +34,8 @@ class Worlds:
     """
 
     def __init__(self, count: int, config: EnvConfig | None = None, players: int = 1) -> None:
+        if not 1 <= players <= state.MAX_PLAYERS:
+            raise UserError(f"players = {players} is not allowed: 1 to {state.MAX_PLAYERS} to a world")
         config = config or EnvConfig()
         self.config = config
         self.level = load_level(config.level, characters.monster_codes())
@@ -78,10 +81,14 @@ class Worlds:
         fill_scales(row, self.level, self.monster_stats)
         return settings
 
-    def seed(self, seeds: Sequence[int]) -> None:
-        """Key each world's random stream by its own seed; equal seeds make equal worlds."""
-        self.worlds["key"] = [world_key(seed) for seed in seeds]
-        self.worlds["draws"] = 0
+    def seed(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
+        """Key the random stream of every world, or of those of `mask`, by its own seed.
+
+        Equal seeds make equal worlds.
+        """
+        for world in np.flatnonzero(self._every if mask is None else mask):
+            self.worlds["key"][world] = world_key(seeds[world])
+            self.worlds["draws"][world] = 0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Begin an episode in all worlds, or in those of `mask`, and observe all.

@@ -1,0 +1,134 @@
+"""Bare levels and worlds set by hand, so that every expected value is a short sum.
+
+The arena is 20 x 20 tiles of 64 px around the origin: the grid spans -640 … 640 on both axes. Its
+outermost ring is coast, so the land spans -576 … 576. One tile, column 14 and row 10, is an
+obstacle: x from 256 to 320, y from 0 to 64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pneuma.config import EnvConfig
+from pneuma.env import rules
+from pneuma.env.worlds import Worlds
+
+LAND = 576.0
+OBSTACLE_LEFT, OBSTACLE_TOP, OBSTACLE_RIGHT, OBSTACLE_BOTTOM = 256.0, 0.0, 320.0, 64.0
+TILES = 20
+HEADER = 'title = "Arena"\ntile = 64\norigin = [10, 10]\ncoast = [0]\n'
+START, BAMBOO = 400, 390
+
+DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
+STAND = ATTACK  # whoever swings stands still
+
+STATE_ARRAYS = ("worlds", "players", "monsters")
+
+Place = tuple[float, float]
+
+
+def write_level(
+    folder: Path,
+    starts: Sequence[Place],
+    monsters: Sequence[Place],
+    obstacles: Sequence[tuple[int, int]] = (),
+) -> str:
+    """Write a level of 20 x 20 tiles; `obstacles` are columns and rows. Return its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    ground = np.zeros((TILES, TILES), np.int64)
+    ground[1:-1, 1:-1] = 2
+    blocks = np.full((TILES, TILES), -1, np.int64)
+    for column, row in obstacles:
+        blocks[row, column] = 395
+    objects = [(START, *place) for place in starts] + [(BAMBOO, *place) for place in monsters]
+    (folder / "level.toml").write_text(HEADER)
+    (folder / "ground.csv").write_text(layer(ground))
+    (folder / "obstacles.csv").write_text(layer(blocks))
+    (folder / "objects.csv").write_text(
+        "code,x,y\n" + "".join(f"{code},{x:g},{y:g}\n" for code, x, y in objects)
+    )
+    return str(folder)
+
+
+def layer(tiles: np.ndarray) -> str:
+    """Return a layer as the text of a CSV file."""
+    return "".join(",".join(str(code) for code in row) + "\n" for row in tiles)
+
+
+def stage(
+    level: str,
+    *monsters: Place,
+    players: Sequence[Place] = ((0.0, 0.0),),
+    facing: int = RIGHT,
+    ticks: int = 8,
+    still: bool = False,
+    settings: EnvConfig | None = None,
+) -> Worlds:
+    """Set up one world by hand: players and the first monsters at these places, other monsters at home.
+
+    Args:
+        level: the folder of a level whose other monsters live too far off to matter.
+        monsters: x and y of the first of them.
+        players: x and y of each player.
+        facing: of every player.
+        ticks: how many a step takes, instead of 8.
+        still: whether monsters stay where they are unless knocked back.
+        settings: other settings; its level is replaced.
+    """
+    config = EnvConfig(**{**vars(settings or EnvConfig()), "level": level})
+    worlds = Worlds(1, config, players=len(players))
+    worlds.seed([0])
+    worlds.reset()
+    worlds.settings["ticks"] = ticks
+    worlds.players["x"][0], worlds.players["y"][0] = np.array(players).T
+    worlds.players["facing"] = facing
+    for index, place in enumerate(monsters):
+        move_monster(worlds, index, *place)
+    if still:
+        worlds.monster_stats["speed"] = 0.0
+    return worlds
+
+
+def move_monster(worlds: Worlds, index: int, x: float, y: float) -> None:
+    """Put a monster of the first world somewhere."""
+    worlds.monsters["x"][0, index], worlds.monsters["y"][0, index] = x, y
+
+
+def play(worlds: Worlds, *actions: int) -> None:
+    """Step every player of every world through the same actions."""
+    for action in actions:
+        worlds.step(np.full(worlds.players.shape, action, np.int64))
+
+
+def player_at(worlds: Worlds, player: int = 0) -> Place:
+    """Return where a player of the first world is."""
+    return float(worlds.players["x"][0, player]), float(worlds.players["y"][0, player])
+
+
+def monster_at(worlds: Worlds, monster: int = 0) -> Place:
+    """Return where a monster of the first world is."""
+    return float(worlds.monsters["x"][0, monster]), float(worlds.monsters["y"][0, monster])
+
+
+def player_hp(worlds: Worlds, player: int = 0) -> float:
+    """Return a player's HP in the first world."""
+    return float(worlds.players["hp"][0, player])
+
+
+def monster_hp(worlds: Worlds, monster: int = 0) -> float:
+    """Return a monster's HP in the first world."""
+    return float(worlds.monsters["hp"][0, monster])
+
+
+def bits(*arrays: np.ndarray) -> list[bytes]:
+    """Return every bit of some arrays, field by field: what lies between fields is nobody's."""
+    fields = [array[name] for array in arrays for name in array.dtype.names or (...,)]
+    return [np.ascontiguousarray(field).tobytes() for field in fields]
+
+
+def state_bits(worlds: Worlds) -> list[bytes]:
+    """Return every bit of the worlds' state and of what they last told."""
+    return bits(*(getattr(worlds, name) for name in (*STATE_ARRAYS, "events", "observations")))

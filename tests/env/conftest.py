@@ -1,0 +1,30 @@
+"""Levels that the tests of the environment share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .arena import write_level
+
+
+@pytest.fixture(scope="session")
+def arena(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return a field with one obstacle, a start at its centre and a monster in every corner."""
+    corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
+    return write_level(_folder(tmp_path_factory, "arena"), [(0.0, 0.0)], corners, [(14, 10)])
+
+
+@pytest.fixture(scope="session")
+def pit(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return a level in which five monsters bite at once at one of two starts: episodes are short.
+
+    A player who stays loses 35 HP in ticks 1 and 61 and the rest in tick 121, in the 16th step.
+    """
+    around = [(30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (30.0, 30.0)]
+    return write_level(_folder(tmp_path_factory, "pit"), [(0.0, 0.0), (450.0, -450.0)], around)
+
+
+def _folder(factory: pytest.TempPathFactory, name: str) -> Path:
+    return factory.mktemp(name)

@@ -1,0 +1,268 @@
+"""Levels: the shipped one, and what is said of one that cannot be read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.env import rules
+from pneuma.env.level import Level, load_level, room_for_bodies
+from pneuma.errors import UserError
+
+from .arena import HEADER, layer, write_level
+
+CODES = {390: "bamboo"}
+
+# Places by facts.md, section 1.
+STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
+MONSTERS = [
+    (-538, -531), (-724, -311), (-566, 124), (-1211, 187), (-1233, -351), (-922, -786), (-741, 577),
+    (-164, 554), (758, 192), (763, -713), (-158, -96), (967, -238), (294, -594), (560, -141),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def thesis() -> Level:
+    return load_level("thesis", CODES)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a good level: one start and one monster in an open field."""
+    return Path(write_level(tmp_path / "level", [(0.0, 0.0)], [(200.0, 200.0)]))
+
+
+def complaint(folder: Path) -> str:
+    """Return what is said of a level that cannot be read."""
+    with pytest.raises(UserError) as caught:
+        load_level(str(folder), CODES)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def open_to_the_edge(folder: Path) -> Level:
+    """Return the level with land up to the edge of the grid."""
+    (folder / "ground.csv").write_text(layer(np.ones((20, 20), np.int64)))
+    return load_level(str(folder), CODES)
+
+
+def replace_line(path: Path, number: int, line: str) -> None:
+    lines = path.read_text().splitlines()
+    lines[number - 1] = line
+    path.write_text("\n".join(lines) + "\n")
+
+
+# --- The shipped level ---------------------------------------------------------------------------
+
+
+def test_the_shipped_level_has_the_published_places(thesis: Level) -> None:
+    assert thesis.starts.tolist() == [list(place) for place in STARTS]
+    assert list(thesis.monsters) == [("bamboo", *place) for place in MONSTERS]
+
+
+def test_the_shipped_level_has_about_2900_by_2400_px_of_land(thesis: Level) -> None:
+    left, top, right, bottom = thesis.land
+    assert right - left == pytest.approx(2900, abs=64)  # one tile more or less
+    assert bottom - top == pytest.approx(2400, abs=64)
+
+
+def test_the_shipped_land_is_ringed_by_coast(thesis: Level) -> None:
+    edge = np.concatenate([thesis.terrain[[0, -1]].ravel(), thesis.terrain[:, [0, -1]].ravel()])
+    assert (edge == rules.COAST).all()
+
+
+def test_everybody_in_the_shipped_level_stands_clear_of_tiles(thesis: Level) -> None:
+    bodies = [(x, y, 23.5, 24.0) for x, y in thesis.starts] + [
+        (x, y, 12.0, 25.0) for _, x, y in thesis.monsters
+    ]
+    for x, y, half_width, half_height in bodies:
+        columns = np.arange(57) * 64.0 + thesis.left
+        rows = np.arange(50) * 64.0 + thesis.top
+        across = (columns < x + half_width) & (columns + 64 > x - half_width)
+        down = (rows < y + half_height) & (rows + 64 > y - half_height)
+        assert (thesis.terrain[np.ix_(down, across)] == rules.OPEN).all(), (x, y)
+
+
+def test_coordinates_begin_at_the_corner_of_the_origins_tile(folder: Path) -> None:
+    level = load_level(str(folder), CODES)
+    assert (level.left, level.top) == (-640.0, -640.0)  # tile (10, 10) of 64 px at the origin
+    assert level.land == (-576.0, -576.0, 576.0, 576.0)  # less a ring of one tile
+    assert level.monsters == (("bamboo", 200.0, 200.0),)
+
+
+def test_what_blocks_is_coast_and_code_395(folder: Path) -> None:
+    tiles = np.full((20, 20), -1)
+    tiles[3, 4], tiles[0, 0] = 395, 395
+    (folder / "obstacles.csv").write_text(layer(tiles))
+    terrain = load_level(str(folder), CODES).terrain
+    assert (terrain[3, 4], terrain[3, 5], terrain[0, 0]) == (rules.SOLID, rules.OPEN, rules.COAST)
+
+
+# --- What is said of a bad level -----------------------------------------------------------------
+
+
+def test_an_unknown_level_is_answered_with_the_nearest_name() -> None:
+    with pytest.raises(UserError, match=re.escape("unknown level 'thesiss' (did you mean thesis?)")):
+        load_level("thesiss", CODES)
+
+
+def test_a_folder_without_a_level_is_an_unknown_level(tmp_path: Path) -> None:
+    message = complaint(tmp_path)
+    assert message.startswith(f"unknown level '{tmp_path}'") and "thesis" in message
+
+
+@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv", "objects.csv"])
+def test_a_missing_layer_is_named(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    assert complaint(folder) == f"{folder / name}: no such layer"
+
+
+@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv"])
+def test_an_empty_layer_is_named(folder: Path, name: str) -> None:
+    (folder / name).write_text("")
+    assert str(folder / name) in complaint(folder)
+
+
+@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv"])
+def test_a_row_of_another_length_is_named(folder: Path, name: str) -> None:
+    replace_line(folder / name, 7, "1,1,1")
+    assert complaint(folder) == f"{folder / name}, row 7: 3 tiles, where row 1 has 20"
+
+
+@pytest.mark.parametrize("cell", ["x", "", "1.5"])
+def test_a_tile_that_is_no_number_is_named_by_row_and_column(folder: Path, cell: str) -> None:
+    replace_line(folder / "ground.csv", 4, ",".join(["1", "1", cell, *["1"] * 17]))
+    assert complaint(folder) == f"{folder / 'ground.csv'}, row 4, column 3: {cell!r} is not a tile code"
+
+
+def test_layers_of_unequal_shapes_are_refused(folder: Path) -> None:
+    (folder / "obstacles.csv").write_text(layer(np.full((19, 20), -1)))
+    message = complaint(folder)
+    assert message.startswith(f"{folder / 'obstacles.csv'}: ")
+    assert "19 x 20" in message and "20 x 20" in message
+
+
+def test_an_unknown_code_is_named_with_the_known_ones(folder: Path) -> None:
+    replace_line(folder / "objects.csv", 3, "399,10,10")
+    assert complaint(folder) == f"{folder / 'objects.csv'}, row 3: unknown code 399; known are 400, 390"
+
+
+@pytest.mark.parametrize("line", ["390,10", "390,ten,10", "bamboo,10,10", "390", "390,nan,10"])
+def test_a_line_of_objects_that_cannot_be_read_is_named(folder: Path, line: str) -> None:
+    replace_line(folder / "objects.csv", 3, line)
+    assert complaint(folder) == f"{folder / 'objects.csv'}, row 3: expected code,x,y"
+
+
+def test_rows_of_objects_are_counted_as_an_editor_counts_them(folder: Path) -> None:
+    (folder / "objects.csv").write_text("code,x,y\n400,0,0\n\n399,10,10\n")
+    assert f"{folder / 'objects.csv'}, row 4: " in complaint(folder)
+
+
+def test_objects_without_a_heading_are_refused(folder: Path) -> None:
+    (folder / "objects.csv").write_text("400,0,0\n390,200,200\n")
+    assert complaint(folder).startswith(f"{folder / 'objects.csv'}, row 2: expected code,x,y")
+
+
+def test_a_level_without_a_start_is_refused(folder: Path) -> None:
+    (folder / "objects.csv").write_text("code,x,y\n390,10,10\n")
+    assert complaint(folder) == f"{folder / 'objects.csv'}: no start place (code 400)"
+
+
+def test_a_walled_in_monster_is_named(tmp_path: Path) -> None:
+    # The monster is in tile (13, 13); its four neighbours are obstacles, the diagonals are open.
+    walls = [(12, 13), (14, 13), (13, 12), (13, 14)]
+    folder = Path(write_level(tmp_path / "level", [(0.0, 0.0)], [(220.0, 220.0)], walls))
+    said = "the bamboo at 220,220 is walled in or off the land"
+    assert complaint(folder) == f"{folder / 'objects.csv'}: {said}"
+
+
+@pytest.mark.parametrize(
+    "place",
+    [(600.0, 0.0), (10_000.0, 0.0), (-10_000.0, -10_000.0)],
+    ids=["on the coast", "right of the grid", "above it"],
+)
+def test_nobody_may_stand_off_the_land(tmp_path: Path, place: tuple[float, float]) -> None:
+    for starts, monsters in (([(0.0, 0.0)], [place]), ([place], [(0.0, 0.0)]), ([(0.0, 0.0), place], [])):
+        folder = Path(write_level(tmp_path / "level", starts, monsters))
+        assert "walled in or off the land" in complaint(folder)
+
+
+def test_nobody_may_stand_off_a_grid_without_a_coast(folder: Path) -> None:
+    open_to_the_edge(folder)  # which is wall enough
+    replace_line(folder / "objects.csv", 3, "390,10000,10000")
+    assert "walled in or off the land" in complaint(folder)
+
+
+def test_a_header_that_is_not_toml_is_named(folder: Path) -> None:
+    (folder / "level.toml").write_text("title = \n")
+    message = complaint(folder)
+    assert message.startswith(f"{folder / 'level.toml'}: not TOML: ")
+    assert "line 1" in message
+
+
+@pytest.mark.parametrize(
+    ("key", "land"),
+    [
+        ("title", (-576.0, -576.0, 576.0, 576.0)),
+        ("tile", (-576.0, -576.0, 576.0, 576.0)),  # 64 px
+        ("origin", (-576.0, -576.0, 576.0, 576.0)),  # the middle of 20 x 20 tiles is the corner (10, 10)
+        ("coast", (-640.0, -640.0, 640.0, 640.0)),  # none: land up to the edge of the grid
+    ],
+)
+def test_a_key_that_the_header_leaves_out_has_its_default(
+    folder: Path, key: str, land: tuple[float, ...]
+) -> None:
+    kept = [line for line in HEADER.splitlines() if not line.startswith(key)]
+    (folder / "level.toml").write_text("\n".join(kept))
+    level = load_level(str(folder), CODES)
+    assert level.land == land
+    assert level.title == ("level" if key == "title" else "Arena")  # the folder's name
+
+
+def test_an_unknown_key_of_the_header_is_named_with_its_line(folder: Path) -> None:
+    (folder / "level.toml").write_text(HEADER.replace("coast", "coasts"))
+    message = complaint(folder)
+    assert message.startswith(f"{folder / 'level.toml'}, line 4: ") and "did you mean coast?" in message
+
+
+@pytest.mark.parametrize("line", ['tile = "wide"', "tile = 0", "origin = 10", 'coast = ["water"]'])
+def test_a_value_of_the_header_that_cannot_be_is_named(folder: Path, line: str) -> None:
+    key = line.split()[0]
+    kept = [line if old.startswith(key) else old for old in HEADER.splitlines()]
+    (folder / "level.toml").write_text("\n".join(kept))
+    message = complaint(folder)
+    assert str(folder / "level.toml") in message and key in message
+
+
+# --- Room for bodies -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("margin", [0.5, 29.0, 40.0, 70.0, 100.0])
+@pytest.mark.parametrize("coast", [True, False])
+def test_there_is_room_where_no_closed_tile_comes_nearer_than_the_margin(
+    thesis: Level, folder: Path, coast: bool, margin: float
+) -> None:
+    """Compare with every tile against every half tile, and the tiles beyond the grid closed."""
+    level = thesis if coast else open_to_the_edge(folder)
+    rows, columns = level.terrain.shape
+    closed = np.pad(level.terrain != rules.OPEN, 3, constant_values=True)
+    closed_row, closed_column = np.nonzero(closed)
+    top, left = (closed_row - 3) * 64.0, (closed_column - 3) * 64.0
+    cell_top, cell_left = np.arange(2 * rows) * 32.0, np.arange(2 * columns) * 32.0
+    near_y = (top < cell_top[:, None] + 32 + margin) & (top + 64 > cell_top[:, None] - margin)
+    near_x = (left < cell_left[:, None] + 32 + margin) & (left + 64 > cell_left[:, None] - margin)
+    meets = near_y.astype(np.int32) @ near_x.T.astype(np.int32)  # (2 rows, 2 columns)
+    assert np.array_equal(room_for_bodies(level, margin), (meets == 0).astype(np.uint8))
+    assert (meets == 0).any() and (meets > 0).any()
+
+
+def test_a_margin_that_ends_on_an_edge_errs_towards_no_room(folder: Path) -> None:
+    # 32 px from a cell's edge lies the next tile's edge: touching it may count as meeting, and a body
+    # that goes by such a cell is only looked at more closely. What matters is the other direction.
+    level = load_level(str(folder), CODES)
+    assert (room_for_bodies(level, 32.0) <= room_for_bodies(level, 31.5)).all()
+    assert (room_for_bodies(level, 32.0) >= room_for_bodies(level, 32.5)).all()

@@ -1,0 +1,161 @@
+"""Observations: what stands where, in which order, and within which bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.env.observation import feature_names
+from pneuma.env.players import Hunter, RandomPlayer
+from pneuma.env.worlds import Worlds
+
+from .arena import ATTACK, STAND, Place, move_monster, play, player_at, stage
+
+
+def seen(worlds: Worlds) -> np.ndarray:
+    """Return the observation of the first world's only player."""
+    return np.asarray(worlds.observations[0, 0])
+
+
+def seen_monsters(worlds: Worlds) -> np.ndarray:
+    """Return the monsters' part, one row of four each."""
+    return seen(worlds)[4:].reshape(-1, 4)
+
+
+def look(arena: str, *monsters: Place, players: tuple[Place, ...] = ((0.0, 0.0),)) -> Worlds:
+    """Set up a world in which nothing moves and observe it."""
+    worlds = stage(arena, *monsters, players=players, still=True)
+    play(worlds, STAND)
+    return worlds
+
+
+# --- Values --------------------------------------------------------------------------------------
+
+
+def test_a_position_is_measured_from_the_middle_of_the_land() -> None:
+    # The shipped land spans x from -1536 to 1408 and y from -1088 to 1344: its middle is (-64, 128),
+    # its halves 1472 and 1216. Start 0 is at (204, -105).
+    worlds = Worlds(1)
+    worlds.reset(starts=np.array([0]))
+    assert seen(worlds)[:4] == pytest.approx([268 / 1472, -233 / 1216, 1.0, 0.0])
+
+
+def test_the_edges_of_the_land_are_at_plus_and_minus_one(arena: str) -> None:
+    worlds = look(arena, players=((-552.5, 552.0),))  # flush with the left and the lower coast
+    assert seen(worlds)[:2] == pytest.approx([-552.5 / 576, 552 / 576])
+
+
+def test_hp_and_xp_are_shares(arena: str) -> None:
+    worlds = stage(arena)
+    worlds.players["hp"], worlds.players["xp"] = 43, 3
+    play(worlds, STAND)
+    assert seen(worlds)[2:4] == pytest.approx([0.43, 3 / 4])  # of 100 HP, and of four monsters' XP
+
+
+def test_a_monster_is_seen_by_distance_direction_and_hp(arena: str) -> None:
+    worlds = look(arena, (180.0, -240.0))
+    # (180, -240) is 300 = one notice radius away, along (0.6, -0.8).
+    assert seen_monsters(worlds)[0] == pytest.approx([1.0, 0.6, -0.8, 1.0])
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, STAND)
+    assert seen_monsters(worlds)[0, 3] == 0.5
+
+
+def test_a_monster_at_the_players_own_place_has_no_direction(arena: str) -> None:
+    assert seen_monsters(look(arena, (0.0, 0.0)))[0].tolist() == [0, 0, 0, 1]
+
+
+def test_the_shipped_start_0_sees_what_the_map_says() -> None:
+    worlds = Worlds(1)
+    worlds.reset(starts=np.array([0]))
+    # From (204, -105) the nearest is (560, -141): (356, -36), 357.82 px; then (-158, -96): (-362, 9),
+    # 362.11 px; then (294, -594): (90, -489), 497.21 px.
+    expected = [
+        [357.815 / 300, 356 / 357.815, -36 / 357.815, 1.0],
+        [362.112 / 300, -362 / 362.112, 9 / 362.112, 1.0],
+        [497.213 / 300, 90 / 497.213, -489 / 497.213, 1.0],
+    ]
+    assert seen_monsters(worlds)[:3] == pytest.approx(np.array(expected), abs=1e-5)
+
+
+# --- Order ---------------------------------------------------------------------------------------
+
+
+def test_the_nearest_comes_first(arena: str) -> None:
+    worlds = look(arena, (-400.0, 0.0), (0.0, 200.0), (-100.0, 0.0), (0.0, -300.0))
+    assert (seen_monsters(worlds)[:, 0] * 300).tolist() == pytest.approx([100, 200, 300, 400])
+    assert seen_monsters(worlds)[:, 1].tolist() == [-1, 0, 0, -1]  # each with its own direction
+    assert seen_monsters(worlds)[:, 2].tolist() == [0, 1, -1, 0]
+
+
+def test_equally_far_monsters_keep_their_order(arena: str) -> None:
+    worlds = look(arena, (0.0, 200.0), (200.0, 0.0), (0.0, -200.0), (-200.0, 0.0))
+    assert seen_monsters(worlds)[:, 1:3].tolist() == [[0, 1], [1, 0], [0, -1], [-1, 0]]
+
+
+def test_the_order_follows_who_is_nearest_now(arena: str) -> None:
+    worlds = look(arena, (-200.0, 0.0), (0.0, 300.0))
+    move_monster(worlds, 0, -400.0, 0.0)
+    play(worlds, STAND)
+    assert seen_monsters(worlds)[:2, 1:3].tolist() == [[0, 1], [-1, 0]]
+
+
+def test_the_dead_come_last_as_zeros(arena: str) -> None:
+    worlds = stage(arena, (54.0, 0.0), (-200.0, 0.0), still=True)
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, ATTACK)
+    assert worlds.players["kills"][0, 0] == 1
+    rows = seen_monsters(worlds)
+    assert rows[0] == pytest.approx([200 / 300, -1, 0, 1])
+    assert (rows[:3, 3] == 1).all()
+    assert rows[3].tolist() == [0, 0, 0, 0]
+
+
+def test_each_player_sees_from_its_own_place(arena: str) -> None:
+    worlds = look(arena, (0.0, 300.0), players=((-400.0, 0.0), (0.0, 0.0)))
+    first, second = worlds.observations[0]
+    assert first[4:8] == pytest.approx([500 / 300, 400 / 500, 300 / 500, 1])  # 3-4-5
+    assert second[4:8] == pytest.approx([1, 0, 1, 1])
+    assert player_at(worlds, 1) == (0, 0)
+
+
+# --- Names and bounds ----------------------------------------------------------------------------
+
+
+def test_every_number_has_a_name() -> None:
+    names = feature_names(14)
+    assert len(names) == len(set(names)) == Worlds(1).space.shape[0] == 4 + 14 * 4
+    assert names[:5] == ["x", "y", "hp", "xp", "monster_0_distance"]
+    assert names[-1] == "monster_13_hp"
+
+
+def test_the_space_is_float32_and_finite() -> None:
+    space = Worlds(1).space
+    assert space.dtype == np.float32
+    assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
+    # No two places on the land are further apart than its diagonal: hypot(2944, 2432) / 300 = 12.73.
+    assert space.high[4] == pytest.approx(12.7287, abs=1e-3)
+
+
+@pytest.mark.parametrize("player", ["random", "hunter"])
+def test_no_observation_ever_leaves_the_space(player: str) -> None:
+    worlds = Worlds(12)
+    worlds.seed(range(12))
+    worlds.reset(starts=np.arange(12) % 6)
+    players: dict[str, RandomPlayer | Hunter] = {
+        "random": RandomPlayer(np.random.default_rng(1)),
+        "hunter": Hunter(worlds),
+    }
+    low, high = worlds.space.low, worlds.space.high
+    while (worlds.worlds["ending"] == 0).any():
+        assert (worlds.observations >= low).all() and (worlds.observations <= high).all()
+        worlds.step(players[player].act(worlds))
+    assert (worlds.observations >= low).all() and (worlds.observations <= high).all()
+    assert worlds.space.contains(worlds.observations[0, 0])
+
+
+def test_the_corners_of_the_land_are_inside_the_space(arena: str) -> None:
+    for x in (-552.5, 552.5):
+        for y in (-552.0, 552.0):
+            worlds = look(arena, (-x, -y), players=((x, y),))
+            assert worlds.space.contains(seen(worlds))

@@ -1,0 +1,113 @@
+"""The two players that anchor every scale: the random one and the hunter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.env.players import Hunter, RandomPlayer
+from pneuma.env.worlds import Worlds
+
+from .arena import ATTACK, DOWN, LEFT, RIGHT, UP, Place, monster_hp, stage
+
+
+def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
+    """Play every world to its end."""
+    while (worlds.worlds["ending"] == 0).any():
+        worlds.step(player.act(worlds))
+
+
+# --- The random player ---------------------------------------------------------------------------
+
+
+def test_the_random_player_chooses_every_action_equally_often() -> None:
+    worlds = Worlds(5000)
+    counts = np.bincount(RandomPlayer(np.random.default_rng(0)).act(worlds)[:, 0], minlength=5)
+    # 1000 of each expected; chi-square with 4 degrees of freedom is above 18.5 once in a thousand.
+    assert ((counts - 1000) ** 2 / 1000).sum() < 18.5
+
+
+def test_the_random_player_is_as_random_as_its_generator() -> None:
+    worlds = Worlds(4, players=2)
+    one, same, other = (RandomPlayer(np.random.default_rng(seed)) for seed in (3, 3, 4))
+    actions = one.act(worlds)
+    assert actions.shape == (4, 2)
+    assert np.array_equal(actions, same.act(worlds))
+    assert not np.array_equal(actions, other.act(worlds))
+
+
+def test_the_random_player_kills_fewer_than_two_on_average() -> None:
+    worlds = Worlds(120)
+    worlds.seed(range(120))
+    worlds.reset(starts=np.arange(120) % 6)
+    play_out(worlds, RandomPlayer(np.random.default_rng(0)))
+    assert worlds.players["kills"].mean() < 2
+
+
+# --- The hunter ----------------------------------------------------------------------------------
+
+
+def test_the_hunter_kills_all_14_monsters_from_every_start_and_survives() -> None:
+    worlds = Worlds(6)
+    worlds.seed(range(6))
+    worlds.reset(starts=np.arange(6))
+    play_out(worlds, Hunter(worlds))
+    assert worlds.players["kills"][:, 0].tolist() == [14] * 6
+    assert (worlds.players["hp"] > 0).all()
+    assert [worlds.ending(i) for i in range(6)] == ["time-limit"] * 6
+
+
+@pytest.mark.parametrize(
+    ("place", "way"),
+    [
+        ((250.0, 20.0), RIGHT),
+        ((-250.0, 20.0), LEFT),
+        ((20.0, 250.0), DOWN),
+        ((20.0, -250.0), UP),
+    ],
+)
+def test_the_hunter_walks_towards_the_nearest_monster(arena: str, place: Place, way: int) -> None:
+    worlds = stage(arena, place, facing=(way + 1) % 4)
+    assert Hunter(worlds).act(worlds).tolist() == [[way]]
+
+
+def test_the_hunter_strikes_what_its_sword_would_meet(arena: str) -> None:
+    worlds = stage(arena, (54.0, 0.0), facing=RIGHT)
+    assert Hunter(worlds).act(worlds).tolist() == [[ATTACK]]
+    worlds.monsters["hp"][0, 0] = 0  # but not the dead
+    assert Hunter(worlds).act(worlds).tolist() != [[ATTACK]]
+
+
+def test_the_hunter_gets_round_an_obstacle(arena: str) -> None:
+    # The obstacle, x 256 … 320 and y 0 … 64, lies straight between the two; the monster stays.
+    worlds = stage(arena, (450.0, 32.0), players=[(150.0, 32.0)], still=True)
+    hunter = Hunter(worlds)
+    for _ in range(60):
+        worlds.step(hunter.act(worlds))
+    assert monster_hp(worlds, 0) == 0
+
+
+def test_every_world_is_hunted_as_if_it_were_alone() -> None:
+    company = Worlds(6)
+    company.seed(range(6))
+    company.reset(starts=np.arange(6))
+    hunter = Hunter(company)
+    for _ in range(300):
+        company.step(hunter.act(company))
+    for start in range(6):
+        alone = Worlds(1)
+        alone.seed([start])
+        alone.reset(starts=np.array([start]))
+        hunter = Hunter(alone)
+        for _ in range(300):
+            alone.step(hunter.act(alone))
+        assert np.array_equal(alone.players["x"][0], company.players["x"][start])
+        assert np.array_equal(alone.players["kills"][0], company.players["kills"][start])
+
+
+def test_two_hunters_clear_the_level_together() -> None:
+    worlds = Worlds(6, players=2)
+    worlds.seed(range(6))
+    worlds.reset(starts=np.arange(6))
+    play_out(worlds, Hunter(worlds))
+    assert worlds.players["kills"].sum(axis=1).tolist() == [14] * 6

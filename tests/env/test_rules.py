@@ -1,0 +1,263 @@
+"""The rules: random numbers, and moving among tiles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.env import rules, state
+from pneuma.env.worlds import Worlds
+
+from .arena import (
+    ATTACK,
+    DOWN,
+    LAND,
+    LEFT,
+    OBSTACLE_BOTTOM,
+    OBSTACLE_LEFT,
+    OBSTACLE_RIGHT,
+    OBSTACLE_TOP,
+    RIGHT,
+    STAND,
+    UP,
+    Place,
+    monster_at,
+    play,
+    player_at,
+    stage,
+)
+
+HALF_WIDTH, HALF_HEIGHT = 23.5, 24.0  # of a player's body of 47 x 48 px
+DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
+
+# --- Random numbers ------------------------------------------------------------------------------
+
+
+def splitmix64(key: int, count: int) -> list[int]:
+    """Return the first numbers of splitmix64 from `key`, in whole numbers of any size."""
+    numbers, bits = [], 2**64 - 1
+    for _ in range(count):
+        key = (key + 0x9E3779B97F4A7C15) & bits
+        z = ((key ^ (key >> 30)) * 0xBF58476D1CE4E5B9) & bits
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & bits
+        numbers.append(z ^ (z >> 31))
+    return numbers
+
+
+def draw(key: int, count: int) -> list[int]:
+    """Return the first numbers of a world's stream as the rules draw them."""
+    world = np.zeros(1, state.WORLD)
+    world["key"] = key
+    return [int(rules._draw(world[0])) for _ in range(count)]
+
+
+PUBLISHED = [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]
+
+
+def test_the_stream_of_key_0_is_the_published_one() -> None:
+    assert splitmix64(0, 3) == PUBLISHED
+    assert draw(0, 3) == PUBLISHED
+
+
+@pytest.mark.parametrize("key", [1, 1234567, 2**32, 2**63, 2**64 - 1])
+def test_the_stream_of_any_key_is_splitmix64(key: int) -> None:
+    assert draw(key, 100) == splitmix64(key, 100)
+
+
+def test_start_places_are_read_off_the_upper_half_of_each_number() -> None:
+    worlds = Worlds(1)
+    worlds.worlds["key"] = 0
+    drawn = []
+    for _ in range(3):
+        worlds.reset()
+        drawn.append(int(worlds.worlds["start"][0]))
+    # 0xE220A839 / 2**32 = 0.883, 0x6E789E6A / 2**32 = 0.432, 0x06C45D18 / 2**32 = 0.026; times 6
+    assert drawn == [5, 2, 0]
+
+
+# --- Walking -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("way", DIRECTIONS)
+def test_a_step_walks_40_px_the_way_it_says_and_turns_there(arena: str, way: int) -> None:
+    worlds = stage(arena, facing=(way + 1) % 4)
+    play(worlds, way)
+    dx, dy = DIRECTIONS[way]
+    assert player_at(worlds) == (40.0 * dx, 40.0 * dy)  # 300 px/s: 5 px a tick, 8 ticks
+    assert worlds.players["facing"][0, 0] == way
+
+
+def test_a_tick_walks_5_px(arena: str) -> None:
+    worlds = stage(arena, ticks=1)
+    play(worlds, RIGHT)
+    assert player_at(worlds) == (5.0, 0.0)
+
+
+def test_the_facing_is_kept_while_attacking(arena: str) -> None:
+    worlds = stage(arena)
+    play(worlds, UP, ATTACK, ATTACK)
+    assert worlds.players["facing"][0, 0] == UP
+
+
+# --- Walls ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("way", "before", "flush"),
+    [
+        (LEFT, (-545.0, 100.0), (-LAND + HALF_WIDTH, 100.0)),  # -576 + 23.5 = -552.5
+        (RIGHT, (545.0, 100.0), (LAND - HALF_WIDTH, 100.0)),
+        (UP, (100.0, -545.0), (100.0, -LAND + HALF_HEIGHT)),  # -576 + 24 = -552
+        (DOWN, (100.0, 545.0), (100.0, LAND - HALF_HEIGHT)),
+        (RIGHT, (220.0, 30.0), (OBSTACLE_LEFT - HALF_WIDTH, 30.0)),  # 256 - 23.5 = 232.5
+        (LEFT, (356.0, 30.0), (OBSTACLE_RIGHT + HALF_WIDTH, 30.0)),  # 320 + 23.5 = 343.5
+        (DOWN, (290.0, -41.0), (290.0, OBSTACLE_TOP - HALF_HEIGHT)),  # 0 - 24
+        (UP, (290.0, 101.0), (290.0, OBSTACLE_BOTTOM + HALF_HEIGHT)),  # 64 + 24 = 88
+    ],
+)
+def test_coast_and_obstacles_stop_a_player_flush(arena: str, way: int, before: Place, flush: Place) -> None:
+    worlds = stage(arena, players=[before])
+    play(worlds, way)
+    assert player_at(worlds) == flush
+    play(worlds, way)  # nor does pushing on move the player
+    assert player_at(worlds) == flush
+
+
+@pytest.mark.parametrize("way", DIRECTIONS)
+def test_a_player_flush_against_a_wall_turns_to_it_but_stays(arena: str, way: int) -> None:
+    dx, dy = DIRECTIONS[way]
+    flush = (dx * (LAND - HALF_WIDTH), dy * (LAND - HALF_HEIGHT))
+    worlds = stage(arena, players=[flush], facing=(way + 2) % 4)
+    play(worlds, way)
+    assert player_at(worlds) == flush
+    assert worlds.players["facing"][0, 0] == way
+
+
+@pytest.mark.parametrize("way", DIRECTIONS)
+def test_a_player_flush_against_a_wall_walks_off_and_along_it_freely(arena: str, way: int) -> None:
+    dx, dy = DIRECTIONS[way]
+    flush = (dx * (LAND - HALF_WIDTH), dy * (LAND - HALF_HEIGHT))
+    for other in DIRECTIONS:
+        worlds = stage(arena, players=[flush])
+        play(worlds, other)
+        if other != way:
+            ox, oy = DIRECTIONS[other]
+            assert player_at(worlds) == (flush[0] + 40 * ox, flush[1] + 40 * oy)
+
+
+@pytest.mark.parametrize(
+    ("y", "x"),
+    [
+        (-24.0, 300.0),  # the body's lower edge lies on y = 0, the obstacle's upper: they only touch
+        (-23.5, 232.5),  # half a pixel lower they meet
+        (88.0, 300.0),  # the upper edge on y = 64
+        (87.5, 232.5),
+    ],
+)
+def test_along_x_a_body_passes_a_corner_that_it_only_touches(arena: str, y: float, x: float) -> None:
+    worlds = stage(arena, players=[(220.0, y)])
+    play(worlds, RIGHT, RIGHT)
+    assert player_at(worlds) == (x, y)
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [
+        (232.5, 20.0),  # the right edge on x = 256, the obstacle's left
+        (233.0, -24.0),
+        (343.5, 20.0),  # the left edge on x = 320
+        (343.0, -24.0),
+    ],
+)
+def test_along_y_a_body_passes_a_corner_that_it_only_touches(arena: str, x: float, y: float) -> None:
+    worlds = stage(arena, players=[(x, -60.0)])
+    play(worlds, DOWN, DOWN)
+    assert player_at(worlds) == (x, y)
+
+
+def test_a_monster_slides_over_a_corner_instead_of_cutting_it(arena: str) -> None:
+    # Half a body is 12 x 25. From (243, -26), right edge 255 and lower edge -1, it wants (2.5, 2.5).
+    # x first: the lower edge is still above the obstacle, so 245.5. Then y: the right edge 257.5 is
+    # past 256, so the lower edge stops on 0.
+    worlds = stage(arena, (243.0, -26.0), players=[(400.0, 150.0)], ticks=1)
+    play(worlds, STAND)
+    assert monster_at(worlds) == (245.5, -25.0)
+    play(worlds, STAND)
+    assert monster_at(worlds) == (248.0, -25.0)
+
+
+def test_a_monster_knocked_into_a_wall_stops_flush(arena: str) -> None:
+    # Struck at the sword's centre (554, 0) it would fly 60 px right; the coast stops it at 576 - 12.
+    worlds = stage(arena, (554.0, 0.0), players=[(500.0, 0.0)], ticks=1)
+    play(worlds, *[ATTACK] * 10)
+    assert monster_at(worlds) == (564.0, 0.0)
+
+
+# --- Any place, by geometry ----------------------------------------------------------------------
+
+
+def boxes_that_block(worlds: Worlds) -> np.ndarray:
+    """Return left, top, right, bottom of every tile that is not open, shape (4, tiles)."""
+    level = worlds.level
+    rows, columns = np.nonzero(level.terrain != rules.OPEN)
+    left, top = level.left + columns * level.tile, level.top + rows * level.tile
+    return np.stack([left, top, left + level.tile, top + level.tile])
+
+
+def overlaps(x: np.ndarray, y: np.ndarray, half: Place, boxes: np.ndarray) -> np.ndarray:
+    """Tell which bodies share area with which boxes, shape (bodies, boxes)."""
+    left, top, right, bottom = boxes
+    across = (x[:, None] - half[0] < right) & (x[:, None] + half[0] > left)
+    return across & (y[:, None] - half[1] < bottom) & (y[:, None] + half[1] > top)
+
+
+def clear_places(worlds: Worlds, count: int) -> np.ndarray:
+    """Return random places, on 64ths of a pixel, where a player stands clear of tiles: (count, 2)."""
+    left, top, right, bottom = (int(64 * side) for side in worlds.level.land)
+    generator = np.random.default_rng(5)
+    x = generator.integers(left, right, 3 * count) / 64
+    y = generator.integers(top, bottom, 3 * count) / 64
+    free = ~overlaps(x, y, (HALF_WIDTH, HALF_HEIGHT), boxes_that_block(worlds)).any(axis=1)
+    return np.stack([x[free], y[free]], axis=-1)[:count]
+
+
+@pytest.mark.parametrize("way", DIRECTIONS)
+def test_anywhere_a_step_goes_as_far_as_the_nearest_tile_allows(way: int) -> None:
+    worlds = Worlds(4000)
+    worlds.reset()
+    places = clear_places(worlds, len(worlds))
+    worlds.players["x"], worlds.players["y"] = places[:, :1], places[:, 1:]
+    play(worlds, way)
+
+    left, top, right, bottom = boxes_that_block(worlds)
+    x, y = places[:, :1], places[:, 1:]
+    beside = (x - HALF_WIDTH < right) & (x + HALF_WIDTH > left)
+    level_with = (y - HALF_HEIGHT < bottom) & (y + HALF_HEIGHT > top)
+    gaps = {  # to each tile in the way; negative behind
+        LEFT: np.where(level_with, x - HALF_WIDTH - right, np.inf),
+        RIGHT: np.where(level_with, left - x - HALF_WIDTH, np.inf),
+        UP: np.where(beside, y - HALF_HEIGHT - bottom, np.inf),
+        DOWN: np.where(beside, top - y - HALF_HEIGHT, np.inf),
+    }[way]
+    free = np.where(gaps >= 0, gaps, np.inf).min(axis=1)
+    walked = np.minimum(free, 40.0)
+    dx, dy = DIRECTIONS[way]
+    assert np.array_equal(worlds.players["x"][:, 0], places[:, 0] + dx * walked)
+    assert np.array_equal(worlds.players["y"][:, 0], places[:, 1] + dy * walked)
+    assert (walked < 40).sum() > 100  # walls were met
+
+
+def test_no_body_ever_overlaps_a_tile_that_blocks() -> None:
+    worlds = Worlds(40)
+    worlds.seed(range(40))
+    worlds.reset()
+    boxes = boxes_that_block(worlds)
+    generator = np.random.default_rng(6)
+    blows = 0
+    for _ in range(60):  # long walks with blows between them
+        for action in (generator.integers(4, size=(40, 1)),) * 5 + (np.full((40, 1), ATTACK),):
+            worlds.step(action)
+            blows += int(worlds.events["hits"].sum())
+        for bodies, half in ((worlds.players, (HALF_WIDTH, HALF_HEIGHT)), (worlds.monsters, (12.0, 25.0))):
+            assert not overlaps(bodies["x"].ravel(), bodies["y"].ravel(), half, boxes).any()
+    assert blows > 0

@@ -1,0 +1,200 @@
+"""The vector environment of Stable-Baselines3, held against its own vector of single environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+
+from pneuma.config import EnvConfig
+from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.single import PneumaEnv
+from pneuma.env.worlds import Worlds
+
+from .arena import ATTACK, LEFT, RIGHT
+
+N = 4
+
+
+def pit_actions(generator: np.random.Generator) -> np.ndarray:
+    """Return actions under which about every second player stays in the pit and dies."""
+    actions = generator.integers(5, size=N)
+    return actions if generator.random() < 0.5 else np.full(N, ATTACK)
+
+
+# --- As Stable-Baselines3 does it ----------------------------------------------------------------
+
+
+def test_stable_baselines3_finds_nothing_to_complain_of() -> None:
+    check_env(PneumaEnv())  # its warnings would be errors here
+
+
+def test_it_steps_as_a_dummy_vec_env_of_single_environments(pit: str) -> None:
+    config = EnvConfig(level=pit, episode_steps=20)
+    ours = PneumaVecEnv(range(3, 3 + N), config)
+    theirs = DummyVecEnv([lambda: PneumaEnv(level=pit, episode_steps=20) for _ in range(N)])
+    theirs.seed(3)
+    generator = np.random.default_rng(1)
+    first = theirs.reset()
+    assert isinstance(first, np.ndarray) and ours.reset().tobytes() == first.tobytes()
+    terminated = truncated = 0
+    for _ in range(300):
+        actions = pit_actions(generator)
+        observations, rewards, dones, infos = ours.step(actions)
+        expected, their_rewards, their_dones, their_infos = theirs.step(actions)
+        for our, their in ((observations, expected), (rewards, their_rewards), (dones, their_dones)):
+            assert isinstance(our, np.ndarray) and isinstance(their, np.ndarray)
+            assert (our.dtype, our.tobytes()) == (their.dtype, their.tobytes())
+        for done, info, their_info in zip(dones, infos, their_infos, strict=True):
+            if not done:
+                assert info == {}
+                continue
+            assert np.array_equal(info["terminal_observation"], their_info["terminal_observation"])
+            for key in ("TimeLimit.truncated", "ending", "kills", "xp", "hp"):
+                assert info[key] == their_info[key], key
+            truncated += info["TimeLimit.truncated"]
+            terminated += not info["TimeLimit.truncated"]
+    assert terminated > 10 and truncated > 10
+
+
+def test_the_episodes_it_notes_are_those_of_vec_monitor(pit: str) -> None:
+    env = PneumaVecEnv(range(N), EnvConfig(level=pit, episode_steps=20))
+    monitor = VecMonitor(env)
+    monitor.reset()
+    generator = np.random.default_rng(2)
+    theirs = []
+    for step in range(1, 201):
+        *_, infos = monitor.step(pit_actions(generator))
+        theirs += [
+            {"slot": slot, "step": N * step, "r": info["episode"]["r"], "l": info["episode"]["l"]}
+            for slot, info in enumerate(infos)
+            if "episode" in info
+        ]
+    ours = [
+        {"slot": e["slot"], "step": e["step"], "r": round(e["return"], 4), "l": e["length"]}
+        for e in env.finished
+    ]
+    assert len(ours) > 20
+    for our, their in zip(ours, theirs, strict=True):
+        assert our.pop("r") == pytest.approx(their.pop("r"), abs=1e-3)  # VecMonitor adds in float32
+        assert our == their
+
+
+# --- Endings -------------------------------------------------------------------------------------
+
+
+def threatened(env: PneumaVecEnv, world: int, hp: float) -> None:
+    """Give a world's player so many HP and put a monster beside it, out of the sword's way."""
+    player, monster = env.state.players[world, 0], env.state.monsters[world, 0]
+    player["hp"], player["facing"] = hp, RIGHT
+    monster["x"], monster["y"] = player["x"] - 30, player["y"]
+
+
+def test_a_death_is_told_with_the_last_observation_and_begins_anew() -> None:
+    env = PneumaVecEnv([5, 6])
+    env.reset()
+    threatened(env, 1, hp=7)
+    observations, rewards, dones, infos = env.step(np.array([ATTACK, ATTACK]))
+    assert dones.tolist() == [False, True]
+    assert rewards.tolist() == [-1.0, 0.0]  # 0 XP - 100 / 100 and 0 XP - 0 / 100
+    assert infos[0] == {}
+    info = infos[1]
+    last = info.pop("terminal_observation")
+    assert last[2] == 0.0  # HP
+    assert isinstance(observations, np.ndarray) and observations[1, 2] == 1.0
+    assert info == {
+        "ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0,
+        "TimeLimit.truncated": False, "episode": {"r": 0.0, "l": 1},
+    }  # fmt: skip
+
+
+def test_the_time_limit_is_told_as_truncation() -> None:
+    env = PneumaVecEnv([0], EnvConfig(episode_steps=2))
+    env.reset()
+    env.step(np.array([RIGHT]))
+    *_, dones, infos = env.step(np.array([RIGHT]))
+    assert dones.tolist() == [True]
+    assert infos[0]["TimeLimit.truncated"] is True
+    assert infos[0]["episode"] == {"r": -2.0, "l": 2}  # -1 a step at full HP
+
+
+def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> None:
+    env = PneumaVecEnv([0, 1], EnvConfig(episode_steps=3))
+    env.reset()
+    for _ in range(2):
+        env.step(np.array([ATTACK, ATTACK]))
+    threatened(env, 1, hp=7)
+    for _ in range(4):
+        env.step(np.array([ATTACK, ATTACK]))
+    limit = {"ending": "time-limit", "kills": 0, "xp": 0.0, "hp": 100.0}
+    # Steps count over both worlds. Each episode is 3 steps at -1; the last of world 1's first is at 0.
+    assert env.finished == [
+        {"slot": 0, "episode": 0, "step": 6, "return": -3.0, "length": 3, **limit},
+        {"slot": 1, "episode": 0, "step": 6, "return": -2.0, "length": 3,
+         "ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0},
+        {"slot": 0, "episode": 1, "step": 12, "return": -3.0, "length": 3, **limit},
+        {"slot": 1, "episode": 1, "step": 12, "return": -3.0, "length": 3, **limit},
+    ]  # fmt: skip
+
+
+def test_finished_may_be_emptied_and_goes_on_counting() -> None:
+    env = PneumaVecEnv([0], EnvConfig(episode_steps=1))
+    env.reset()
+    env.step(np.array([LEFT]))
+    env.finished.clear()
+    env.step(np.array([LEFT]))
+    assert [(e["episode"], e["step"]) for e in env.finished] == [(1, 2)]
+
+
+# --- Seeds, options and attributes ---------------------------------------------------------------
+
+
+def test_every_world_has_the_seed_it_is_given() -> None:
+    observations = PneumaVecEnv([9, 4, 9]).reset()
+    for i, seed in enumerate([9, 4, 9]):
+        worlds = Worlds(1)
+        worlds.seed([seed])
+        worlds.reset()
+        assert np.array_equal(observations[i], worlds.observations[0, 0])
+
+
+def test_seed_takes_effect_at_the_next_reset_and_only_there() -> None:
+    env, seeded = PneumaVecEnv([9, 4, 9]), PneumaVecEnv([20, 21, 22])
+    env.reset()
+    env.seed(20)
+    for _ in range(2):  # the second reset goes on with the streams
+        assert np.array_equal(env.reset(), seeded.reset())
+
+
+def test_options_reach_the_next_reset_and_only_that() -> None:
+    env = PneumaVecEnv(range(30))
+    env.set_options({"start": 2})
+    env.reset()
+    assert (env.state.players["x"][:, 0] == -239).all()
+    env.reset()
+    assert len(set(env.state.players["x"][:, 0].tolist())) > 1
+
+
+def test_what_is_handed_out_is_not_overwritten() -> None:
+    env = PneumaVecEnv([0], EnvConfig(episode_steps=3))
+    kept: list[tuple[np.ndarray, np.ndarray]] = []
+    env.reset()
+    for _ in range(6):
+        observations, rewards, dones, infos = env.step(np.array([RIGHT]))
+        handed_out: list[Any] = [observations, rewards, dones]
+        handed_out += [info["terminal_observation"] for info in infos if info]
+        kept += [(array, array.copy()) for array in handed_out]
+    assert all(np.array_equal(array, copy) for array, copy in kept)
+
+
+def test_attributes_and_methods_are_answered_for_every_world() -> None:
+    env = PneumaVecEnv([0, 1, 2])
+    assert env.get_attr("num_envs") == [3, 3, 3]
+    assert env.get_attr("num_envs", indices=[0, 2]) == [3, 3]
+    assert env.env_is_wrapped(VecMonitor) == [False] * 3
+    env.set_attr("note", "kept")
+    assert env.get_attr("note", indices=1) == ["kept"]
+    assert env.env_method("get_attr", "num_envs", indices=[1]) == [[3, 3, 3]]

@@ -1,0 +1,207 @@
+"""The single environment: Gymnasium's contract."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from pneuma.env.single import PneumaEnv
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import ATTACK, DOWN, RIGHT
+
+STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
+
+
+def make(**settings: Any) -> PneumaEnv:
+    """Return the environment as `gymnasium.make` makes it, without its wrappers."""
+    env = gymnasium.make("pneuma/Pneuma-v0", **settings).unwrapped
+    assert isinstance(env, PneumaEnv)
+    return env
+
+
+def place(env: PneumaEnv) -> tuple[float, float]:
+    return float(env.state.players["x"][0, 0]), float(env.state.players["y"][0, 0])
+
+
+def threatened(env: PneumaEnv, hp: float) -> None:
+    """Give the player so many HP and put a monster beside it, out of the sword's way."""
+    x, y = place(env)
+    env.state.players["hp"], env.state.players["facing"] = hp, RIGHT
+    env.state.monsters["x"][0, 0], env.state.monsters["y"][0, 0] = x - 30, y
+
+
+# --- The contract --------------------------------------------------------------------------------
+
+
+def test_gymnasium_finds_nothing_to_complain_of() -> None:
+    check_env(make())  # its warnings would be errors here
+
+
+def test_the_wrapped_environment_plays_a_whole_episode() -> None:
+    env = gymnasium.make("pneuma/Pneuma-v0", episode_steps=50)
+    env.action_space.seed(1)
+    env.reset(seed=1)
+    steps, over = 0, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        steps += 1
+        over = terminated or truncated
+        assert env.observation_space.contains(observation)
+        assert isinstance(reward, float)
+    assert steps == 50 and truncated
+
+
+def test_the_spaces_are_those_of_the_thesis() -> None:
+    env = make()
+    assert isinstance(env.action_space, gymnasium.spaces.Discrete)
+    assert env.action_space.n == 5
+    assert env.observation_space.shape == (60,)  # 4 + 4 x 14
+
+
+def test_the_same_seed_and_actions_give_the_same_bits() -> None:
+    one, two = make(), make()
+    generator = np.random.default_rng(0)
+    for episode in range(3):
+        seed = 11 if episode == 0 else None
+        assert np.array_equal(one.reset(seed=seed)[0], two.reset(seed=seed)[0])
+        for action in generator.integers(5, size=200):
+            (seen, *told), (seen_too, *told_too) = one.step(action), two.step(action)
+            assert seen.tobytes() == seen_too.tobytes()
+            assert told == told_too
+
+
+def test_seeding_again_begins_the_same_world_again() -> None:
+    env = make()
+    first = [env.reset(seed=5)[0]] + [env.reset()[0] for _ in range(10)]
+    again = [env.reset(seed=5)[0]] + [env.reset()[0] for _ in range(10)]
+    assert np.array_equal(first, again)
+    assert len({observation.tobytes() for observation in first}) > 1  # other starts, though
+
+
+def test_unseeded_environments_differ() -> None:
+    drawn = []
+    for _ in range(2):
+        env = make()
+        env.reset()
+        drawn.append(int(env.state.worlds["key"][0]))
+    assert drawn[0] != drawn[1]
+
+
+def test_the_single_environment_is_a_world_of_its_seed() -> None:
+    env = make()
+    worlds = Worlds(1)
+    worlds.seed([9])
+    worlds.reset()
+    assert np.array_equal(env.reset(seed=9)[0], worlds.observations[0, 0])
+    for action in (RIGHT, ATTACK, DOWN, DOWN, RIGHT) * 20:
+        observation, reward, *_ = env.step(np.int64(action))
+        worlds.step(np.array([[action]]))
+        assert np.array_equal(observation, worlds.observations[0, 0])
+        assert reward == worlds.events["reward"][0, 0]
+
+
+def test_what_is_handed_out_is_not_overwritten() -> None:
+    env = make()
+    first, _ = env.reset(seed=0)
+    kept = first.copy()
+    second, *_ = env.step(np.int64(RIGHT))
+    assert np.array_equal(first, kept)
+    assert not np.array_equal(first, second)
+
+
+# --- Starts --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("start", range(6))
+def test_options_choose_the_start(start: int) -> None:
+    env = make()
+    env.reset(seed=0, options={"start": start})
+    assert place(env) == STARTS[start]
+
+
+@pytest.mark.parametrize("options", [None, {}, {"start": None}])
+def test_without_a_choice_the_start_is_random(options: dict[str, Any] | None) -> None:
+    env = make()
+    places = set()
+    for seed in range(40):
+        env.reset(seed=seed, options=options)
+        places.add(place(env))
+    assert places == set(STARTS)
+
+
+@pytest.mark.parametrize("start", [-1, 6])
+def test_a_start_that_the_level_does_not_have_is_refused(start: int) -> None:
+    with pytest.raises(ValueError, match=f"start {start}: the level has places 0 to 5"):
+        make().reset(options={"start": start})
+
+
+# --- The end -------------------------------------------------------------------------------------
+
+
+def test_death_terminates() -> None:
+    env = make()
+    env.reset(seed=0)
+    threatened(env, hp=7)
+    _, reward, terminated, truncated, info = env.step(np.int64(ATTACK))
+    assert (terminated, truncated) == (True, False)
+    assert info == {"ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0}
+    assert reward == 0.0
+
+
+def test_the_time_limit_truncates() -> None:
+    env = make(episode_steps=3)
+    env.reset(seed=0)
+    ends = [env.step(np.int64(ATTACK))[2:] for _ in range(3)]
+    assert ends[:2] == [(False, False, {})] * 2
+    assert ends[2] == (False, True, {"ending": "time-limit", "kills": 0, "xp": 0.0, "hp": 100.0})
+
+
+@pytest.mark.parametrize("end_on_clear", [False, True])
+def test_clearing_the_level_terminates_if_asked(end_on_clear: bool) -> None:
+    env = make(end_on_clear=end_on_clear)
+    env.reset(seed=0)
+    x, y = place(env)
+    env.state.players["facing"] = RIGHT
+    env.state.monsters["hp"] = 0
+    env.state.monsters[0, 0] = env.state.monsters[0, 1]
+    env.state.monsters["hp"][0, 0] = 20
+    env.state.monsters["x"][0, 0], env.state.monsters["y"][0, 0] = x + 54, y
+    env.state.worlds["monsters_left"] = 1
+    _, reward, terminated, truncated, info = env.step(np.int64(ATTACK))
+    assert (terminated, truncated) == (end_on_clear, False)
+    assert info == ({"ending": "cleared", "kills": 1, "xp": 1.0, "hp": 100.0} if end_on_clear else {})
+    assert reward == 0.0  # 1 XP - 100 / 100
+
+
+# --- Mistakes ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", [-1, 5])
+def test_an_action_out_of_range_is_refused(action: int) -> None:
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="outside"):
+        env.step(np.int64(action))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"episode_steps": 0}, "episode_steps = 0 is not allowed"),
+        ({"episode_step": 10}, "unknown key 'episode_step' (did you mean episode_steps?)"),
+        ({"end_on_clear": "yes"}, 'end_on_clear = "yes" is not allowed'),
+        ({"level": "tesis"}, "unknown level 'tesis' (did you mean thesis?)"),
+        ({"reward": "godot"}, 'reward = "godot" is not allowed'),
+        ({"render_mode": "human"}, "render_mode = 'human' is not allowed"),
+    ],
+)
+def test_a_wrong_argument_is_named(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        PneumaEnv(**settings)
+    assert str(caught.value).startswith(said) and "\n" not in str(caught.value)

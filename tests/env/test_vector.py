@@ -1,0 +1,196 @@
+"""The native vector environment, held against Gymnasium's own vector of single environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from pneuma.env.single import PneumaEnv
+from pneuma.env.vector import PneumaVectorEnv
+
+from .arena import ATTACK, RIGHT
+
+N = 4
+MODES = list(AutoresetMode)
+
+
+def both(mode: AutoresetMode, **settings: Any) -> tuple[PneumaVectorEnv, SyncVectorEnv]:
+    """Return the native vector environment and Gymnasium's, alike."""
+    single = [lambda: PneumaEnv(**settings) for _ in range(N)]
+    return PneumaVectorEnv(N, mode, **settings), SyncVectorEnv(single, autoreset_mode=mode)
+
+
+def assert_same(ours: Any, theirs: Any) -> None:
+    """Compare what two resets or steps returned, infos and all, bit for bit."""
+    if isinstance(theirs, dict):
+        assert set(ours) == set(theirs)
+        for key in theirs:
+            assert_same(ours[key], theirs[key])
+    elif isinstance(theirs, tuple):
+        assert len(ours) == len(theirs)
+        for our, their in zip(ours, theirs, strict=True):
+            assert_same(our, their)
+    elif isinstance(theirs, np.ndarray) and theirs.dtype == object:
+        assert_same(tuple(ours), tuple(theirs))
+    else:
+        assert type(ours) is type(theirs)
+        assert np.asarray(ours).dtype == np.asarray(theirs).dtype
+        assert np.array_equal(ours, theirs)
+
+
+def play_both(mode: AutoresetMode, seed: int, **settings: Any) -> tuple[int, int]:
+    """Play 300 steps in both and compare everything; count terminations and truncations."""
+    ours, theirs = both(mode, **settings)
+    generator = np.random.default_rng(seed)
+    assert_same(ours.reset(seed=seed), theirs.reset(seed=seed))
+    terminations = truncations = 0
+    for _ in range(300):
+        actions = generator.integers(5, size=N)
+        if generator.random() < 0.5:
+            actions[:] = ATTACK
+        told = theirs.step(actions)
+        assert_same(ours.step(actions), told)
+        over = told[2] | told[3]
+        terminations += int(told[2].sum())
+        truncations += int(told[3].sum())
+        if mode == AutoresetMode.DISABLED and over.any():
+            by_hand = ours.reset(options={"reset_mask": over.copy()})
+            assert_same(by_hand, theirs.reset(options={"reset_mask": over.copy()}))
+    return terminations, truncations
+
+
+# --- As Gymnasium does it ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: AutoresetMode) -> None:
+    # In the pit players die from the 16th step on; others reach the limit of 20 steps.
+    terminations, truncations = play_both(mode, seed=3, level=pit, episode_steps=20)
+    assert terminations > 10 and truncations > 10
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_shipped_level_plays_as_in_gymnasiums_vector(mode: AutoresetMode) -> None:
+    _, truncations = play_both(mode, seed=0, episode_steps=120)
+    assert truncations > 0
+
+
+def test_gymnasium_makes_it_under_its_name() -> None:
+    env = gymnasium.make_vec("pneuma/Pneuma-v0", num_envs=3, vectorization_mode="vector_entry_point")
+    assert isinstance(env.unwrapped, PneumaVectorEnv)
+    assert env.observation_space.shape == (3, 60)
+    observations, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observations)
+    assert env.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+
+
+def test_gymnasium_makes_it_with_settings_and_a_mode() -> None:
+    env = gymnasium.make_vec(
+        "pneuma/Pneuma-v0",
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        episode_steps=2,
+    )
+    env.reset(seed=0)
+    env.step(np.array([ATTACK, ATTACK]))
+    *_, truncated, infos = env.step(np.array([ATTACK, ATTACK]))
+    assert truncated.tolist() == [True, True]
+    assert infos["final_info"]["ending"].tolist() == ["time-limit"] * 2
+
+
+# --- Seeds ---------------------------------------------------------------------------------------
+
+
+def test_world_i_of_a_batch_seeded_s_is_the_single_world_seeded_s_plus_i() -> None:
+    env = PneumaVectorEnv(5)
+    observations, _ = env.reset(seed=100)
+    for i in range(5):
+        assert np.array_equal(observations[i], PneumaEnv().reset(seed=100 + i)[0])
+
+
+def test_a_list_of_seeds_seeds_each_world() -> None:
+    env = PneumaVectorEnv(3)
+    observations, _ = env.reset(seed=[7, 2, 7])
+    for i, seed in enumerate([7, 2, 7]):
+        assert np.array_equal(observations[i], PneumaEnv().reset(seed=seed)[0])
+    assert env.state.worlds["key"][0] == env.state.worlds["key"][2] != env.state.worlds["key"][1]
+
+
+@pytest.mark.parametrize("seeds", [[5], [1, 2], [1, 2, 3, 4]])
+def test_a_list_of_another_length_is_refused(seeds: list[int]) -> None:
+    with pytest.raises(ValueError):
+        PneumaVectorEnv(3).reset(seed=seeds)
+
+
+def test_worlds_that_are_not_seeded_differ_from_each_other_and_next_time() -> None:
+    keys = []
+    for _ in range(2):
+        env = PneumaVectorEnv(3)
+        env.reset()
+        keys += env.state.worlds["key"].tolist()
+    assert len(set(keys)) == 6
+
+
+def test_a_reset_without_a_seed_goes_on_with_the_stream() -> None:
+    env, again = PneumaVectorEnv(3), PneumaVectorEnv(3)
+    env.reset(seed=1)
+    again.reset(seed=1)
+    assert np.array_equal(env.reset()[0], again.reset()[0])
+    assert env.state.worlds["draws"].tolist() == [2, 2, 2]
+
+
+def test_a_masked_reset_with_a_seed_leaves_the_other_worlds_streams_alone() -> None:
+    mask = np.array([True, False, False])
+    env = PneumaVectorEnv(3, AutoresetMode.DISABLED)
+    env.reset(seed=1)
+    before = env.state.worlds.copy()
+    env.reset(seed=50, options={"reset_mask": mask})
+    assert env.state.worlds["key"][0] != before["key"][0]
+    assert (env.state.worlds[1:] == before[1:]).all()
+
+
+# --- Options and mistakes ------------------------------------------------------------------------
+
+
+def test_options_choose_one_start_for_all_or_one_for_each() -> None:
+    env = PneumaVectorEnv(3)
+    env.reset(seed=0, options={"start": 2})
+    assert env.state.players["x"][:, 0].tolist() == [-239, -239, -239]
+    env.reset(options={"start": [0, 3, 5]})
+    assert env.state.players["x"][:, 0].tolist() == [204, -517, -47]
+    with pytest.raises(ValueError, match="places 0 to 5"):
+        env.reset(options={"start": [0, 3, 6]})
+
+
+def test_with_autoreset_disabled_an_ended_world_must_be_reset_by_hand() -> None:
+    env = PneumaVectorEnv(2, AutoresetMode.DISABLED, episode_steps=1)
+    env.reset(seed=0)
+    env.step(np.array([ATTACK, ATTACK]))
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ValueError, match="reset_mask"):
+        env.step(np.array([ATTACK, ATTACK]))
+    env.reset(options={"reset_mask": np.array([False, True])})
+    env.step(np.array([ATTACK, ATTACK]))
+
+
+@pytest.mark.parametrize("actions", [[0, 5], [-1, 0]])
+def test_actions_out_of_range_are_refused(actions: list[int]) -> None:
+    env = PneumaVectorEnv(2)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="outside"):
+        env.step(np.array(actions))
+
+
+def test_what_is_handed_out_is_not_overwritten() -> None:
+    env = PneumaVectorEnv(2)
+    first, _ = env.reset(seed=0)
+    second, rewards, *_ = env.step(np.array([RIGHT, RIGHT]))
+    kept = first.copy(), second.copy(), rewards.copy()
+    env.state.players["xp"] = 3
+    env.step(np.array([RIGHT, RIGHT]))
+    assert all(np.array_equal(a, b) for a, b in zip((first, second, rewards), kept, strict=True))
