@@ -1,32 +1,54 @@
-"""Levels: a folder of CSV layers and where its players and monsters stand.
+"""Levels: where the land, the obstacles, the players and the monsters are.
 
-A level's folder holds
+A level's name is one of
 
-    level.toml      title, tile size in pixels, the tile whose corner is the origin of coordinates,
-                    and which ground codes are coast
-    ground.csv      what every tile is made of; for the eye, and for the coast
-    obstacles.csv   code 395 where something stands in the way, -1 elsewhere
-    objects.csv     code,x,y: start places (400) and monsters (390 …), in pixels from the origin
+    thesis              a level that comes with the package, as a folder of CSV layers
+    path/to/folder      a user's own folder
+    path/to/map.tmx     a map as the editor Tiled saves it; see `tiled.py`
+    random:train:17     an island drawn from a number; see `random_level.py`
 
-Layers are whole numbers, one row of tiles a line, as map editors export them.
+A folder holds one CSV file a layer, as Tiled exports them: ground, obstacles and entities, described
+in `tiled.py`, and
+
+    objects       instead of entities or with them: a table code,x,y in pixels from the origin
+    level.toml    optional: title, tile (its side in pixels), origin (column and row of the tile at
+                  whose upper left corner the origin lies), coast (ground codes where the land ends),
+                  obstacles (codes that block besides 395), [ground] (what each ground code is)
+
+Whatever its source, a level in which a start place cannot be walked from to every monster is refused.
 """
 
 from __future__ import annotations
 
 import csv
+import json
+import math
+import re
 import tomllib
-from collections import deque
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pneuma.env import rules
+from pneuma.config import Number, Reader, Several, Text
+from pneuma.env import rules, tiled
+from pneuma.env.tiled import Entity, Header, Layers
 from pneuma.errors import UserError, unknown_name
 
 LEVELS = Path(__file__).parent / "data" / "levels"
-START_CODE = 400
-OBSTACLE_CODE = 395
+RANDOM = "random:"
+BODY_PIXELS = 48
+"""The longer side of the player's body: where this passes, the level can be walked."""
+
+_HEADER: dict[str, Reader] = {
+    "title": Text("text in quotes"),
+    "tile": tiled.TILE_PIXELS,
+    "origin": Several(Number(-1e6, 1e6), 2, 2),
+    **tiled.CODES,
+}
 
 
 @dataclass(frozen=True)
@@ -39,7 +61,7 @@ class Level:
         tile: side of a tile.
         left: x of the grid's left edge.
         top: y of the grid's upper edge.
-        ground: (rows, columns) codes of the ground, for drawing.
+        ground: (rows, columns) codes of the ground, for drawing; -1 where there is none.
         terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`.
         starts: (S, 2) start places.
         monsters: kind, x and y of each.
@@ -67,49 +89,48 @@ class Level:
         )
 
 
-def level_folder(name: str) -> Path:
-    """Return the folder of a shipped level's name or of a path.
-
-    Raises:
-        UserError: when there is neither.
-    """
-    for folder in (LEVELS / name, Path(name)):
-        if (folder / "level.toml").is_file():
-            return folder
-    raise unknown_name("level", name, sorted(path.name for path in LEVELS.iterdir() if path.is_dir()))
-
-
 def load_level(name: str, monster_codes: dict[int, str]) -> Level:
-    """Read a level from its folder; `monster_codes` says which code is which kind.
+    """Load a level by its name; `monster_codes` says which code is which kind.
 
     Raises:
-        UserError: naming file, row and column of what is wrong.
+        UserError: naming the file and the row and column, or the object, of what is wrong.
     """
-    folder = level_folder(name)
-    header = _read_header(folder / "level.toml")
-    ground = _read_layer(folder / "ground.csv")
-    obstacles = _read_layer(folder / "obstacles.csv")
-    if obstacles.shape != ground.shape:
-        raise UserError(
-            f"{folder / 'obstacles.csv'}: {obstacles.shape[0]} x {obstacles.shape[1]} tiles, "
-            f"where ground.csv has {ground.shape[0]} x {ground.shape[1]}"
-        )
-    tile = float(header["tile"])
-    column, row = header["origin"]
-    starts, monsters = _read_objects(folder / "objects.csv", monster_codes)
+    if name.startswith(RANDOM):
+        from pneuma.env.random_level import parse_name, random_level  # builds on this module
+
+        return random_level(*parse_name(name), monster_codes)
+    path = _level_path(name)
+    layers = (_read_folder if path.is_dir() else tiled.read_tmx)(path, monster_codes)
+    starts = [entity for entity in layers.entities if entity.kind == tiled.START]
+    monsters = [entity for entity in layers.entities if entity.kind != tiled.START]
+    left, top = layers.header.corner(layers.ground.shape)
     level = Level(
         name=name,
-        title=str(header["title"]),
-        tile=tile,
-        left=-column * tile,
-        top=-row * tile,
-        ground=ground,
-        terrain=_terrain(ground, obstacles, header["coast"]),
-        starts=starts,
-        monsters=tuple(monsters),
+        title=layers.header.title,
+        tile=layers.header.tile,
+        left=left,
+        top=top,
+        ground=layers.ground,
+        terrain=_terrain(layers),
+        starts=np.array([(entity.x, entity.y) for entity in starts], np.float64),
+        monsters=tuple((entity.kind, entity.x, entity.y) for entity in monsters),
     )
-    _check_reachable(level, folder / "objects.csv")
+    lost = first_cut_off(level)
+    if lost is not None:
+        raise UserError(f"{[*starts, *monsters][lost].where} is walled in or off the land")
     return level
+
+
+def level_files(name: str) -> list[Path]:
+    """Return the user's own files that a level depends on; none for shipped and random levels.
+
+    Raises:
+        UserError: when there is no such level.
+    """
+    if name.startswith(RANDOM) or name in _shipped():
+        return []
+    path = _level_path(name)
+    return _folder_files(path) if path.is_dir() else [path]
 
 
 def room_for_bodies(level: Level, margin: float) -> np.ndarray:
@@ -119,121 +140,220 @@ def room_for_bodies(level: Level, margin: float) -> np.ndarray:
     most moves need no closer look.
     """
     rows, columns = level.terrain.shape
-    half = level.tile / 2
-    free = np.pad(level.terrain == rules.OPEN, 1, constant_values=False)
-    room = np.zeros((2 * rows, 2 * columns), np.uint8)
-    for row in range(2 * rows):
-        top, bottom = _tiles_between(row * half - margin, (row + 1) * half + margin, level.tile, rows)
-        for column in range(2 * columns):
-            left, right = _tiles_between(
-                column * half - margin, (column + 1) * half + margin, level.tile, columns
-            )
-            room[row, column] = free[top:bottom, left:right].all()
-    return room
+    closed = np.pad(level.terrain != rules.OPEN, 1, constant_values=True)
+    before = np.zeros((rows + 3, columns + 3), np.int32)  # closed tiles above and left of a corner
+    before[1:, 1:] = closed.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
+    top, bottom = _tiles_near(rows, level.tile, margin)
+    left, right = _tiles_near(columns, level.tile, margin)
+    met = (before[bottom] - before[top])[:, right] - (before[bottom] - before[top])[:, left]
+    return (met == 0).astype(np.uint8)
 
 
-def _tiles_between(low: float, high: float, tile: float, count: int) -> tuple[int, int]:
-    """Return the slice, in a grid padded by one, of the tiles that [low, high] touches."""
-    first, last = int(low // tile), int(high // tile)
-    return max(first, -1) + 1, min(last, count) + 2
+def first_cut_off(level: Level) -> int | None:
+    """Return the first place, counting starts, then monsters, that a player cannot walk to from the others.
+
+    A player walks where it fits: over open tiles side by side, as many abreast as its body needs.
+    None when every place can be walked to from every other.
+    """
+    abreast = math.ceil(BODY_PIXELS / level.tile)
+    regions = walkable_regions(level.terrain == rules.OPEN, abreast)
+    places = [(x, y) for x, y in level.starts] + [(x, y) for _, x, y in level.monsters]
+    near = [_regions_at(regions, abreast, level, x, y) for x, y in places]
+    shares = Counter(region for found in near for region in found)
+    sizes = np.bincount(regions.ravel())
+    home = max(shares, key=lambda region: (shares[region], sizes[region]), default=0)
+    return next((index for index, found in enumerate(near) if home not in found), None)
 
 
-def _read_header(path: Path) -> dict:  # type: ignore[type-arg]
+def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
+    """Number the regions in which a body of so many tiles a side can move about, from 1.
+
+    Args:
+        free: (rows, columns) bool, the tiles that do not stop a body.
+        abreast: side of the body, in tiles.
+
+    Returns:
+        (rows - abreast + 1, columns - abreast + 1) int32: the region of a body whose upper left
+        tile is this one; 0 where it does not fit.
+    """
+    fits = _fits(_fits(free, abreast).T, abreast).T
+    # One row and column of closed tiles around the rest, laid out as one list: no edges to look after.
+    padded = np.pad(fits, 1, constant_values=False)
+    regions, width = np.where(padded, -1, 0).ravel().tolist(), padded.shape[1]
+    count = 0
+    for first in np.flatnonzero(padded).tolist():
+        if regions[first] < 0:
+            count += 1
+            _flood(regions, first, count, (1, -1, width, -width))
+    return np.array(regions, np.int32).reshape(padded.shape)[1:-1, 1:-1]
+
+
+# --- Finding and reading -------------------------------------------------------------------------
+
+
+def _shipped() -> list[str]:
+    return sorted(path.name for path in LEVELS.iterdir() if path.is_dir())
+
+
+def _level_path(name: str) -> Path:
+    """Return the folder or the .tmx file that a name other than `random:…` stands for."""
+    if name in _shipped():
+        return LEVELS / name
+    path = Path(name)
+    if path.is_dir() and _folder_files(path):
+        return path
+    if path.suffix.lower() == ".tmx" and path.is_file():
+        return path
+    forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder of layers or of a .tmx file"
+    raise UserError(f"{unknown_name('level', name, _shipped())}, {forms}")
+
+
+def _terrain(layers: Layers) -> np.ndarray:
+    """Return (rows, columns) uint8: what stops a body."""
+    terrain = np.where(layers.blocked, rules.SOLID, rules.OPEN)
+    return np.where(np.isin(layers.ground, layers.header.coast), rules.COAST, terrain).astype(np.uint8)
+
+
+def _read_folder(folder: Path, monster_codes: Mapping[int, str]) -> Layers:
+    """Read a level from a folder of CSV layers."""
+    header = _read_header(folder)
+    files = _layer_files(folder)
+    needed = {"obstacles": True, "ground": bool(header.coast), "objects": "entities" not in files}
+    for name, is_needed in needed.items():
+        if is_needed and name not in files:
+            raise UserError(f"{folder / name}.csv: no such layer")
+    where = str(files.get("objects") or files["entities"])
+    table = files.pop("objects", None)
+    objects = _read_objects(table, monster_codes) if table else []
+    grids = {name: tiled.read_grid(_csv_rows(path), str(path)) for name, path in files.items()}
+    return tiled.join_layers(header, grids, objects, monster_codes, where)
+
+
+def _folder_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that make its level, sorted; none when it holds no level."""
+    header = folder / "level.toml"
+    return sorted([*_layer_files(folder).values(), *([header] if header.is_file() else [])])
+
+
+def _layer_files(folder: Path) -> dict[str, Path]:
+    """Return which file of a folder is which layer."""
+    files: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        name = tiled.layer_name(path.stem) if path.suffix.lower() == ".csv" and path.is_file() else None
+        if name in files:
+            raise UserError(f"{folder}: {files[name].name} and {path.name} are both named {name}; keep one")
+        if name:
+            files[name] = path
+    return files
+
+
+def _read_header(folder: Path) -> Header:
+    """Read `level.toml`, every key of which has a default."""
+    path = folder / "level.toml"
+    title = folder.resolve().name
+    if not path.is_file():
+        return Header(title)
+    text = tiled.read_text(path)
     try:
-        with open(path, "rb") as file:
-            header = tomllib.load(file)
+        values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: not TOML: {error}") from None
-    for key in ("title", "tile", "origin", "coast"):
-        if key not in header:
-            raise UserError(f"{path}: the key {key!r} is missing")
-    return header
+    read = {key: _header_value(key, value, _line_of(key, path, text)) for key, value in values.items()}
+    return Header(**{"title": title, **read})
 
 
-def _read_layer(path: Path) -> np.ndarray:
-    """Read a CSV layer of tile codes, shape (rows, columns)."""
-    if not path.is_file():
-        raise UserError(f"{path}: no such layer")
-    lines: list[list[int]] = []
-    with open(path, newline="", encoding="utf-8") as file:
-        for number, cells in enumerate(csv.reader(file), start=1):
-            lines.append([_tile_code(cell, path, number, place) for place, cell in enumerate(cells, start=1)])
-            if len(lines[-1]) != len(lines[0]):
-                raise UserError(
-                    f"{path}, row {number}: {len(lines[-1])} tiles, where row 1 has {len(lines[0])}"
-                )
-    if not lines:
-        raise UserError(f"{path}: the layer is empty")
-    return np.array(lines, np.int64)
-
-
-def _tile_code(cell: str, path: Path, row: int, column: int) -> int:
+def _header_value(key: str, value: Any, where: str) -> Any:
+    """Check one key of `level.toml`; the table [ground] becomes the set of its codes."""
+    allowed = {name: reader.allowed for name, reader in _HEADER.items()}
+    allowed["ground"] = 'a table of code = "name"'
+    if key not in allowed:
+        raise UserError(f"{where}: {unknown_name('key', key, allowed)}")
     try:
-        return int(cell)
-    except ValueError:
-        raise UserError(f"{path}, row {row}, column {column}: {cell!r} is not a tile code") from None
+        if key in _HEADER:
+            return _HEADER[key].read(value)
+        return frozenset(int(code) for code in {**value})
+    except (ValueError, TypeError):
+        shown = json.dumps(value, default=str)
+        raise UserError(f"{where}: {key} = {shown} is not allowed: {allowed[key]}") from None
 
 
-def _read_objects(
-    path: Path, monster_codes: dict[int, str]
-) -> tuple[np.ndarray, list[tuple[str, float, float]]]:
-    """Read start places, shape (S, 2), and monsters (kind, x, y) in the file's order."""
-    starts: list[tuple[float, float]] = []
-    monsters: list[tuple[str, float, float]] = []
-    if not path.is_file():
-        raise UserError(f"{path}: no such layer")
-    with open(path, newline="", encoding="utf-8") as file:
-        for number, line in enumerate(csv.DictReader(file), start=2):
-            try:
-                code, x, y = int(line["code"]), float(line["x"]), float(line["y"])
-            except (KeyError, TypeError, ValueError):
-                raise UserError(f"{path}, row {number}: expected code,x,y") from None
-            if code == START_CODE:
-                starts.append((x, y))
-            elif code in monster_codes:
-                monsters.append((monster_codes[code], x, y))
-            else:
-                known = ", ".join(str(known) for known in (START_CODE, *monster_codes))
-                raise UserError(f"{path}, row {number}: unknown code {code}; known are {known}")
-    if not starts:
-        raise UserError(f"{path}: no start place (code {START_CODE})")
-    return np.array(starts, np.float64), monsters
+def _line_of(key: str, path: Path, text: str) -> str:
+    """Return the path of a TOML file and the line that sets a key."""
+    setting = re.compile(rf"""\s*\[?["']?{re.escape(key)}\b""")
+    lines = (number for number, line in enumerate(text.splitlines(), start=1) if setting.match(line))
+    number = next(lines, None)
+    return f"{path}, line {number}" if number else str(path)
 
 
-def _terrain(ground: np.ndarray, obstacles: np.ndarray, coast: list[int]) -> np.ndarray:
-    """Return (rows, columns) uint8: what stops a body."""
-    code = np.where(np.isin(ground, coast), rules.COAST, rules.OPEN)
-    code = np.where((code == rules.OPEN) & (obstacles == OBSTACLE_CODE), rules.SOLID, code)
-    return code.astype(np.uint8)
+def _csv_rows(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in tiled.read_text(path).rstrip().splitlines()]
 
 
-def _check_reachable(level: Level, path: Path) -> None:
-    """Refuse a level in which some monster cannot be walked to from some start place."""
-    reached = _walkable_from(level, level.starts[0])
-    places = [("start", x, y) for x, y in level.starts] + list(level.monsters)
-    for kind, x, y in places:
-        if not reached[_tile_of(level, x, y)]:
-            raise UserError(f"{path}: the {kind} at {x:g},{y:g} is walled in or off the land")
+def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[Entity]:
+    """Read the table code,x,y of start places and monsters, in the file's order."""
+    kinds = tiled.kinds_by_code(monster_codes)
+    entities: list[Entity] = []
+    table = csv.DictReader(tiled.read_text(path).splitlines())
+    try:
+        for line in table:
+            row = f"{path}, row {table.line_num}"
+            code, x, y = _object_line(line, row)
+            if code not in kinds:
+                raise UserError(f"{row}: unknown code {code}; known are {tiled.listed(kinds)}")
+            entities.append(Entity(kinds[code], x, y, f"{path}: the {kinds[code]} at {x:g},{y:g}"))
+    except csv.Error as error:
+        raise UserError(f"{path}, row {table.line_num}: not CSV: {error}") from None
+    return entities
 
 
-def _tile_of(level: Level, x: float, y: float) -> tuple[int, int]:
-    rows, columns = level.ground.shape
-    row, column = int((y - level.top) // level.tile), int((x - level.left) // level.tile)
-    return (row, column) if 0 <= row < rows and 0 <= column < columns else (0, 0)
+def _object_line(line: Mapping[str, str], row: str) -> tuple[int, float, float]:
+    """Return code, x and y of one line of the table of objects."""
+    try:
+        code, x, y = int(line["code"]), float(line["x"]), float(line["y"])
+        if math.isfinite(x) and math.isfinite(y):
+            return code, x, y
+    except KeyError:
+        hint = "as the first line names them (a layer of tiles is called entities)"
+        raise UserError(f"{row}: expected code,x,y {hint}") from None
+    except (TypeError, ValueError):
+        pass
+    raise UserError(f"{row}: expected code,x,y")
 
 
-def _walkable_from(level: Level, place: np.ndarray) -> np.ndarray:
-    """Return (rows, columns) bool: the tiles a body of up to one tile can reach, side by side."""
-    free = level.terrain == rules.OPEN
-    reached = np.zeros_like(free)
-    start = _tile_of(level, *place)
-    queue = deque([start] if free[start] else [])
-    reached[start] = free[start]
-    while queue:
-        row, column = queue.popleft()
-        for tile in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
-            inside = 0 <= tile[0] < free.shape[0] and 0 <= tile[1] < free.shape[1]
-            if inside and free[tile] and not reached[tile]:
-                reached[tile] = True
-                queue.append(tile)
-    return reached
+# --- Walking -------------------------------------------------------------------------------------
+
+
+def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: float) -> set[int]:
+    """Return the regions of the bodies that cover the tile at (x, y); none off the grid."""
+    rows, columns = level.terrain.shape
+    row, column = (y - level.top) // level.tile, (x - level.left) // level.tile
+    if not (0 <= row < rows and 0 <= column < columns):
+        return set()
+    top, left = max(int(row) - abreast + 1, 0), max(int(column) - abreast + 1, 0)
+    return set(regions[top : int(row) + 1, left : int(column) + 1].ravel().tolist()) - {0}
+
+
+def _fits(free: np.ndarray, abreast: int) -> np.ndarray:
+    """Return (rows - abreast + 1, columns) bool: whether so many tiles below one another are free."""
+    count = max(free.shape[0] - abreast + 1, 0)
+    return np.logical_and.reduce([free[shift : shift + count] for shift in range(abreast)])
+
+
+def _flood(regions: list[int], first: int, region: int, steps: tuple[int, ...]) -> None:
+    """Give every place marked -1 that is joined to `first` by `steps` the number of a region."""
+    regions[first] = region
+    stack = [first]
+    while stack:
+        place = stack.pop()
+        for step in steps:
+            if regions[place + step] < 0:
+                regions[place + step] = region
+                stack.append(place + step)
+
+
+def _tiles_near(count: int, tile: float, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slice, in a grid padded by one, of the tiles within `margin` of each half tile."""
+    edges = np.arange(2 * count + 1) * (tile / 2)
+    first = np.maximum((edges[:-1] - margin) // tile, -1)
+    last = np.minimum((edges[1:] + margin) // tile, count)
+    return first.astype(np.int64) + 1, last.astype(np.int64) + 2

@@ -87,7 +87,7 @@ class Worlds:
         Equal seeds make equal worlds.
         """
         for world in np.flatnonzero(self._every if mask is None else mask):
-            self.worlds["key"][world] = world_key(seeds[world])
+            self.worlds["key"][world] = world_key(seeds[int(world)])
             self.worlds["draws"][world] = 0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
