@@ -1,0 +1,250 @@
+"""Random levels: islands drawn from a number, for training on many and testing on others.
+
+`random:train:17` is the island that number 17 draws on the training side. The two sides never share
+an island's random stream: its key is 2 x number for training and 2 x number + 1 for testing.
+
+An island looks like the thesis's: snow in the north, grass in the middle, desert in the south, here
+and there cut off by a strait with bridges; the same ground codes, size of grid and counts. Drawing
+takes uniform numbers, + - x / and comparisons only, so that every processor draws the same island.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from pneuma.env import rules
+from pneuma.env.level import RANDOM, Level, first_cut_off, walkable_regions
+from pneuma.errors import UserError, nearest_name, unknown_name
+
+SPLITS = ("train", "test")
+NUMBERS = 2**64
+ROWS, COLUMNS = 50, 57
+TILE = 64
+ORIGIN = (28, 25)
+STARTS = 6
+KINDS = ("bamboo",) * 14
+WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
+
+MARGIN = 3
+"""Water on every side, in tiles."""
+LAND = (1000, 1600)
+"""How many tiles of land an island has, at least and at most."""
+LEAST = 100
+"""How many tiles of it are snow, grass and sand, at least."""
+START_GAP, MONSTER_GAP = 6, 4
+"""Tiles between a start place and anybody (more than a monster notices), and between monsters."""
+
+_ATTEMPTS = 200
+
+Draw = Callable[[int], np.ndarray]
+"""Takes so many uniform numbers in [0, 1) off an island's random stream."""
+
+
+def parse_name(name: str) -> tuple[str, int]:
+    """Return split and number of a random level's name.
+
+    Raises:
+        UserError: when it is not of the form random:train:17 or random:test:17.
+    """
+    split, _, number = name.removeprefix(RANDOM).partition(":")
+    if split in SPLITS and re.fullmatch(r"0|[1-9][0-9]{0,19}", number) and int(number) < NUMBERS:
+        return split, int(number)
+    right = f"random:{split if split in SPLITS else 'train'}:17, with a whole number from 0 in the last place"
+    raise UserError(f"level {name!r} is not allowed{nearest_name(split, SPLITS)}: the form is {right}")
+
+
+def random_level(
+    split: str, number: int, monster_codes: Mapping[int, str], kinds: Sequence[str] = KINDS
+) -> Level:
+    """Draw the island of a number; equal arguments give equal levels, in whatever order they are drawn.
+
+    Every monster can be walked to from every start place by a body as wide as a tile.
+
+    Args:
+        split: `train` or `test`.
+        number: which island, from 0 and below 2**64.
+        monster_codes: which code is which kind of monster, for the kinds that there are.
+        kinds: the kind of each monster.
+
+    Raises:
+        UserError: for another split, number or kind, or more monsters than an island has room for.
+    """
+    split, number = parse_name(f"{RANDOM}{split}:{number}")
+    for kind in kinds:
+        if kind not in monster_codes.values():
+            raise unknown_name("kind of monster", kind, monster_codes.values())
+    generator = np.random.Generator(np.random.Philox(key=2 * number + SPLITS.index(split)))
+    for _ in range(_ATTEMPTS):
+        level = _attempt(generator.random, f"{RANDOM}{split}:{number}", kinds)
+        if level is not None and first_cut_off(level) is None:
+            return level
+    raise UserError(f"level {RANDOM}{split}:{number}: no room for {len(kinds)} monsters")
+
+
+def _attempt(draw: Draw, name: str, kinds: Sequence[str]) -> Level | None:
+    """Draw an island with everybody on it; None when it is no good."""
+    ground = _draw_ground(draw)
+    terrain = _draw_terrain(draw, ground)
+    tiles = _choose_places(draw, terrain, STARTS + len(kinds))
+    shares = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
+    if (
+        tiles is None
+        or not LAND[0] <= shares[SNOW:].sum() <= LAND[1]
+        or shares[SNOW : SAND + 1].min() < LEAST
+    ):
+        return None
+    x, y = (tiles[:, 1] - ORIGIN[0] + 0.5) * TILE, (tiles[:, 0] - ORIGIN[1] + 0.5) * TILE
+    _, split, number = name.split(":")
+    return Level(
+        name=name,
+        title=f"Random island {number} ({split})",
+        tile=float(TILE),
+        left=-float(ORIGIN[0] * TILE),
+        top=-float(ORIGIN[1] * TILE),
+        ground=ground,
+        terrain=terrain,
+        starts=np.stack([x, y], axis=1)[:STARTS],
+        monsters=tuple(zip(kinds, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)),
+    )
+
+
+# --- The ground ----------------------------------------------------------------------------------
+
+
+def _draw_ground(draw: Draw) -> np.ndarray:
+    """Return (rows, columns) codes of the ground of one island in the water."""
+    land = _draw_land(draw)
+    rows = np.arange(ROWS)[:, None]
+    snow_ends = _draw_border(draw, 17, 3) + _draw_noise(draw, 3) * 3
+    sand_begins = _draw_border(draw, 33, 2)
+    ground = np.where(rows < snow_ends, SNOW, np.where(rows < sand_begins, GRASS, SAND))
+    ground[~land] = WATER
+    if draw(1)[0] < 0.6:
+        _dig_strait(draw, ground, sand_begins)
+    regions = walkable_regions(ground != WATER)
+    ground[regions != _largest(regions)] = WATER
+    return ground
+
+
+def _draw_land(draw: Draw) -> np.ndarray:
+    """Return (rows, columns) bool: a rough oval with bays and capes, without specks and puddles."""
+    width, height, corners = 19 + 5 * draw(1)[0], 16 + 4 * draw(1)[0], 0.7 * draw(1)[0]
+    across = ((np.arange(COLUMNS) - (COLUMNS - 1) / 2) / width)[None, :]
+    down = ((np.arange(ROWS) - (ROWS - 1) / 2) / height)[:, None]
+    x, y = across * across, down * down
+    oval, box = x + y, x * x + y * y  # how far out, 1 on the shore
+    rough = 1.1 * (_draw_noise(draw, 9) - 0.5) + 0.5 * (_draw_noise(draw, 4) - 0.5)
+    land = oval * (1 - corners) + box * corners + rough < 1
+    inside = np.zeros_like(land)
+    inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
+    for _ in range(3):
+        land = _smooth(land) & inside
+    return _without_specks(~_without_specks(~land, 6), 12)
+
+
+def _draw_border(draw: Draw, row: int, swing: float) -> np.ndarray:
+    """Return, for every column, the row at which one ground gives way to the next."""
+    along = _draw_noise(draw, 8)[0]  # (columns,)
+    tilt = (draw(1)[0] - 0.5) * 8 * (np.arange(COLUMNS) / COLUMNS - 0.5)
+    return row + (draw(1)[0] - 0.5) * 4 + tilt + (along - 0.5) * 4 * swing
+
+
+def _dig_strait(draw: Draw, ground: np.ndarray, sand_begins: np.ndarray) -> None:
+    """Cut the sand off by a strait, with two or three bridges over it where both shores have room."""
+    width = 2 + int(draw(1)[0] * 2)
+    shore = np.ceil(sand_begins).astype(np.int64)
+    places = _bridge_places(ground, shore, width)
+    rows = np.arange(ROWS)[:, None]
+    ground[(rows >= shore) & (rows < shore + width)] = WATER
+    for part in np.array_split(places, 2 + int(draw(1)[0] * 2)):
+        if len(part):
+            column = int(part[int(draw(1)[0] * len(part))])
+            ground[shore[column] : shore[column] + width, column - 1 : column + 2] = BRIDGE
+
+
+def _bridge_places(ground: np.ndarray, shore: np.ndarray, width: int) -> np.ndarray:
+    """Return the columns around which a bridge three tiles wide has two tiles of land on either shore."""
+    straight = (shore[:-2] == shore[1:-1]) & (shore[1:-1] == shore[2:])
+    return np.array(
+        [
+            column
+            for column in (np.flatnonzero(straight) + 1).tolist()
+            if (ground[shore[column] - 2 : shore[column] + width + 2, column - 1 : column + 2] != WATER).all()
+        ],
+        np.int64,
+    )
+
+
+# --- Obstacles and places ------------------------------------------------------------------------
+
+
+def _draw_terrain(draw: Draw, ground: np.ndarray) -> np.ndarray:
+    """Return (rows, columns) uint8: the coast, and obstacles strewn inland, here denser, there sparser."""
+    inland = _count_around(((ground != WATER) & (ground != BRIDGE)).astype(np.int64)) == 9
+    chance = 0.01 + 0.12 * np.maximum(_draw_noise(draw, 5) - 0.4, 0)
+    stones = inland & (draw(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < chance)
+    terrain = np.where(stones, rules.SOLID, rules.OPEN)
+    terrain[ground == WATER] = rules.COAST
+    return terrain.astype(np.uint8)
+
+
+def _choose_places(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
+    """Return (count, 2) rows and columns, start places first, well apart and with open tiles around."""
+    free = terrain == rules.OPEN
+    regions = walkable_regions(free)
+    roomy = (regions == _largest(regions)) & (_count_around(free.astype(np.int64)) == 9)
+    tiles = np.argwhere(roomy)
+    tiles = tiles[np.argsort(draw(len(tiles)), kind="stable")]
+    chosen: list[np.ndarray] = []
+    while len(chosen) < count and len(tiles):
+        place = tiles[0]
+        chosen.append(place)
+        gap = START_GAP if len(chosen) <= STARTS else MONSTER_GAP
+        tiles = tiles[((tiles - place) ** 2).sum(axis=1) >= gap * gap]
+    return np.array(chosen) if len(chosen) == count else None
+
+
+# --- Shapes --------------------------------------------------------------------------------------
+
+
+def _draw_noise(draw: Draw, cell: int) -> np.ndarray:
+    """Return (rows, columns) smooth random numbers in [0, 1) that change over `cell` tiles."""
+    down, along = ROWS // cell + 2, COLUMNS // cell + 2
+    corners = draw(down * along).reshape(down, along)
+    (row, below), (column, beyond) = (_steps(count, cell) for count in (ROWS, COLUMNS))
+    upper = corners[row][:, column] * (1 - beyond) + corners[row][:, column + 1] * beyond
+    lower = corners[row + 1][:, column] * (1 - beyond) + corners[row + 1][:, column + 1] * beyond
+    return upper * (1 - below[:, None]) + lower * below[:, None]
+
+
+def _steps(count: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return, for each of `count` tiles, its cell and how far into it, eased at both ends."""
+    whole = np.arange(count) // cell
+    part = np.arange(count) / cell - whole
+    return whole, part * part * (3 - 2 * part)
+
+
+def _smooth(land: np.ndarray) -> np.ndarray:
+    """Return where most tiles around, and the tile itself, are land."""
+    return _count_around(land.astype(np.int64)) >= 5
+
+
+def _count_around(tiles: np.ndarray) -> np.ndarray:
+    """Return the sum over every tile and the eight around it; nothing counts beyond the edge."""
+    padded = np.pad(tiles, 1)
+    shifts = [(row, column) for row in range(3) for column in range(3)]
+    return np.array([padded[r : r + tiles.shape[0], c : c + tiles.shape[1]] for r, c in shifts]).sum(axis=0)
+
+
+def _without_specks(tiles: np.ndarray, least: int) -> np.ndarray:
+    """Return the tiles of every region of at least so many."""
+    regions = walkable_regions(tiles)
+    return (regions > 0) & (np.bincount(regions.ravel())[regions] >= least)
+
+
+def _largest(regions: np.ndarray) -> int:
+    """Return the number of the largest region."""
+    return int(np.bincount(regions.ravel())[1:].argmax()) + 1 if regions.any() else 1
