@@ -141,12 +141,13 @@ def read_text(path: Path) -> str:
     """Read a file of text; raise `UserError` when it cannot be read."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-        if "\0" not in text:  # which XML parsers take for UTF-16, whatever they are told
-            return text
-        reason = "it is not UTF-8 text"
-    except (OSError, UnicodeDecodeError) as error:
-        reason = str(error.strerror) if isinstance(error, OSError) else "it is not UTF-8 text"
-    raise UserError(f"{path}: cannot be read: {reason}")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:  # which an XML parser takes for UTF-16, whatever it is told
+        raise UserError(f"{path}: cannot be read: it is not UTF-8 text")
+    return text
 
 
 def read_grid(rows: Sequence[Sequence[str]], where: str) -> Grid:
@@ -158,16 +159,12 @@ def read_grid(rows: Sequence[Sequence[str]], where: str) -> Grid:
     if not rows:
         raise UserError(f"{where}: the layer is empty")
     if max(len(rows), len(rows[0])) > MAX_SIDE:
-        size = f"{len(rows)} x {len(rows[0])}"
-        raise UserError(f"{where}: {size} tiles; at most {MAX_SIDE} x {MAX_SIDE} are allowed")
+        raise UserError(f"{where}: {len(rows)} x {len(rows[0])} tiles; at most {MAX_SIDE} a side are allowed")
     for number, cells in enumerate(rows, start=1):
         if len(cells) != len(rows[0]):
             count = len(cells) if cells != [""] else 0
             raise UserError(f"{where}, row {number}: {count} tiles, where row 1 has {len(rows[0])}")
-    codes = [
-        [_tile_code(cell, where, row, column) for column, cell in enumerate(cells)]
-        for row, cells in enumerate(rows)
-    ]
+    codes = [[_tile_code(cell, where, r, c) for c, cell in enumerate(cells)] for r, cells in enumerate(rows)]
     return Grid(np.array(codes, np.int64), where)
 
 
@@ -362,7 +359,7 @@ def _map_objects(
 
 
 def _object_kind(item: Element, where: str, first_ids: list[int], kinds: Mapping[int, str]) -> str:
-    """Return what an object is by its class (`type` in most versions of Tiled), name or tile."""
+    """Return what an object is by its class (`type` to most versions of Tiled), name or tile."""
     by_name = {kind.lower(): kind for kind in kinds.values()}
     words = [item.get(key, "").strip() for key in ("type", "class", "name")]
     tile = int(_number(item, "gid", where, Number(0, 2**32, whole=True), "0")) & _CODE_BITS

@@ -140,39 +140,27 @@ def test_a_layer_where_the_table_belongs_is_told_its_name(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("layers", "place", "told"),
+    ("name", "row", "column", "code", "known"),
     [
-        (
-            {"FloorBlocks": (0, 3, 7)},
-            "map_FloorBlocks.csv, row 1, column 4",
-            "unknown code 7; known are -1, 395",
-        ),
-        (
-            {"FloorBlocks": (2, 0, 0)},
-            "map_FloorBlocks.csv, row 3, column 1",
-            "unknown code 0; known are -1, 395",
-        ),
-        (
-            {"Entities": (1, 1, 393)},
-            "map_Entities.csv, row 2, column 2",
-            "unknown code 393; known are -1, 400, 390, 391",
-        ),
-        ({"Ground": (1, 1, 2**28)}, "map_Ground.csv, row 2, column 2", ""),  # a flag and code 0
+        ("FloorBlocks", 0, 3, 7, "-1, 395; list it as `obstacles` if it blocks"),
+        ("FloorBlocks", 2, 0, 0, "-1, 395; list it as `obstacles` if it blocks"),
+        ("Entities", 1, 1, 393, "-1, 400, 390, 391"),
+        ("Ground", 1, 2, 3, "-1, 0, 1, 2; name it in [ground]"),
     ],
 )
 def test_unknown_codes_are_named(
-    folder: Path, layers: dict[str, tuple[int, int, int]], place: str, told: str
+    folder: Path, name: str, row: int, column: int, code: int, known: str
 ) -> None:
-    ((name, (row, column, code)),) = layers.items()
-    tiles = {"FloorBlocks": EMPTY, "Entities": ENTITIES, "Ground": GROUND}[name].copy()
-    tiles[row, column] = code
-    write_folder(folder, **{name: tiles})
-    (folder / "level.toml").write_text('[ground]\n1 = "grass"\n2 = "sand"\n')
-    if name != "Ground":
-        assert complaint(folder).startswith(f"{folder}/{place}: {told}")
-    else:  # the first that is in the table's way
-        told = "unknown code 0; known are -1, 1, 2"
-        assert complaint(folder).startswith(f"{folder}/{place}: {told}")
+    layers = {"FloorBlocks": EMPTY.copy(), "Entities": ENTITIES.copy(), "Ground": GROUND.copy()}
+    layers[name][row, column] = code
+    write_folder(folder, **layers)
+    (folder / "level.toml").write_text('[ground]\n0 = "water"\n1 = "grass"\n2 = "sand"\n')
+    where = f"{folder / f'map_{name}.csv'}, row {row + 1}, column {column + 1}"
+    assert complaint(folder) == f"{where}: unknown code {code}; known are {known}"
+
+
+def test_any_ground_is_known_where_none_is_named(folder: Path) -> None:
+    assert load(write_folder(folder, Ground=GROUND + 99)).ground[0, 0] == 100
 
 
 def test_the_header_may_list_more_obstacles(folder: Path) -> None:
@@ -192,7 +180,7 @@ def test_numbers_that_no_tile_has_are_refused(folder: Path, cell: str) -> None:
 @pytest.mark.parametrize("shape", [(1001, 2), (2, 1001)])
 def test_more_than_1000_tiles_a_side_are_refused(folder: Path, shape: tuple[int, int]) -> None:
     message = complaint(write_folder(folder, FloorBlocks=np.full(shape, -1)))
-    told = f"{shape[0]} x {shape[1]} tiles; at most 1000 x 1000 are allowed"
+    told = f"{shape[0]} x {shape[1]} tiles; at most 1000 a side are allowed"
     assert message == f"{folder / 'map_FloorBlocks.csv'}: {told}"
 
 

@@ -1,0 +1,267 @@
+"""Random levels: the same from the number alone, disjoint sides, and never a monster out of reach."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+
+import numpy as np
+import pytest
+
+from pneuma.config import EnvConfig
+from pneuma.env import random_level as islands
+from pneuma.env import rules
+from pneuma.env.level import Level, level_files, load_level
+from pneuma.env.random_level import random_level
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import bits
+
+CODES = {390: "bamboo", 391: "spirit"}
+MANY = 200
+
+Tile = tuple[int, int]
+
+
+@pytest.fixture(scope="module")
+def levels() -> dict[str, list[Level]]:
+    """Return the first islands of both sides."""
+    return {
+        split: [random_level(split, number, CODES) for number in range(MANY)] for split in ("train", "test")
+    }
+
+
+def all_of(levels: dict[str, list[Level]]) -> list[Level]:
+    return [*levels["train"], *levels["test"]]
+
+
+def digest(level: Level) -> str:
+    parts = (level.ground, level.terrain, level.starts, np.array([place[1:] for place in level.monsters]))
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+
+def places(level: Level) -> np.ndarray:
+    """Return x and y of everybody, start places first, shape (places, 2)."""
+    return np.concatenate([level.starts, [place[1:] for place in level.monsters]])
+
+
+def tile_of(level: Level, x: float, y: float) -> Tile:
+    return int((y - level.top) // 64), int((x - level.left) // 64)
+
+
+def way(level: Level, start: Tile, goal: Tile) -> list[Tile]:
+    """Return a way over open tiles side by side, from after the start to the goal."""
+    came_from = {start: start}
+    queue = deque([start])
+    while goal not in came_from:
+        row, column = queue.popleft()  # IndexError: there is none
+        for tile in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
+            if level.terrain[tile] == rules.OPEN and tile not in came_from:
+                came_from[tile] = (row, column)
+                queue.append(tile)
+    steps = [goal]
+    while came_from[steps[-1]] != steps[-1]:
+        steps.append(came_from[steps[-1]])
+    return steps[-2::-1]
+
+
+# --- The same from the number alone --------------------------------------------------------------
+
+
+def test_a_number_gives_the_same_island_in_any_order(levels: dict[str, list[Level]]) -> None:
+    for number in (7, 3, 199, 0):
+        for split in ("test", "train"):
+            again = load_level(f"random:{split}:{number}", CODES)
+            assert digest(again) == digest(levels[split][number])
+            assert again.name == f"random:{split}:{number}" == levels[split][number].name
+
+
+def test_other_numbers_and_sides_give_other_islands(levels: dict[str, list[Level]]) -> None:
+    assert len({digest(level) for level in all_of(levels)}) == 2 * MANY
+    assert len({level.terrain.tobytes() for level in all_of(levels)}) == 2 * MANY
+    assert len({level.starts.tobytes() for level in all_of(levels)}) == 2 * MANY
+
+
+def test_the_sides_take_even_and_odd_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = []
+    philox = np.random.Philox
+
+    def spy(key: int) -> np.random.Philox:
+        keys.append(key)
+        return philox(key=key)
+
+    monkeypatch.setattr(np.random, "Philox", spy)
+    for split, number in (("train", 0), ("test", 0), ("train", 17), ("test", 17), ("test", 2**64 - 1)):
+        random_level(split, number, CODES)
+    assert keys == [0, 1, 34, 35, 2**65 - 1]
+
+
+def test_the_islands_are_those_that_stored_runs_were_trained_on() -> None:
+    """A change here changes what a stored run's level means: raise `RULES_VERSION` with it."""
+    found = {name: digest(load_level(name, CODES))[:16] for name in ("random:train:17", "random:test:17")}
+    assert found == {"random:train:17": "85aea74cd4139a19", "random:test:17": "03c2f3f8faed4a98"}
+
+
+# --- Who stands where ----------------------------------------------------------------------------
+
+
+def test_islands_are_as_large_as_the_thesiss_and_as_full(levels: dict[str, list[Level]]) -> None:
+    for level in all_of(levels):
+        assert level.ground.shape == level.terrain.shape == (50, 57)
+        assert (level.tile, level.left, level.top) == (64.0, -1792.0, -1600.0)
+        assert level.starts.shape == (6, 2)
+        assert [kind for kind, _, _ in level.monsters] == ["bamboo"] * 14
+        left, top, right, bottom = level.land
+        assert 2000 < right - left <= 51 * 64 and 1600 < bottom - top <= 44 * 64  # three tiles of water
+
+
+def test_an_island_is_one_land_of_three_grounds(levels: dict[str, list[Level]]) -> None:
+    for level in all_of(levels):
+        counts = np.bincount(level.ground.ravel(), minlength=5)
+        assert len(counts) == 5 and counts[1:4].min() >= 100 and 1000 <= counts[1:].sum() <= 1600
+        assert np.array_equal(level.terrain == rules.COAST, level.ground == 0)
+        rows = [np.nonzero(level.ground == code)[0].mean() for code in (1, 2, 3)]
+        assert rows == sorted(rows)  # snow in the north, desert in the south
+        assert 5 <= np.count_nonzero(level.terrain == rules.SOLID) <= 80
+
+
+def test_most_straits_are_bridged_and_some_islands_have_none(levels: dict[str, list[Level]]) -> None:
+    bridged = sum((level.ground == 4).any() for level in all_of(levels))
+    assert 0.3 < bridged / (2 * MANY) < 0.8
+
+
+def test_everybody_stands_at_the_middle_of_a_tile_with_open_ones_around(
+    levels: dict[str, list[Level]],
+) -> None:
+    for level in all_of(levels):
+        assert ((places(level) - (level.left, level.top)) % 64 == 32).all()
+        for x, y in places(level):
+            row, column = tile_of(level, x, y)
+            assert (level.terrain[row - 1 : row + 2, column - 1 : column + 2] == rules.OPEN).all()
+
+
+def test_everybody_keeps_apart(levels: dict[str, list[Level]]) -> None:
+    for level in all_of(levels):
+        everybody = places(level)
+        apart = np.hypot(*(everybody[:, None] - everybody[None]).transpose(2, 0, 1))  # (20, 20)
+        apart[np.diag_indices(20)] = np.inf
+        assert apart[6:, 6:].min() >= 4 * 64
+        assert apart[:6].min() >= 6 * 64 > 300  # a start place from anybody
+
+
+def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[Level]]) -> None:
+    for level in all_of(levels):
+        reached = np.zeros((50, 57), bool)
+        reached[tile_of(level, *level.starts[0])] = True
+        size = 0
+        while size != np.count_nonzero(reached):
+            size = int(np.count_nonzero(reached))
+            spread = reached.copy()
+            spread[1:] |= reached[:-1]
+            spread[:-1] |= reached[1:]
+            spread[:, 1:] |= reached[:, :-1]
+            spread[:, :-1] |= reached[:, 1:]
+            reached = spread & (level.terrain == rules.OPEN)
+        assert all(reached[tile_of(level, x, y)] for x, y in places(level))
+
+
+@pytest.mark.parametrize("name", ["random:train:1", "random:test:2"])
+def test_a_player_walks_to_every_monster_by_the_rules(name: str) -> None:
+    """Steer a player, tick by tick, along a way of tiles; nothing ever holds it up."""
+    worlds = Worlds(1, EnvConfig(level=name, episode_steps=1_000_000))
+    worlds.settings["ticks"] = 1
+    worlds.monster_stats["speed"] = worlds.monster_stats["damage"] = 0.0
+    worlds.seed([0])
+    worlds.reset(starts=np.array([0]))
+    level, player = worlds.level, worlds.players[0, 0]
+    for _, x, y in level.monsters:
+        here = tile_of(level, player["x"], player["y"])
+        for row, column in way(level, here, tile_of(level, x, y)):
+            _walk(worlds, level.left + column * 64 + 32, level.top + row * 64 + 32)
+        assert abs(player["x"] - x) <= 2.5 and abs(player["y"] - y) <= 2.5
+
+
+def _walk(worlds: Worlds, x: float, y: float) -> None:
+    """Walk a player to within half a tick of a place one tile off, without a detour."""
+    player = worlds.players[0, 0]
+    for _ in range(14 + 2):  # 64 px at 5 px a tick, and what was left of the tile before
+        dx, dy = x - player["x"], y - player["y"]
+        if max(abs(dx), abs(dy)) <= 2.5:
+            return
+        along = rules.RIGHT if dx > 0 else rules.LEFT
+        down = rules.DOWN if dy > 0 else rules.UP
+        worlds.step(np.array([[along if abs(dx) > abs(dy) else down]]))
+    raise AssertionError(f"held up at {player['x']}, {player['y']} on the way to {x}, {y}")
+
+
+def test_the_worlds_of_a_random_level_go_on_alike() -> None:
+    one, two = (Worlds(3, EnvConfig(level="random:test:5")) for _ in range(2))
+    for worlds in (one, two):
+        worlds.seed([1, 2, 3])
+        worlds.reset()
+        for action in (0, 1, 2, 3, 4) * 10:
+            worlds.step(np.full((3, 1), action))
+    assert bits(one.players, one.monsters) == bits(two.players, two.monsters)
+    assert (abs(one.observations[..., :2]) <= 1).all()  # within the land
+
+
+# --- Other kinds, and names that are none --------------------------------------------------------
+
+
+def test_the_kinds_of_monsters_may_be_given() -> None:
+    kinds = ("spirit", "bamboo", "spirit")
+    level = random_level("train", 4, CODES, kinds)
+    assert tuple(kind for kind, _, _ in level.monsters) == kinds
+    usual = random_level("train", 4, CODES)
+    assert np.array_equal(level.terrain, usual.terrain) and np.array_equal(level.starts, usual.starts)
+    assert [place[1:] for place in level.monsters] == [place[1:] for place in usual.monsters[:3]]
+
+
+def test_an_island_may_have_no_monsters() -> None:
+    assert random_level("test", 4, CODES, ()).monsters == ()
+
+
+def test_a_kind_that_is_none_is_named() -> None:
+    with pytest.raises(UserError, match=r"unknown kind of monster 'bambo' \(did you mean bamboo\?\)"):
+        random_level("train", 0, CODES, ("bambo",))
+
+
+def test_more_monsters_than_an_island_holds_are_refused() -> None:
+    with pytest.raises(UserError, match="level random:train:0: no room for 400 monsters"):
+        random_level("train", 0, CODES, ("bamboo",) * 400)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "random:", "random:train", "random:train:", "random:train:-1", "random:train:1.5", "random:train:017",
+        "random:train:1_0", "random:train: 1", "random:train:one", "random:train:1:2", "random:valid:3",
+        "random:Train:3", "random:train:٣", f"random:train:{2**64}", "random:train:1\n",
+    ],
+)  # fmt: skip
+def test_a_name_of_another_form_is_told_the_right_one(name: str) -> None:
+    with pytest.raises(UserError) as caught:
+        load_level(name, CODES)
+    message = str(caught.value)
+    assert message.startswith(f"level {name!r} is not allowed") and "\n" not in message
+    assert "the form is random:train:17, with a whole number from 0 in the last place" in message
+
+
+def test_the_right_form_keeps_to_the_side_that_was_meant() -> None:
+    with pytest.raises(UserError, match="the form is random:test:17,"):
+        load_level("random:test:x", CODES)
+    with pytest.raises(UserError, match=r"did you mean test\?"):
+        load_level("random:tests:3", CODES)
+
+
+@pytest.mark.parametrize("number", [-1, 2**64])
+def test_numbers_out_of_range_are_refused(number: int) -> None:
+    with pytest.raises(UserError, match="is not allowed"):
+        random_level("train", number, CODES)
+
+
+def test_the_number_is_enough_to_find_the_level() -> None:
+    assert level_files("random:train:0") == []
+    assert islands.parse_name("random:test:0") == ("test", 0)
+    assert islands.parse_name(f"random:train:{2**64 - 1}") == ("train", 2**64 - 1)

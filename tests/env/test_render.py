@@ -1,0 +1,466 @@
+"""Frames, the window that shows them, and the videos that they become.
+
+The arena's grid spans -640 … 640 on both axes, so that the art pixel of a place is (x + 640) / 4.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from pneuma.env import rules, sprites, video
+from pneuma.env.render import Renderer, Window
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import ATTACK, DOWN, LEFT, RIGHT, STATE_ARRAYS, UP, play, stage
+
+MIDDLE = 160  # the art pixel of (0, 0)
+BODY = 12  # no picture of a body reaches further from its centre
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return x and y of the pixels in which two frames differ, shape (2, count)."""
+    rows, columns = np.nonzero((before != after).any(axis=-1))
+    return np.stack([columns, rows])
+
+
+def bare(worlds: Worlds) -> np.ndarray:
+    """Return the whole map at 16 px a tile without the panel."""
+    return Renderer(worlds, panel=False).frame()
+
+
+def count_colour(frame: np.ndarray, colour: str) -> int:
+    """Return how many pixels have exactly a colour."""
+    return int((frame == sprites.rgb(colour)).all(axis=-1).sum())
+
+
+# --- What is drawn where -------------------------------------------------------------------------
+
+
+def test_player_is_drawn_where_the_state_says(arena: str) -> None:
+    worlds = stage(arena)
+    before = bare(worlds)
+    worlds.players["x"], worlds.players["y"] = 200.0, -120.0
+    x, y = changed(before, bare(worlds))
+    old = (abs(x - MIDDLE) <= BODY) & (abs(y - MIDDLE) <= BODY)
+    new = (abs(x - MIDDLE - 50) <= BODY) & (abs(y - MIDDLE + 30) <= BODY)
+    assert (old | new).all()
+    assert old.sum() > 100 and new.sum() > 100  # a body is about 12 x 12 art pixels
+
+
+@pytest.mark.parametrize(
+    ("facing", "way"), [(DOWN, (0, 1)), (LEFT, (-1, 0)), (UP, (0, -1)), (RIGHT, (1, 0))], ids=str
+)
+def test_sword_is_where_the_rules_have_its_box(arena: str, facing: int, way: tuple[int, int]) -> None:
+    """The box ends 69.5 px above, 77.5 px below and 79.5 px beside the player: 17 to 20 art pixels."""
+    worlds = stage(arena, facing=facing)
+    before = bare(worlds)
+    worlds.players["swing"] = 12
+    ahead = np.array(way) @ (changed(before, bare(worlds)) - MIDDLE)
+    assert 15 <= ahead.max() <= 21
+    assert ahead.min() >= -BODY
+
+
+def test_dead_monster_is_gone(arena: str) -> None:
+    worlds = stage(arena, (-200.0, -200.0), still=True)
+    renderer = Renderer(worlds, panel=False)
+    around = np.s_[110 - 20 : 110 + 20, 110 - 20 : 110 + 20]
+    assert (renderer.frame()[around] != renderer.background[around]).any()
+    worlds.monsters["hp"][0, 0] = 0.0
+    np.testing.assert_array_equal(renderer.frame()[around], renderer.background[around])
+
+
+def test_dead_player_leaves_a_grave(arena: str) -> None:
+    worlds = stage(arena, facing=LEFT)
+    alive = bare(worlds)
+    worlds.players["hp"], worlds.players["swing"] = 0.0, 12
+    grave = bare(worlds)
+    worlds.players["facing"], worlds.players["swing"] = RIGHT, 0
+    np.testing.assert_array_equal(grave, bare(worlds))
+    assert changed(alive, grave).size > 0
+
+
+@pytest.mark.parametrize(("hp", "length"), [(40, 0), (30, 9), (20, 6), (10, 3), (0.1, 1)])
+def test_bar_over_a_monster_is_as_long_as_its_hp(arena: str, hp: float, length: int) -> None:
+    """12 art pixels stand for 40 HP; whoever is unhurt has no bar, whoever lives has some."""
+    worlds = stage(arena)
+    worlds.monsters["hp"][0, 0] = hp
+    assert count_colour(bare(worlds), sprites.RED) == length
+
+
+def test_panel_shows_hp_in_its_bar(arena: str) -> None:
+    """The panel's bar is twice as large as art pixels and 108 of them wide and 3 high when full."""
+    worlds = stage(arena)
+    renderer = Renderer(worlds, size=(640, 640))
+    full = count_colour(renderer.frame(), sprites.GOLD)
+    worlds.players["hp"] = 50.0
+    over_the_head = 12 // 2 * 2 * 2
+    assert full == 108 * 3 * 2 * 2
+    assert count_colour(renderer.frame(), sprites.GOLD) == full // 2 + over_the_head
+
+
+def test_who_is_further_south_stands_in_front(arena: str) -> None:
+    """Of two players of which one covers the other's feet, the lower one is seen whole."""
+    alone = bare(stage(arena, players=((0.0, 20.0), (300.0, -300.0))))
+    behind = bare(stage(arena, players=((0.0, 20.0), (0.0, 0.0))))
+    x, y = changed(alone, behind)
+    near = abs(x - MIDDLE) <= BODY
+    figure = sprites.player_picture(0, "right", "stand")[..., 3] > 0
+    top, left = (640 + 20 + 24) // 4 + 1 - 16, MIDDLE - 8  # its feet are 24 px below its centre
+    for column, row in zip(x[near] - left, y[near] - top, strict=True):
+        inside = 0 <= row < 16 and 0 <= column < 16
+        assert not (inside and figure[row, column])
+
+
+def test_bite_flashes_and_hit_monster_flashes(arena: str) -> None:
+    worlds = stage(arena, (-200.0, -200.0))
+    calm = bare(worlds)
+    worlds.monsters["knocked"][0, 0] = 27
+    x, _ = changed(calm, bare(worlds))
+    assert x.size > 0 and (abs(x - 110) <= BODY).all()
+    worlds.monsters["knocked"][0, 0] = 0
+    worlds.monsters["bite"][0, 0, 0] = worlds.monster_stats["bite_ticks"][0]
+    x, _ = changed(calm, bare(worlds))
+    assert x.size > 0 and (abs(x - MIDDLE) <= BODY).all()
+
+
+def test_players_wear_different_cloaks() -> None:
+    looks = {sprites.player_picture(index, "down", "stand").tobytes() for index in range(8)}
+    assert len(looks) == 8
+
+
+def test_unknown_kind_of_monster_is_drawn_as_a_stranger() -> None:
+    stranger = sprites.monster_picture("stranger", 0)
+    np.testing.assert_array_equal(sprites.monster_picture("ogre", 0), stranger)
+    assert not np.array_equal(sprites.monster_picture("squid", 0)[:14, :14], stranger[:14, :14])
+
+
+def test_ground_is_blue_exactly_where_the_coast_is() -> None:
+    """In the middle of every tile of the shipped level; borders may wander by a few pixels."""
+    worlds = Worlds(1)
+    centres = Renderer(worlds).background[8::16, 8::16].astype(int)
+    blue = centres[..., 2] - centres[..., 0] > 40
+    np.testing.assert_array_equal(blue, worlds.level.terrain == rules.COAST)
+
+
+# --- Cameras -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("place", "corner"),
+    [
+        ((0.0, 0.0), (MIDDLE - 120, MIDDLE - 88)),  # half of a view of 240 x 176 art pixels
+        ((-540.0, -540.0), (0, 0)),
+        ((540.0, 540.0), (320 - 240, 320 - 176)),
+        ((-540.0, 40.0), (0, MIDDLE + 10 - 88)),
+    ],
+    ids=str,
+)
+def test_following_camera_is_the_map_around_the_player(
+    arena: str, place: tuple[float, float], corner: tuple[int, int]
+) -> None:
+    """Law: every art pixel is the map's, four times as large; the window never leaves the map."""
+    worlds = stage(arena, players=(place,))
+    left, top = corner
+    expected = bare(worlds)[top : top + 176, left : left + 240].repeat(4, 0).repeat(4, 1)
+    np.testing.assert_array_equal(Renderer(worlds, "follow", panel=False).frame(), expected)
+
+
+def test_map_smaller_than_the_frame_lies_in_the_middle_of_the_sea(arena: str) -> None:
+    worlds = stage(arena, players=((0.0, 0.0),))
+    frame = Renderer(worlds, "follow", size=(1600, 704), panel=False).frame()  # at 4 x 400 x 176 are seen
+    inner = bare(worlds)[MIDDLE - 88 : MIDDLE + 88].repeat(4, 0).repeat(4, 1)
+    np.testing.assert_array_equal(frame[:, 160:-160], inner)
+    sea = np.concatenate([frame[:, :160], frame[:, -160:]], axis=1)
+    assert (sea == sea[0, 0]).all()
+
+
+def test_map_is_enlarged_and_reduced_by_whole_factors(arena: str) -> None:
+    worlds = stage(arena)
+    np.testing.assert_array_equal(
+        Renderer(worlds, size=(700, 640), panel=False).frame()[:, 30:-30],
+        bare(worlds).repeat(2, 0).repeat(2, 1),
+    )
+    small = Renderer(worlds, size=(160, 160), panel=False).frame()
+    squares = bare(worlds).reshape(160, 2, 160, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_array_equal(small, np.floor(squares))
+
+
+def test_camera_follows_the_player_asked_for(arena: str) -> None:
+    worlds = stage(arena, players=((-100.0, 0.0), (100.0, 0.0)))
+    renderer = Renderer(worlds, "follow", panel=False)
+    moved = 200 // 4 * 4  # 200 px of the world, 50 art pixels, enlarged by 4
+    np.testing.assert_array_equal(renderer.frame(0, 0)[:, moved:], renderer.frame(0, 1)[:, :-moved])
+
+
+def test_small_tiles_leave_bodies_in_proportion(tmp_path: Path, arena: str) -> None:
+    """Among tiles of 32 px a player of 47 px spans one and a half tiles instead of three quarters."""
+    small = tmp_path / "small"
+    small.mkdir()
+    for name in ("ground.csv", "obstacles.csv", "objects.csv"):
+        (small / name).write_text((Path(arena) / name).read_text())
+    header = (Path(arena) / "level.toml").read_text()
+    (small / "level.toml").write_text(header.replace("tile = 64", "tile = 32"))
+    (small / "objects.csv").write_text("code,x,y\n400,0,0\n390,200,200\n")
+    worlds = stage(str(small))
+    before = bare(worlds)
+    worlds.players["hp"] = 0.0
+    x, _ = changed(before, bare(worlds))
+    assert 24 <= np.ptp(x) <= 32
+
+
+def test_wrong_camera_and_size_are_told(arena: str) -> None:
+    worlds = stage(arena)
+    with pytest.raises(UserError, match=r"unknown camera 'folow' \(did you mean follow\?\)"):
+        Renderer(worlds, "folow")
+    with pytest.raises(UserError, match="size = 0 x 10"):
+        Renderer(worlds, size=(0, 10))
+
+
+# --- The same state, the same bytes --------------------------------------------------------------
+
+
+def walk(worlds: Worlds, seed: int, steps: int) -> None:
+    """Let players act at random."""
+    generator = np.random.default_rng(seed)
+    for _ in range(steps):
+        worlds.step(generator.integers(5, size=worlds.players.shape))
+
+
+def test_same_state_gives_the_same_bytes() -> None:
+    first, second = Worlds(2, players=3), Worlds(2, players=3)
+    for worlds in (first, second):
+        worlds.seed([5, 6])
+        worlds.reset()
+        walk(worlds, seed=1, steps=40)
+    for camera in ("map", "follow"):
+        here, there = (Renderer(worlds, camera).frame(1, 2) for worlds in (first, second))
+        assert here.tobytes() == there.tobytes()
+
+
+def test_state_put_back_is_drawn_as_before() -> None:
+    worlds = Worlds(1)
+    worlds.seed([7])
+    worlds.reset()
+    renderer = Renderer(worlds, "follow")
+    walk(worlds, seed=2, steps=30)
+    saved = {name: getattr(worlds, name).copy() for name in STATE_ARRAYS}
+    before = renderer.frame()
+    walk(worlds, seed=3, steps=10)
+    assert not np.array_equal(renderer.frame(), before)
+    for name, array in saved.items():
+        getattr(worlds, name)[...] = array
+    np.testing.assert_array_equal(renderer.frame(), before)
+
+
+# --- The window ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pygame(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """Return pygame without a screen or a sound card."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("SDL_AUDIODRIVER", "dummy")
+    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    module = pytest.importorskip("pygame", reason="pygame-ce is not installed: the window is not tested")
+    yield module
+    module.display.quit()
+
+
+def on_screen(pygame: ModuleType) -> np.ndarray:
+    """Return what the window shows, shape (height, width, 3)."""
+    return np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
+
+
+def test_window_shows_every_frame_as_it_is(pygame: ModuleType, arena: str) -> None:
+    worlds = stage(arena)
+    renderer = Renderer(worlds, "follow")
+    window = Window(renderer.size, "arena")
+    for _ in range(3):
+        play(worlds, RIGHT)
+        frame = renderer.frame()
+        window.show(frame, 0)
+        np.testing.assert_array_equal(on_screen(pygame), frame)
+    window.show(frame[::2, ::2], 0)
+    np.testing.assert_array_equal(on_screen(pygame), frame[::2, ::2].repeat(2, 0).repeat(2, 1))
+    window.close()
+    window.close()
+
+
+def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
+    window = Window((64, 64), "keys")
+    frame = np.zeros((64, 64, 3), np.uint8)
+    window.show(frame, 0)
+    assert window.keys() == set()
+    for key in (pygame.K_SPACE, pygame.K_a, pygame.K_x):
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    assert window.keys() == {"space", "left"}
+    window.show(frame, 0)
+    assert window.keys() == set()  # tapped, not held
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    window.show(frame, 0)
+    assert window.closed and window.keys() == set()
+    window.show(frame, 0)
+
+
+def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(UserError, match="pygame-ce: pip install"):
+        Window((64, 64), "none")
+
+
+def test_drawing_loads_neither_pygame_nor_pillow() -> None:
+    code = (
+        "import sys; from pneuma.env import render, worlds; here = worlds.Worlds(1); here.reset();"
+        "render.Renderer(here).frame(); print([m for m in ('pygame', 'PIL', 'torch') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
+    )
+    assert done.stdout.strip() == "[]"
+
+
+# --- Videos --------------------------------------------------------------------------------------
+
+
+def squares(count: int, side: int = 64) -> Iterator[np.ndarray]:
+    """Yield frames in which a white square wanders over colours, pausing at every other frame."""
+    ground = np.zeros((side, side, 3), np.uint8)
+    ground[..., 0] = np.arange(side)[:, None] // 8 * 20
+    for number in range(count):
+        frame = ground.copy()
+        corner = number // 2 * 3 % (side - 8)
+        frame[corner : corner + 8, corner : corner + 8] = 255
+        yield frame
+
+
+def gif_frames(path: Path) -> tuple[list[np.ndarray], list[int]]:
+    """Return a GIF's frames and how many milliseconds each stays."""
+    with Image.open(path) as image:
+        frames = [
+            (np.array(frame.convert("RGB")), frame.info["duration"])
+            for frame in ImageSequence.Iterator(image)
+        ]
+    return [frame for frame, _ in frames], [duration for _, duration in frames]
+
+
+def test_gif_has_every_frame_pixel_by_pixel(tmp_path: Path) -> None:
+    """Frames that repeat are kept; 30 frames a second last 0.03 or 0.04 s, 1 s together."""
+    path = tmp_path / "squares.gif"
+    video.write_video(path, squares(30), 30)
+    frames, milliseconds = gif_frames(path)
+    np.testing.assert_array_equal(frames, list(squares(30)))
+    assert sum(milliseconds) == 1000 and set(milliseconds) == {30, 40}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_gif_of_the_world_loses_no_colour(tmp_path: Path, arena: str) -> None:
+    worlds = stage(arena, (80.0, 0.0))
+    renderer = Renderer(worlds, "follow", size=(240, 176))
+    drawn = []
+    for action in (RIGHT, ATTACK, ATTACK, ATTACK, LEFT):
+        play(worlds, action)
+        drawn.append(renderer.frame())
+    video.write_video(tmp_path / "fight.gif", iter(drawn), 10)
+    np.testing.assert_array_equal(gif_frames(tmp_path / "fight.gif")[0], drawn)
+
+
+def test_gif_with_too_many_colours_comes_close(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (40, 40, 3)).astype(np.uint8)
+    video.write_video(tmp_path / "noise.gif", iter([noise, noise[::-1]]), 10)
+    frames, _ = gif_frames(tmp_path / "noise.gif")
+    assert len(frames) == 2
+    assert np.abs(frames[1].astype(int) - noise[::-1]).mean() < 20
+
+
+def test_memory_does_not_grow_with_the_length_of_a_gif(tmp_path: Path) -> None:
+    def peak(count: int) -> int:
+        tracemalloc.start()
+        video.write_video(tmp_path / f"{count}.gif", squares(count, 128), 20)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(5)  # what is loaded once
+    assert peak(400) < 1.2 * peak(50)
+
+
+def test_mp4_can_be_read_and_has_even_sides(tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip(
+        "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested", exc_type=ImportError
+    )
+    path = tmp_path / "squares.mp4"
+    frames = [frame[:63, :61] for frame in squares(20)]
+    video.write_video(path, iter(frames), 10)
+    assert ffmpeg.count_frames_and_secs(str(path)) == (20, 2.0)
+    options = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    decode = [ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), *options]
+    raw = subprocess.run(decode, capture_output=True, check=True).stdout
+    read = np.frombuffer(raw, np.uint8).reshape(20, 64, 62, 3)
+    difference = [
+        np.abs(have[:63, :61].astype(int) - want).mean() for have, want in zip(read, frames, strict=True)
+    ]
+    assert max(difference) < 10  # H.264 is lossy
+
+
+def test_png_is_the_first_frame(tmp_path: Path) -> None:
+    video.write_video(tmp_path / "first.png", squares(3), 10)
+    with Image.open(tmp_path / "first.png") as image:
+        np.testing.assert_array_equal(np.array(image), next(squares(1)))
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "told"),
+    [
+        ("a.gfi", 10, r"unknown kind of video '.gfi' \(did you mean .gif\?\); known are .gif, .mp4, .png"),
+        ("a", 10, "unknown kind of video ''"),
+        ("a.gif", 60, "frames per second = 60 is not allowed: above 0 and at most 50"),
+        ("a.gif", 0, "frames per second = 0 is not allowed"),
+        ("missing/a.gif", 10, "there is no folder"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_a_frame_is_drawn(
+    tmp_path: Path, name: str, rate: float, told: str
+) -> None:
+    stream = squares(3)
+    with pytest.raises(UserError, match=told):
+        video.write_video(tmp_path / name, stream, rate)
+    assert len(list(stream)) == 3 and list(tmp_path.iterdir()) == []
+
+
+def test_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install 'pneuma\[video\]', or choose .gif"):
+        video.write_video(tmp_path / "a.mp4", squares(3), 10)
+
+
+def test_no_frames_are_told(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no frames"):
+        video.write_video(tmp_path / "a.gif", iter([]), 10)
+
+
+@pytest.mark.parametrize("suffix", ["gif", "mp4"])
+def test_failure_half_way_leaves_what_was_there(tmp_path: Path, suffix: str) -> None:
+    if suffix == "mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested")
+    path = tmp_path / f"a.{suffix}"
+    path.write_text("older")
+
+    def broken() -> Iterator[np.ndarray]:
+        yield from squares(3)
+        raise RuntimeError("lost")
+
+    with pytest.raises(RuntimeError, match="lost"):
+        video.write_video(path, broken(), 10)
+    assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]
