@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TypeVar
 
 from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.values import MOST_NAMES, Choice, Flag, Matching, Names, Number, Reader, Several, Text
 
 RULES_VERSION = 1
 """Raised by hand when the same seed and actions give another world; part of every run id."""
@@ -22,14 +23,20 @@ RULES_VERSION = 1
 ENGINE_VERSIONS = {"sb3": 1}
 """Raised by hand when an engine trains the same run to other numbers; part of every run id."""
 
-ENVIRONMENTS = ("pneuma/Pneuma-v0",)
 SHIPPED_LEVELS = ("thesis",)
-REWARDS = ("thesis",)
+SHIPPED_CHARACTERS = ("pygame",)
+REWARDS = ("thesis", "pygame", "godot", "kills", "distance-sigmoid")
+OBSERVATIONS = ("thesis", "pygame", "godot")
+ORDERS = ("nearest", "fixed")
+SCALES = ("unit", "map", "raw")
 ALGORITHMS = ("ppo",)
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
+SPELL_NAMES = ("flame", "heal")
+MAX_PLAYERS = MOST_NAMES
 MAX_SLOTS = 1024
+PERCEIVE = "all, nearest:K for the K nearest, or kind:NAME,… for monsters of some kinds"
 
 OPTIMIZER_SETTINGS: dict[str, tuple[str, ...]] = {
     "adam": ("betas", "epsilon"),
@@ -47,117 +54,6 @@ _OPTIMIZER_DEFAULTS: dict[str, Any] = {
 }
 
 
-# --- What a value may be -------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number within bounds; `whole` for integers, `optional` where "none" switches it off."""
-
-    low: float
-    high: float = math.inf
-    whole: bool = False
-    above: bool = False
-    """Whether `low` itself is excluded."""
-    below: bool = False
-    """Whether `high` itself is excluded."""
-    optional: bool = False
-
-    def read(self, value: object) -> int | float | None:
-        """Return the number, or raise ValueError."""
-        if self.optional and (value is None or value == "none"):
-            return None
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError
-        if not math.isfinite(value) or (self.whole and value != int(value)):
-            raise ValueError
-        too_low = value <= self.low if self.above else value < self.low
-        too_high = value >= self.high if self.below else value > self.high
-        if too_low or too_high:
-            raise ValueError
-        return int(value) if self.whole else float(value) + 0.0  # -0.0 is 0.0
-
-    @property
-    def allowed(self) -> str:
-        """Say in words what is allowed."""
-        kind = "a whole number" if self.whole else "a number"
-        parts = [f"{'above' if self.above else 'of at least'} {self._told(self.low)}"]
-        if self.high < math.inf:
-            parts.append(f"{'below' if self.below else 'at most'} {self._told(self.high)}")
-        return f"{kind} {' and '.join(parts)}" + (', or "none"' if self.optional else "")
-
-    def _told(self, bound: float) -> str:
-        return str(int(bound)) if self.whole else f"{bound:g}"
-
-
-@dataclass(frozen=True)
-class Choice:
-    """One of a few names."""
-
-    names: tuple[str, ...]
-
-    def read(self, value: object) -> str:
-        """Return the name, or raise ValueError."""
-        if value not in self.names:
-            raise ValueError
-        return str(value)
-
-    @property
-    def allowed(self) -> str:
-        """Say in words what is allowed."""
-        return "one of " + ", ".join(self.names)
-
-
-@dataclass(frozen=True)
-class Flag:
-    """True or false."""
-
-    allowed: str = "true or false"
-
-    def read(self, value: object) -> bool:
-        """Return the flag, or raise ValueError."""
-        if not isinstance(value, bool):
-            raise ValueError
-        return value
-
-
-@dataclass(frozen=True)
-class Text:
-    """A name or a path."""
-
-    allowed: str = "a name or a path"
-
-    def read(self, value: object) -> str:
-        """Return the text, or raise ValueError."""
-        if not isinstance(value, str) or not value:
-            raise ValueError
-        return value
-
-
-@dataclass(frozen=True)
-class Several:
-    """A list of numbers, each of one kind, with a least and a greatest length."""
-
-    each: Number
-    shortest: int
-    longest: int
-
-    def read(self, value: object) -> tuple[int | float | None, ...]:
-        """Return the numbers as a tuple, or raise ValueError."""
-        if not isinstance(value, (list, tuple)) or not self.shortest <= len(value) <= self.longest:
-            raise ValueError
-        return tuple(self.each.read(item) for item in value)
-
-    @property
-    def allowed(self) -> str:
-        """Say in words what is allowed."""
-        count = str(self.shortest) if self.shortest == self.longest else "a list"
-        return f"{count} of: {self.each.allowed}"
-
-
-Reader = Number | Choice | Flag | Text | Several
-
-
 def setting(default: Any, reader: Reader) -> Any:
     """Declare a field of a configuration with what its value may be."""
     return field(default=default, metadata={"reader": reader})
@@ -170,16 +66,103 @@ def setting(default: Any, reader: Reader) -> Any:
 class EnvConfig:
     """The settings of one environment; each is a keyword of `gymnasium.make` and a key of a study.
 
-    The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text.
+    The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text; empty texts are
+    filled by `make_env_config`.
     """
 
     level: str = setting("thesis", Text())
-    """Name of a shipped level, or path of a folder of CSV layers."""
-    reward: str = setting("thesis", Choice(REWARDS))
+    """A shipped level, a folder of CSV layers, a .tmx map, or random:train:N or random:test:N."""
+    random_levels: int = setting(1, Number(1, 10_000, whole=True))
+    """How many random levels, from number N on; each episode draws one."""
+    characters: str = setting("", Text(empty=True))
+    """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
+    players: int = setting(1, Number(1, MAX_PLAYERS, whole=True))
+    classes: tuple[str, ...] = setting(("base",), Names(r"[\w-]+", "a class, or a list of one a player"))
+    weapons: tuple[str, ...] = setting(("own",), Names(r"[\w-]+", "a weapon, or a list of one a player"))
+    magic: bool = setting(False, Flag())
+    """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
+    reward: tuple[str, ...] = setting(
+        ("thesis",),
+        Names(rf"{'|'.join(REWARDS)}|[\w.]+:\w+", f"one of {', '.join(REWARDS)}, or module:function"),
+    )
+    """A formula, or a list of one a player."""
+    observation: str = setting("thesis", Choice(OBSERVATIONS))
+    """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
+    perceive: str = setting("", Matching(r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*", PERCEIVE))
+    order: str = setting("", Choice(("", *ORDERS)))
+    scale: str = setting("", Choice(("", *SCALES)))
+    """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""
+    start: str = setting("random", Choice(("random", "first")))
+    coast: str = setting("wall", Choice(("wall", "deadly")))
+    kill_credit: str = setting("striker", Choice(("striker", "near")))
+    """Who earns a kill's XP and HP: its striker, or all within the dying monster's attack circle."""
+    xp_scope: str = setting("episode", Choice(("episode", "forever")))
+    ending_cost: float = setting(0.0, Number(0, 1000))
+    """XP lost when an episode ends otherwise than at sea."""
     episode_steps: int = setting(1000, Number(1, 1_000_000, whole=True))
     """Time limit of an episode in agent steps of 8 ticks."""
+    time_limit: str = setting("truncate", Choice(("truncate", "terminate")))
     end_on_clear: bool = setting(False, Flag())
     """Whether the last monster's death ends the episode."""
+
+
+ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
+    "pneuma/Pneuma-v0": {},
+    "pneuma/PneumaGodot-v0": {
+        "reward": "godot",
+        "observation": "godot",
+        "start": "first",
+        "coast": "deadly",
+        "kill_credit": "near",
+        "xp_scope": "forever",
+        "ending_cost": 1.0,
+        "episode_steps": 7500,
+        "time_limit": "terminate",
+        "end_on_clear": True,
+    },
+}
+"""What each environment sets other than the defaults: the published code's quirks for Godot's."""
+
+ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
+
+ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
+"""How many worlds a study collects from side by side, unless it says so itself."""
+
+OBSERVATION_SETTINGS = {
+    "thesis": {"perceive": "all", "order": "nearest", "scale": "unit"},
+    "pygame": {"perceive": "nearest:5", "order": "nearest", "scale": "map"},
+    "godot": {"perceive": "all", "order": "fixed", "scale": "raw"},
+}
+"""What each layout perceives unless told otherwise."""
+
+
+def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
+    """Resolve settings (keys of `EnvConfig`) of an environment to a complete configuration.
+
+    Raises:
+        UserError: for an unknown key, a value out of range, or values that do not go together.
+    """
+    given = read_settings(EnvConfig, {**ENVIRONMENT_SETTINGS[env], **settings})
+    return EnvConfig(**_resolve_world(given))
+
+
+def _resolve_world(values: dict[str, Any]) -> dict[str, Any]:
+    """Fill what a layout of observations implies, and check what must go together."""
+    layout = OBSERVATION_SETTINGS[values.get("observation", "thesis")]
+    values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
+    players = values.get("players", 1)
+    for key in ("classes", "weapons", "reward"):
+        if len(values.get(key, ("",))) not in (1, players):
+            raise UserError(
+                f"{key} has {len(values[key])} names for {players} players: give one, or one each"
+            )
+        if len(set(values.get(key, ()))) == 1:
+            values[key] = values[key][:1]
+    if values.get("random_levels", 1) > 1 and not values.get("level", "").startswith("random:"):
+        raise UserError(
+            f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"
+        )
+    return values
 
 
 _UNIT = Number(0, 1)
@@ -233,8 +216,8 @@ class Run(EnvConfig):
 
     @property
     def steps_per_update(self) -> int:
-        """Agent steps, over all slots, that one update learns from."""
-        return self.horizon * self.slots
+        """Agent steps, over all slots and players, that one update learns from."""
+        return self.horizon * self.slots * self.players
 
     @property
     def updates(self) -> int:
@@ -301,30 +284,38 @@ def read_setting(config: type[_Config], key: str, value: object) -> Any:
 def make_run(settings: Mapping[str, object]) -> Run:
     """Resolve settings (keys of `Run`) to a complete run: checked, rounded, nothing left implicit.
 
-    The optimizer's own settings get their defaults, and those that it does not read become None,
-    so that two ways to write the same training are the same run. The budget is rounded up to
-    whole horizons.
+    What is not given is as the environment's preset has it. The optimizer's own settings get their
+    defaults, and those that it does not read become None, so that two ways to write the same training
+    are the same run. The budget is rounded up to whole horizons.
 
     Raises:
         UserError: for an unknown key, a value out of range, or two values that do not go together.
     """
+    env = read_setting(Run, "env", settings.get("env", ENVIRONMENTS[0]))
     left_open = {key for key in _OPTIMIZER_DEFAULTS if settings.get(key, ...) is None}
+    settings = {**ENVIRONMENT_SETTINGS[env], **settings}
     values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
+    values = _resolve_learner(_resolve_world(values))
+    run = Run(**values)
+    if run.minibatch > run.steps_per_update:
+        most = f"horizon x slots x players = {run.steps_per_update}"
+        raise UserError(f"minibatch = {run.minibatch} is not allowed: at most {most}")
+    whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
+    return run if whole == run.steps else Run(**{**values, "steps": whole})
+
+
+def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
+    """Fill the optimizer's settings and drop what nothing reads."""
+    values = dict(values)
     optimizer = values.get("optimizer", "adam")
     for key, default in _OPTIMIZER_DEFAULTS.items():
         used = key in OPTIMIZER_SETTINGS[optimizer]
         values[key] = values.get(key, default) if used else None
     if values["momentum"] == 0 and values["dampening"] is not None:
         values["dampening"] = 0.0  # torch reads it only beside a momentum
-    run = Run(**values)
-    if run.gradient_limit is None and run.clip != "joint":
-        return make_run({**values, "clip": "joint"})  # nothing is clipped either way
-    if run.minibatch > run.steps_per_update:
-        raise UserError(
-            f"minibatch = {run.minibatch} is not allowed: at most horizon x slots = {run.steps_per_update}"
-        )
-    whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
-    return run if whole == run.steps else Run(**{**values, "steps": whole})
+    if values.get("gradient_limit", 0.5) is None:
+        values["clip"] = "joint"  # nothing is clipped either way
+    return values
 
 
 def env_config(run: Run) -> EnvConfig:

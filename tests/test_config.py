@@ -16,6 +16,7 @@ from pneuma.config import (
     Run,
     as_settings,
     env_config,
+    make_env_config,
     make_run,
     read_setting,
     read_settings,
@@ -148,7 +149,7 @@ def test_settings_hold_only_what_json_can() -> None:
 
 def test_the_environment_of_a_run_is_its_part_of_the_settings() -> None:
     config = env_config(make_run({"episode_steps": 77, "end_on_clear": True, "seed": 3}))
-    assert config == EnvConfig(episode_steps=77, end_on_clear=True)
+    assert config == make_env_config({"episode_steps": 77, "end_on_clear": True})
     assert type(config) is EnvConfig
 
 
@@ -182,6 +183,9 @@ NUMBERS: dict[str, tuple[Any, Any, Any, Any]] = {
     "steps": (0, 10**12 + 1, 1, 10**12),
     "slots": (0, 1025, 1, 1024),
     "episode_steps": (0, 1_000_001, 1, 1_000_000),
+    "random_levels": (0, 10_001, 1, 10_000),
+    "players": (0, 9, 1, 8),
+    "ending_cost": (-0.1, 1000.1, 0, 1000),
     "gamma": (-0.01, 1.01, 0, 1),
     "gae_lambda": (-0.01, 1.01, 0, 1),
     "learning_rate": (0, 100.1, 1e-12, 100),
@@ -199,13 +203,24 @@ NUMBERS: dict[str, tuple[Any, Any, Any, Any]] = {
     "weight_decay": (-0.1, 1.1, 0, 1),
     "evaluation_episodes": (0, 10_001, 1, 10_000),
 }
-WHOLE = ("seed", "steps", "slots", "episode_steps", "horizon", "minibatch", "epochs", "evaluation_episodes")
+WHOLE = (
+    *("seed", "steps", "slots", "episode_steps", "horizon", "minibatch", "epochs", "evaluation_episodes"),
+    *("random_levels", "players"),
+)
 LISTS: dict[str, list[Any]] = {
     "actor": [[], [0], [65_537], [1] * 9, [1.5], 128, "128", [[1]]],
     "critic": [[], [0], [65_537], [1] * 9, [1.5], 256, "256", [[1]]],
     "betas": [[0.9], [0.9, 0.9, 0.9], [0.9, 1], [-0.1, 0.9], 0.9, ["a", "b"]],
+    "classes": [[], "", 3, "a class", ["tank"] * 9, [3]],
+    "weapons": [[], "", 3, "a sword", ["sword"] * 9, [3]],
+    "reward": [[], "", 3, "kill", "module:", ":function", ["kills"] * 9, [3]],
 }
-WORDS = ("level", "reward", "env", "engine", "algorithm", "activation", "clip", "optimizer")
+WORDS = (
+    *("level", "env", "engine", "algorithm", "activation", "clip", "optimizer"),
+    *("observation", "start", "coast", "kill_credit", "xp_scope", "time_limit"),
+)
+WORDS_OR_NOTHING = ("characters", "perceive", "order", "scale")
+FLAGS = ("end_on_clear", "magic")
 
 
 def _assert_refused(key: str, value: Any, shown: str) -> str:
@@ -218,7 +233,7 @@ def _assert_refused(key: str, value: Any, shown: str) -> str:
 
 
 def test_every_key_is_tested_here() -> None:
-    assert {*NUMBERS, *LISTS, *WORDS, "end_on_clear"} == set(KEYS)
+    assert {*NUMBERS, *LISTS, *WORDS, *WORDS_OR_NOTHING, *FLAGS} == set(KEYS)
 
 
 @pytest.mark.parametrize("key", NUMBERS)
@@ -275,10 +290,18 @@ def test_what_is_no_word_is_refused(key: str, value: Any) -> None:
         make_run({key: value})
 
 
+@pytest.mark.parametrize("key", WORDS_OR_NOTHING)
+@pytest.mark.parametrize("value", [3, True, [], None])
+def test_what_is_neither_a_word_nor_nothing_is_refused(key: str, value: Any) -> None:
+    with pytest.raises(UserError, match=f"^{key} = .* is not allowed"):
+        make_run({key: value})
+
+
+@pytest.mark.parametrize("key", FLAGS)
 @pytest.mark.parametrize("value", [1, 0, "true", None])
-def test_only_true_and_false_are_flags(value: Any) -> None:
-    with pytest.raises(UserError, match="^end_on_clear = .* true or false$"):
-        make_run({"end_on_clear": value})
+def test_only_true_and_false_are_flags(key: str, value: Any) -> None:
+    with pytest.raises(UserError, match=f"^{key} = .* true or false$"):
+        make_run({key: value})
 
 
 @pytest.mark.parametrize(

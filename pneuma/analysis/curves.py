@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis import WINDOWS
 from pneuma.analysis.tables import FinishedRun, StudyData
 
 GRID_POINTS = 200
 WINDOW_POINTS = 10
 """A twentieth of the grid: the window of a training curve."""
-WINDOWS = ("budget-5%", "trailing-100")
 TRAILING_EPISODES = 100
 
 

@@ -9,22 +9,24 @@ from typing import Any
 import pandas as pd
 
 from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
-from pneuma.analysis.tables import TABLES as RECORD_TABLES
 from pneuma.analysis.tables import StudyData
 from pneuma.study.store import write_whole
 
-TABLES = (*RECORD_TABLES, "curves")
-FORMATS = ("csv", "parquet", "latex")
-
 
 def export_table(data: StudyData, table: str, form: str, path: Path) -> int:
-    """Write one of `TABLES` in one of `FORMATS`; return the number of rows.
+    """Write one of `EXPORT_TABLES` in one of `EXPORT_FORMATS`; return the number of rows.
 
     The same runs give the same bytes; no table holds wall-clock values.
     """
+    encoded, rows = encode_table(data, table, form)
+    write_whole(path, encoded)
+    return rows
+
+
+def encode_table(data: StudyData, table: str, form: str) -> tuple[bytes, int]:
+    """Return what `export_table` writes, and the number of rows."""
     frame = _curves(data) if table == "curves" else data.table(table)
-    write_whole(path, _encode(frame, form))
-    return len(frame)
+    return _encode(frame, form), len(frame)
 
 
 def _curves(data: StudyData) -> pd.DataFrame:

@@ -12,8 +12,6 @@ from pneuma.errors import UserError
 from pneuma.study.store import Store
 from pneuma.study.tables import from_parquet
 
-TABLES = ("episodes", "metrics", "evaluations")
-
 
 @dataclass(frozen=True)
 class FinishedRun:
@@ -54,6 +52,7 @@ class StudyData:
         self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in record["runs"]))
         self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in record["runs"]))
         self.runs = [run for run in (self._finished(run) for run in record["runs"]) if run]
+        self.left_out = len(record["runs"]) - len(self.runs)
         if not self.runs:
             raise UserError(
                 f"no run of this selection of study {self.study} has finished in {store.root}: "
@@ -79,7 +78,7 @@ class StudyData:
         return [run for run in self.runs if run.condition == condition]
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return one of `TABLES` for every finished run, in the selection's order.
+        """Return one of `RECORD_TABLES` for every finished run, in the selection's order.
 
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.base`).
         """

@@ -28,6 +28,8 @@ def bench_env() -> list[dict[str, Any]]:
     cases: list[tuple[str, str, int, Step]] = [
         ("kernel", "kernel", 1, _kernel(1)),
         ("kernel", "kernel", 64, _kernel(64)),
+        ("kernel, all engaged", "kernel", 1, _kernel(1, engaged=True)),
+        ("vector, all engaged", "vector", 64, _vector(64, engaged=True)),
         ("Gymnasium single", "single", 1, _single(ENVIRONMENTS[0])),
         ("Gymnasium vector", "vector", 64, _vector(64)),
         ("CartPole-v1, single", "cartpole", 1, _single("CartPole-v1")),
@@ -52,10 +54,36 @@ def _rate(step: Step) -> float:
     return count / elapsed
 
 
-def _kernel(count: int) -> Step:
+def _engage(worlds: Worlds) -> None:
+    """Bring every monster within reach of its player, and let nobody ever die: the worst case."""
+    angles = np.random.default_rng(1).random(worlds.monsters.shape) * 6.283
+    worlds.monsters["x"] = worlds.players["x"] + 30 * np.cos(angles)
+    worlds.monsters["y"] = worlds.players["y"] + 30 * np.sin(angles)
+    worlds.players["hp"] = worlds.player_stats["hp"] = 1e12
+    worlds.player_stats["damage"] = 0.0
+    worlds.settings["step_limit"] = 10**12
+
+
+def save_and_restore_microseconds() -> float:
+    """Return how long saving one world's state and putting it back takes."""
+    worlds = Worlds(1)
+    worlds.seed([0])
+    worlds.reset()
+    times = []
+    for _ in range(ROUNDS):
+        start = time.perf_counter()
+        for _ in range(2000):
+            worlds.restore(0, worlds.save(0))
+        times.append((time.perf_counter() - start) / 2000)
+    return 1e6 * statistics.median(times)
+
+
+def _kernel(count: int, engaged: bool = False) -> Step:
     worlds = Worlds(count)
     worlds.seed(range(count))
     worlds.reset()
+    if engaged:
+        _engage(worlds)
     actions = np.random.default_rng(0).integers(5, size=(200, count, 1))
 
     def step(i: int) -> None:
@@ -80,9 +108,11 @@ def _single(name: str) -> Step:
     return step
 
 
-def _vector(count: int) -> Step:
+def _vector(count: int, engaged: bool = False) -> Step:
     env = gymnasium.make_vec(ENVIRONMENTS[0], num_envs=count)
     env.reset(seed=0)
+    if engaged:
+        _engage(env.unwrapped.state)  # type: ignore[attr-defined]
     actions = np.random.default_rng(0).integers(5, size=(200, count))
 
     def step(i: int) -> None:

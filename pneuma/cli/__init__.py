@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, study
+from pneuma.cli import bench, env, study
 from pneuma.errors import UserError
 
 app = typer.Typer(
@@ -20,10 +20,12 @@ app = typer.Typer(
     help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
     no_args_is_help=True,
     add_completion=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 app.add_typer(study.app, name="study")
+app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
 
 

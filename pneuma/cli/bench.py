@@ -12,11 +12,11 @@ app = typer.Typer(help="Measure speed on this machine.", no_args_is_help=True, r
 @app.command()
 def env(json: Json = False) -> None:
     """Measure the environment's faces in agent steps a second, on one core."""
-    from pneuma.bench.env import bench_env
+    from pneuma.bench.env import bench_env, save_and_restore_microseconds
 
-    cases = bench_env()
+    cases, saving = bench_env(), save_and_restore_microseconds()
     if json:
-        return print_json({"schema": 1, "cases": cases})
+        return print_json({"schema": 1, "cases": cases, "save_and_restore_microseconds": saving})
     for case in cases:
         print(
             f"{case['case']:<28} {case['worlds']:>4} worlds {case['agent_steps_per_second']:>12,.0f} steps/s"

@@ -26,7 +26,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on s
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but results and mistakes.")]
 Preset = Annotated[
     str | None,
-    typer.Option("--preset", metavar="|".join(PRESETS), help="How much to run (default: quick)."),
+    typer.Option(
+        "--preset",
+        metavar="|".join(PRESETS),
+        help="How much to run: quick for plan and run, else as last run.",
+    ),
 ]
 Seeds = Annotated[
     str | None,
@@ -74,7 +78,7 @@ def read_selection(
         steps=None if steps is None else read_count("--steps", steps),
         engine=engine,
         conditions=tuple(conditions or ()),
-        settings=dict(_read_setting(text) for text in settings or ()),
+        settings=read_settings_options(settings),
     )
 
 
@@ -95,6 +99,11 @@ def _read_seeds(text: str) -> tuple[int, ...]:
         return read_seeds(parts if "," in text else parts[0])
     except (ValueError, IndexError, UserError):
         raise UserError(f"--seeds {text}: must be {SEEDS_ALLOWED}, as in 3,5,8") from None
+
+
+def read_settings_options(texts: Sequence[str] | None) -> dict[str, Any]:
+    """Read every `--set KEY=VALUE`."""
+    return dict(_read_setting(text) for text in texts or ())
 
 
 def _read_setting(text: str) -> tuple[str, Any]:

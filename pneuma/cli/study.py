@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.cli import study_output
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -25,7 +26,8 @@ from pneuma.cli.options import (
     say,
 )
 from pneuma.cli.progress import ProgressDisplay
-from pneuma.errors import UserError, unknown_name
+from pneuma.cli.study_output import study_record
+from pneuma.config import as_settings, make_run
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.local import available_cores
 from pneuma.study.store import Store
@@ -33,6 +35,9 @@ from pneuma.study.store import Store
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
 RESULTS = Path("results")
+
+app.command()(study_output.plot)
+app.command()(study_output.export)
 
 
 @app.command("list")
@@ -72,11 +77,11 @@ def show(name: StudyName, json: Json = False) -> None:
         print(f"\n{study.about}")
     print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
     for key, values in differing.items():
-        print(f"  {key}: " + ", ".join(f"{c} {v}" for c, v in values.items()))
+        print(f"  {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
     print(f"Compared with: {study.baseline}")
     print("\nAll conditions share:")
-    for key, value in study.settings(study.baseline).items():
-        if key not in differing:
+    for key, value in as_settings(make_run(study.settings(study.baseline))).items():
+        if key not in (*differing, "seed", "steps"):
             print(f"  {key} = {'none' if value is None else value}")
     print("\nPresets:")
     for preset, amount in study.presets.items():
@@ -100,6 +105,7 @@ def plan_(
     selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
     planned = plan.make_plan(spec.load_study(name), selection)
     store = Store(results)
+    execute.check_environments(list(execute.missing(planned, store).values()))
     state = {
         cell.run_id: "stored" if store.status(cell.run_id).finished else "to-train" for cell in planned.cells
     }
@@ -111,7 +117,7 @@ def plan_(
     for note in planned.notes:
         print(f"Note: {note}.")
     for key, values in plan.differing_settings(planned).items():
-        print(f"Conditions differ in {key}: " + ", ".join(f"{c} {v}" for c, v in values.items()))
+        print(f"Conditions differ in {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
     for cell in planned.cells:
         budget = f"{cell.run.steps:>12,} steps"
         print(f"{cell.condition:<18} seed {cell.seed:<6} {budget}  {cell.run_id}  {state[cell.run_id]}")
@@ -178,7 +184,7 @@ def status(
         print(f"No study was run in {results} yet.")
     documents = []
     for study in names:
-        record = _record(store, study, selection)
+        record = study_record(store, study, selection)
         states = [(run, store.status(run["run_id"]).name) for run in record["runs"]]
         runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
         documents.append({"schema": 1, "study": record["study"], "runs": runs})
@@ -191,132 +197,7 @@ def status(
         print_json(documents[0] if name else {"schema": 1, "studies": documents})
 
 
-@app.command()
-def plot(
-    names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
-    ] = None,
-    band: Annotated[
-        str, typer.Option("--band", metavar="std|se|minmax", help="What the band shows.")
-    ] = "std",
-    window: Annotated[
-        str,
-        typer.Option("--window", metavar="budget-5%|trailing-100", help="Which episodes a point averages."),
-    ] = "budget-5%",
-    format: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--format", metavar="png|svg|pdf", help="File formats (may be repeated; default: png and svg)."
-        ),
-    ] = None,
-    preset: Preset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    results: Results = RESULTS,
-    json: Json = False,
-) -> None:
-    """Draw a study's figure: mean over seeds with a band, return and monsters killed."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
-    store = Store(results)
-    names = names or store.studies()
-    if not names:
-        raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
-    records = [_record(store, name, selection) for name in names]
-    from pneuma.analysis.curves import BANDS, WINDOWS
-    from pneuma.analysis.tables import StudyData
-    from pneuma.figures.curves import draw_study
-    from pneuma.figures.style import FORMATS
-
-    formats = tuple(format or ("png", "svg"))
-    for option, value, allowed in (("--band", band, BANDS), ("--window", window, WINDOWS)):
-        _check_choice(option, value, allowed)
-    for form in formats:
-        _check_choice("--format", form, FORMATS)
-    studies = [StudyData(store, record) for record in records]
-    folder = out or results / "figures"
-    _check_folder("--out", folder)
-    paths = [path for data in studies for path in draw_study(data, folder, band, window, formats)]
-    if json:
-        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
-    for path in paths:
-        print(f"wrote {path}")
-    return None
-
-
-@app.command()
-def export(
-    name: StudyName,
-    table: Annotated[
-        str, typer.Option("--table", metavar="episodes|metrics|evaluations|curves", help="What to export.")
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The file to write.")],
-    format: Annotated[str, typer.Option("--format", metavar="csv|parquet|latex", help="Its format.")] = "csv",
-    preset: Preset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    results: Results = RESULTS,
-) -> None:
-    """Write a study's records as one tidy table."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
-    store = Store(results)
-    record = _record(store, name, selection)
-    from pneuma.analysis.export import FORMATS, TABLES, export_table
-    from pneuma.analysis.tables import StudyData
-
-    _check_choice("--table", table, TABLES)
-    _check_choice("--format", format, FORMATS)
-    data = StudyData(store, record)
-    _check_folder("--out", out.parent)
-    if out.is_dir():
-        raise UserError(f"--out {out}: is a folder; name a file")
-    rows = export_table(data, table, format, out)
-    print(f"wrote {out}: {rows:,} rows")
-
-
 # --- Helpers -------------------------------------------------------------------------------------
-
-
-def _record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
-    """Return a study's latest record, or the one of a selection; what that leaves open is the latest's."""
-    stem = Path(name).stem if name.endswith(".toml") else name
-    record = store.selection(stem)
-    if selection is not None:
-        study = spec.load_study(record["path"] if record else name)
-        latest = execute.recorded_selection(record) if record else plan.Selection()
-        return execute.selection_record(plan.make_plan(study, selection.over(latest)))
-    if record is None:
-        if stem not in spec.list_studies() and not name.endswith(".toml"):
-            raise unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
-        raise UserError(
-            f"study {stem} has no runs in {store.root}: run `pneuma study run {name}` first, "
-            "or name the folder with --results"
-        )
-    return record
-
-
-def _check_choice(option: str, value: str, allowed: Any) -> None:
-    if value not in allowed:
-        raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
-
-
-def _check_folder(option: str, folder: Path) -> None:
-    """Refuse a folder that cannot be written, before any work is done."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".pneuma-probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UserError(f"{option} {folder}: cannot be written ({error.strerror})") from None
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:

@@ -36,13 +36,14 @@ class Evaluation:
         generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
 
         def act(worlds: Worlds) -> np.ndarray:
-            observations = worlds.observations[:, 0]
-            sampled = policy.sample(observations[: self.episodes], generator)
-            best = policy.best(observations[self.episodes :])
-            return np.concatenate([sampled, best])[:, None]
+            observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
+            first_best = self.episodes * worlds.players.shape[1]
+            sampled = policy.sample(observations[:first_best], generator)
+            best = policy.best(observations[first_best:])
+            return np.concatenate([sampled, best]).reshape(worlds.players.shape)
 
         returns = self._play(act)
-        share = self.worlds.players["kills"][:, 0] / len(self.worlds.monster_stats)
+        share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == 1
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
         return {
@@ -72,12 +73,16 @@ class Evaluation:
         generator = np.random.default_rng(stream_seed(self.run.seed, "random-player"))
         for player in (RandomPlayer(generator), Hunter(self.worlds)):
             self._play(player.act)
-            killed = self.worlds.players["kills"][: self.episodes, 0]
-            shares.append(float(killed.mean()) / max(len(self.worlds.monster_stats), 1))
+            killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
+            shares.append(float(killed.mean()) / max(self.worlds.monsters.shape[1], 1))
         return shares[0], shares[1]
 
     def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
-        """Play one episode in every world, always the same worlds; return the returns, (N,)."""
+        """Play one episode in every world, always the same worlds.
+
+        Returns:
+            (N,) the return of each, the mean over its players.
+        """
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(worlds))])
         worlds.reset(starts=self._starts)
@@ -85,5 +90,5 @@ class Evaluation:
         running = len(worlds)
         while running:
             running -= worlds.step(act(worlds))
-            returns += worlds.events["reward"][:, 0]
+            returns += worlds.events["reward"].mean(axis=1)
         return returns

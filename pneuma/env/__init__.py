@@ -1,19 +1,31 @@
 """The environment: a top-down world in which players fight monsters (thesis chapter 5).
 
-`rules.py` holds the compiled kernels and `worlds.py` the state; `single.py`, `vector.py` and
-`sb3.py` are the faces that other libraries know.
+`rules.py` holds the compiled kernels and `worlds.py` the state; `single.py`, `vector.py`, `parallel.py`
+and `sb3.py` are the faces that other libraries know.
 """
+
+from typing import Any
 
 import gymnasium
 
 from pneuma.config import ENVIRONMENTS
 
+MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
+"""The same worlds with vector rewards."""
+
+MAILMAN = "pneuma/Mailman-v0"
+REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
+
 
 def register_environments() -> None:
-    """Make every environment known to Gymnasium, as single and as native vector environment."""
-    for name in ENVIRONMENTS:
+    """Make every environment known to Gymnasium, those of the world as vector environment too."""
+    for name, mo_name in zip(ENVIRONMENTS, MO_ENVIRONMENTS, strict=True):
+        own: dict[str, Any] = {"kwargs": {"env_id": name}}
         gymnasium.register(
             name,
             entry_point="pneuma.env.single:PneumaEnv",
             vector_entry_point="pneuma.env.vector:PneumaVectorEnv",
+            **own,
         )
+        gymnasium.register(mo_name, entry_point="pneuma.env.single:PneumaMOEnv", **own)
+    gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")

@@ -1,55 +1,134 @@
-"""Characters: what players and monsters are made of, read from `data/characters.toml`.
+"""Characters: classes, weapons, spells and monsters, read from `data/characters.toml`.
 
-Turns the file's seconds and pixels a second into the ticks and pixels a tick that the rules use.
+A user's own file of the same form overrides the shipped one, table by table and key by key, and may
+add to it. Seconds and pixels a second become the ticks and pixels a tick that the rules use.
 """
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pneuma.config import SHIPPED_CHARACTERS
 from pneuma.env import state
 from pneuma.env.level import Level
+from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.values import Number, Several, Text
 
 TICKS_PER_SECOND = 60
 TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
 
 DATA = Path(__file__).parent / "data"
+FACINGS = ("down", "left", "up", "right")
+
+_POINTS = Number(0, 1e6)
+_SECONDS = Number(0, 60)
+_SIDE = Number(0, 4096, above=True)
+_BOX = Several(_SIDE, 2, 2)
+_FORM: dict[str, dict[str, Any]] = {
+    "players": {
+        "hp": Number(0, 1e6, above=True), "energy": _POINTS, "attack": _POINTS, "magic": _POINTS,
+        "speed": Number(0, 3000), "body": _BOX, "weapon": Text(), "invulnerable": _SECONDS,
+        "energy_recovery": _POINTS,
+    },
+    "weapons": {
+        "damage": _POINTS, "swing": Number(1 / TICKS_PER_SECOND, 60), "knock_back": Number(0, 3000),
+        "knock_back_time": _SECONDS, "box": _BOX, "reach": None,
+    },
+    "spells": {
+        "strength": _POINTS, "cost": _POINTS, "cast": Number(1 / TICKS_PER_SECOND, 60),
+        "length": _SIDE, "width": _SIDE,
+    },
+    "monsters": {
+        "code": Number(0, 2**28 - 1, whole=True), "hp": Number(0, 1e6, above=True),
+        "speed": Number(0, 3000), "body": _BOX, "notice": _POINTS, "attack": _POINTS,
+        "stand_off": _POINTS, "damage": _POINTS, "bite_time": Number(1 / TICKS_PER_SECOND, 500),
+        "invulnerable": _SECONDS, "xp": _POINTS, "heal": _POINTS, "knock_back": Number(0, 3000),
+        "knock_back_time": _SECONDS,
+    },
+}  # fmt: skip
+_OPTIONAL = {"knock_back", "knock_back_time", "length", "width"}
+
+Characters = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""{"players" | "weapons" | "spells" | "monsters": {name: {key: value}}}."""
 
 
 @cache
-def shipped_characters() -> dict[str, Any]:
-    """Read the character file that comes with the package: {"players": …, "monsters": …}."""
+def load_characters(name: str = "") -> Characters:
+    """Read the shipped characters, overridden by those of a file.
+
+    Args:
+        name: path of a user's own file, or the name of a shipped variant; empty for none.
+
+    Raises:
+        UserError: naming file, table, key and value.
+    """
     with open(DATA / "characters.toml", "rb") as file:
-        return tomllib.load(file)
+        characters = tomllib.load(file)
+    for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
+        for group, members in _read_file(path).items():
+            for member, values in members.items():
+                characters[group][member] = {**characters[group].get(member, {}), **values}
+                _check_complete(path, group, member, characters[group][member])
+    for member, values in characters["players"].items():
+        if values["weapon"] not in characters["weapons"]:
+            raise unknown_name(f"weapon of players.{member}", values["weapon"], characters["weapons"])
+    return characters
 
 
-def monster_codes() -> dict[int, str]:
+def character_files(name: str) -> list[Path]:
+    """Return the user's own file that a name of characters stands for, if it does."""
+    if not name or name in SHIPPED_CHARACTERS:
+        return []
+    if not Path(name).is_file():
+        known = ", ".join(SHIPPED_CHARACTERS)
+        raise UserError(f"characters {name!r}: no such file; shipped are {known}")
+    return [Path(name)]
+
+
+def monster_codes(characters: Characters) -> dict[int, str]:
     """Return which entity code of a level's layer stands for which kind of monster."""
-    return {kind["code"]: name for name, kind in shipped_characters()["monsters"].items()}
+    return {int(kind["code"]): name for name, kind in characters["monsters"].items()}
 
 
-def player_stats(classes: tuple[str, ...]) -> np.ndarray:
-    """Return the stats of each player's class, shape (P,), dtype `state.PLAYER_STATS`."""
+def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequence[str]) -> np.ndarray:
+    """Return the stats of each player, shape (P,), dtype `state.PLAYER_STATS`.
+
+    Args:
+        characters: what `load_characters` returned.
+        classes: class of each player.
+        weapons: weapon of each player; 'own' for the class's.
+    """
     stats = np.zeros(len(classes), state.PLAYER_STATS)
-    for row, name in zip(stats, classes, strict=True):
-        _fill_player(row, shipped_characters()["players"][name])
+    for row, name, weapon in zip(stats, classes, weapons, strict=True):
+        if name not in characters["players"]:
+            raise unknown_name("class", name, characters["players"])
+        character = characters["players"][name]
+        weapon = character["weapon"] if weapon == "own" else weapon
+        if weapon not in characters["weapons"]:
+            raise unknown_name("weapon", weapon, ["own", *characters["weapons"]])
+        _fill_player(row, character)
+        _fill_weapon(row, characters["weapons"][weapon], character)
+        _fill_spells(row, characters["spells"], character)
     return stats
 
 
-def monster_stats(level: Level, players: np.ndarray) -> np.ndarray:
+def monster_stats(
+    characters: Characters, level: Level, players: np.ndarray, magic: bool = False
+) -> np.ndarray:
     """Return the stats and home of each monster of a level, shape (M,), dtype `state.MONSTER_STATS`."""
     stats = np.zeros(len(level.monsters), state.MONSTER_STATS)
     for row, (kind, x, y) in zip(stats, level.monsters, strict=True):
-        _fill_monster(row, shipped_characters()["monsters"][kind])
+        _fill_monster(row, characters["monsters"][kind])
         row["home_x"], row["home_y"] = x, y
-        row["reach"] = _reach(row, players)
+        row["reach_squared"] = _reach(row, players, magic) ** 2
     return stats
 
 
@@ -57,8 +136,13 @@ def margin(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return how far from its centre, on either axis, any body can reach within one tick."""
     knock = players["knock_speed"].max()
     reach = [max(row["half_width"], row["half_height"]) + row["speed"] for row in players]
-    reach += [max(row["half_width"], row["half_height"]) + max(row["speed"], knock) for row in monsters]
+    for row in monsters:
+        fastest = max(row["speed"], knock, row["knock_speed"])
+        reach.append(max(row["half_width"], row["half_height"]) + fastest)
     return float(max(reach))
+
+
+# --- Filling the rows -----------------------------------------------------------------------------
 
 
 def _ticks(seconds: float) -> int:
@@ -66,37 +150,109 @@ def _ticks(seconds: float) -> int:
 
 
 def _fill_player(row: Any, character: Mapping[str, Any]) -> None:
-    row["hp"] = character["hp"]
+    row["hp"], row["energy"] = character["hp"], character["energy"]
+    row["energy_gain"] = character["energy_recovery"] * character["magic"] / TICKS_PER_SECOND
     row["speed"] = character["speed"] / TICKS_PER_SECOND
     row["half_width"], row["half_height"] = (side / 2 for side in character["body"])
-    row["damage"] = character["damage"]
-    row["swing"] = _ticks(character["swing"])
-    row["knock_ticks"] = _ticks(character["knock_back_time"])
-    row["knock_speed"] = character["knock_back"] / TICKS_PER_SECOND
-    width, height = (side / 2 for side in character["sword"])
-    reach = character["sword_reach"]
-    row["sword_x"] = [0, -reach["left"], 0, reach["right"]]
-    row["sword_y"] = [reach["down"], 0, -reach["up"], 0]
-    row["sword_half_width"] = [height, width, height, width]
-    row["sword_half_height"] = [width, height, width, height]
+    row["safe"] = _ticks(character["invulnerable"])
+
+
+def _fill_weapon(row: Any, weapon: Mapping[str, Any], character: Mapping[str, Any]) -> None:
+    row["damage"] = weapon["damage"] + character["attack"]
+    row["swing"] = _ticks(weapon["swing"])
+    row["knock_ticks"] = _ticks(weapon["knock_back_time"])
+    row["knock_speed"] = weapon["knock_back"] / TICKS_PER_SECOND
+    _fill_box(row, "sword", weapon["box"], [weapon["reach"][facing] for facing in FACINGS])
+
+
+def _fill_spells(row: Any, spells: Mapping[str, Any], character: Mapping[str, Any]) -> None:
+    flame, heal = spells["flame"], spells["heal"]
+    row["cast"] = _ticks(max(flame["cast"], heal["cast"]))
+    row["flame_damage"] = flame["strength"] + character["magic"]
+    row["flame_cost"], row["heal_cost"] = flame["cost"], heal["cost"]
+    row["heal"] = heal["strength"]
+    _fill_box(row, "flame", (flame["length"], flame["width"]), [flame["length"] / 2] * 4)
+
+
+def _fill_box(row: Any, name: str, box: Sequence[float], reach: Sequence[float]) -> None:
+    """Write where a box is by facing; its sides are those of facing left or right."""
+    along, across = box[0] / 2, box[1] / 2
+    row[f"{name}_x"] = [0, -reach[1], 0, reach[3]]
+    row[f"{name}_y"] = [reach[0], 0, -reach[2], 0]
+    row[f"{name}_half_width"] = [across, along, across, along]
+    row[f"{name}_half_height"] = [along, across, along, across]
 
 
 def _fill_monster(row: Any, character: Mapping[str, Any]) -> None:
-    for name in ("hp", "notice", "attack", "stand_off", "damage", "xp", "heal"):
+    for name in ("hp", "stand_off", "damage", "xp", "heal"):
         row[name] = character[name]
     row["speed"] = character["speed"] / TICKS_PER_SECOND
     row["half_width"], row["half_height"] = (side / 2 for side in character["body"])
-    row["hp_scale"], row["distance_scale"] = 1 / character["hp"], 1 / character["notice"]
+    row["notice_squared"], row["attack_squared"] = character["notice"] ** 2, character["attack"] ** 2
     row["bite_ticks"] = _ticks(character["bite_time"])
+    row["safe"] = _ticks(character["invulnerable"])
+    own = "knock_back" in character
+    row["knock_ticks"] = _ticks(character["knock_back_time"]) if own else -1
+    row["knock_speed"] = character["knock_back"] / TICKS_PER_SECOND if own else 0.0
 
 
-def _reach(monster: Any, players: np.ndarray) -> float:
+def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
     """Return a distance to a player's body beyond which a resting monster meets nothing in a step.
 
-    The furthest that it senses or that a sword reaches it, and as far as a player walks.
+    The furthest that it senses or that a weapon or flame reaches it, and as far as a player walks.
     """
-    sword_x = np.abs(players["sword_x"]) + players["sword_half_width"]
-    sword_y = np.abs(players["sword_y"]) + players["sword_half_height"]
-    sword = np.hypot(sword_x + monster["half_width"], sword_y + monster["half_height"]).max()
-    walk = players["speed"].max() * TICKS_PER_STEP
-    return float(max(monster["notice"], monster["attack"], sword) + walk + 1.0)
+    furthest = [math.sqrt(monster["notice_squared"]), math.sqrt(monster["attack_squared"])]
+    for name in ("sword", "flame") if magic else ("sword",):
+        x = np.abs(players[f"{name}_x"]) + players[f"{name}_half_width"] + monster["half_width"]
+        y = np.abs(players[f"{name}_y"]) + players[f"{name}_half_height"] + monster["half_height"]
+        furthest.append(float(np.hypot(x, y).max()))
+    return max(furthest) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0
+
+
+# --- A user's file --------------------------------------------------------------------------------
+
+
+def _read_file(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
+    """Read and check a file of characters."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UserError(f"{path}: not TOML: {error}") from None
+    for group, members in data.items():
+        if group not in _FORM:
+            raise UserError(f"{path}: {unknown_name('table', group, _FORM)}")
+        if not isinstance(members, dict):
+            raise UserError(f"{path}: {group} must hold tables, one for each name")
+        for member, values in members.items():
+            if not isinstance(values, dict):
+                raise UserError(f"{path}: [{group}.{member}] must be a table")
+            data[group][member] = {
+                key: _read_value(f"{path}: [{group}.{member}]", group, key, value)
+                for key, value in values.items()
+            }
+    return data
+
+
+def _read_value(where: str, group: str, key: str, value: object) -> Any:
+    form = _FORM[group]
+    if key not in form:
+        raise UserError(f"{where} unknown key {key!r}{nearest_name(key, form)}; known are {', '.join(form)}")
+    if key == "reach":
+        sound = isinstance(value, dict) and set(value) == set(FACINGS)
+        if not sound or not all(isinstance(v, (int, float)) and 0 <= v <= 4096 for v in value.values()):  # type: ignore[attr-defined]
+            raise UserError(
+                f"{where} reach = {value!r} is not allowed: a number for each of {', '.join(FACINGS)}"
+            )
+        return value
+    try:
+        return form[key].read(value)
+    except (ValueError, TypeError, OverflowError):
+        raise UserError(f"{where} {key} = {value!r} is not allowed: {form[key].allowed}") from None
+
+
+def _check_complete(path: Path, group: str, member: str, values: Mapping[str, Any]) -> None:
+    for key in _FORM[group]:
+        if key not in values and key not in _OPTIONAL:
+            raise UserError(f"{path}: [{group}.{member}] is new and lacks the key {key!r}")
+    if ("knock_back" in values) != ("knock_back_time" in values) and group == "monsters":
+        raise UserError(f"{path}: [{group}.{member}] knock_back and knock_back_time go together")

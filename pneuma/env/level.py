@@ -33,10 +33,10 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import Number, Reader, Several, Text
 from pneuma.env import rules, tiled
 from pneuma.env.tiled import Entity, Header, Layers
 from pneuma.errors import UserError, unknown_name
+from pneuma.values import Number, Reader, Several, Text
 
 LEVELS = Path(__file__).parent / "data" / "levels"
 RANDOM = "random:"

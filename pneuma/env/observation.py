@@ -1,18 +1,22 @@
-"""What a player perceives: the layout, bounds and scales of an observation.
+"""What a player perceives: layouts, bounds and scales of an observation.
 
-`pneuma/Pneuma-v0` perceives the quantities of the thesis's section 5.1, every monster, nearest
-first, each number of order one. The rules write it; this module says what stands where.
+Three layouts, each a few numbers about the player, then a row for each monster perceived:
 
-    0       x, from -1 at the land's left edge to 1 at its right
-    1       y, from -1 at its upper edge to 1 at its lower
-    2       HP over full HP
-    3       XP over all the level's XP
-    4 + 4i  i-th nearest living monster: distance in units of its notice radius,
-    5 + 4i  x and
-    6 + 4i  y of the unit vector from the player to it,
-    7 + 4i  its HP over full HP
+    thesis  x, y, HP, XP                      distance, direction x, direction y, HP
+    pygame  x, y, facing x, facing y, HP,     distance, direction x, direction y, HP, XP it is worth
+            energy
+    godot   x, y, HP, XP                      x, y, HP, direction x, direction y (monster to player)
 
-The dead come last, as four zeros each.
+`perceive` says which monsters, `order` how they are ordered (nearest first, the dead left out and the
+rest zeros; or fixed, a dead one's row zeros), `scale` the units:
+
+    unit    x and y from -1 to 1 over the land, HP, energy and XP as shares, distances in the
+            monster's notice radii: everything of order one
+    map     x, y and distances over the map's size, the rest as shares
+    raw     pixels and points
+
+`pneuma/Pneuma-v0` has layout thesis, all monsters, nearest first, unit scale: the quantities of the
+thesis's section 5.1. A layout's own choices are in `pneuma.config.OBSERVATION_SETTINGS`.
 """
 
 from __future__ import annotations
@@ -22,34 +26,127 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from pneuma.config import EnvConfig
+from pneuma.env import rules
 from pneuma.env.level import Level
+from pneuma.errors import UserError, unknown_name
 
-PLAYER_FEATURES = ("x", "y", "hp", "xp")
-MONSTER_FEATURES = ("distance", "direction_x", "direction_y", "hp")
+LAYOUTS = {"thesis": rules.LAYOUT_THESIS, "pygame": rules.LAYOUT_PYGAME, "godot": rules.LAYOUT_GODOT}
+PLAYER_FEATURES = {
+    "thesis": ("x", "y", "hp", "xp"),
+    "pygame": ("x", "y", "facing_x", "facing_y", "hp", "energy"),
+    "godot": ("x", "y", "hp", "xp"),
+}
+MONSTER_FEATURES = {
+    "thesis": ("distance", "direction_x", "direction_y", "hp"),
+    "pygame": ("distance", "direction_x", "direction_y", "hp", "xp"),
+    "godot": ("x", "y", "hp", "direction_x", "direction_y"),
+}
+MOST_XP = 1e9
+"""Bound of XP that outlives episodes, in points."""
 
 
-def feature_names(monsters: int) -> list[str]:
-    """Name every number of an observation of so many monsters, in order."""
-    seen = [f"monster_{i}_{name}" for i in range(monsters) for name in MONSTER_FEATURES]
-    return [*PLAYER_FEATURES, *seen]
+def feature_names(layout: str, rows: int) -> list[str]:
+    """Name every number of an observation with so many monsters, in order."""
+    seen = [f"monster_{i}_{name}" for i in range(rows) for name in MONSTER_FEATURES[layout]]
+    return [*PLAYER_FEATURES[layout], *seen]
 
 
-def observation_space(level: Level, monster_stats: np.ndarray) -> spaces.Box:
-    """Return the Box that every observation of a level lies in, shape (4 + 4 M,), float32."""
-    left, top, right, bottom = level.land
-    furthest = np.hypot(right - left, bottom - top) / monster_stats["notice"].min(initial=np.inf)
-    low = np.tile(np.array([0.0, -1.0, -1.0, 0.0]), len(monster_stats))
-    high = np.tile(np.array([furthest, 1.0, 1.0, 1.0]), len(monster_stats))
-    return spaces.Box(
-        np.concatenate([[-1.0, -1.0, 0.0, 0.0], low]).astype(np.float32),
-        np.concatenate([[1.0, 1.0, 1.0, 1.0], high]).astype(np.float32),
-        dtype=np.float32,
+def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
+    """Return whether each monster is perceived, and the most rows that an observation has.
+
+    Raises:
+        UserError: for a kind of monster that the level does not have.
+    """
+    kinds = [kind for kind, _, _ in levels[0].monsters]
+    what, _, which = config.perceive.partition(":")
+    if what == "kind":
+        wanted = which.split(",")
+        for name in wanted:
+            if name not in kinds:
+                raise unknown_name("kind of monster on this level", name, sorted(set(kinds)))
+        if any([kind for kind, _, _ in level.monsters] != kinds for level in levels):
+            raise UserError("perceive = kind:… needs levels with the same monsters")
+        perceived = [kind in wanted for kind in kinds]
+        return perceived, sum(perceived)
+    most = int(which) if what == "nearest" else len(kinds)
+    return [True] * len(kinds), min(most, len(kinds))
+
+
+def fill_scales(
+    settings: Any, players: np.ndarray, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
+) -> None:
+    """Write layout and scales into rows of `state.SETTINGS`, `PLAYER_STATS` and `MONSTER_STATS`."""
+    perceived, rows = perceived_kinds(config, levels)
+    settings["layout"] = LAYOUTS[config.observation]
+    settings["fixed_order"] = config.order == "fixed"
+    settings["perceived"] = rows
+    monsters["perceived"] = perceived
+    left, top, right, bottom = _bounds(levels)
+    raw = config.scale == "raw"
+    if config.scale == "unit":
+        settings["middle_x"], settings["middle_y"] = (left + right) / 2, (top + bottom) / 2
+        settings["scale_x"], settings["scale_y"] = 2 / (right - left), 2 / (bottom - top)
+        monsters["distance_scale"] = 1 / np.sqrt(np.maximum(monsters["notice_squared"], 1.0))
+    elif config.scale == "map":
+        settings["middle_x"], settings["middle_y"] = left, top
+        settings["scale_x"], settings["scale_y"] = 1 / (right - left), 1 / (bottom - top)
+        monsters["distance_scale"] = 1 / max(right - left, bottom - top)
+    else:
+        settings["scale_x"] = settings["scale_y"] = monsters["distance_scale"] = 1.0
+    settings["xp_scale"] = 1.0 if raw else 1 / max(monsters["xp"].sum(axis=-1).max(initial=0.0), 1.0)
+    players["hp_scale"] = 1.0 if raw else 1 / players["hp"]
+    players["energy_scale"] = 1.0 if raw else 1 / np.maximum(players["energy"], 1.0)
+    monsters["hp_scale"] = 1.0 if raw else 1 / monsters["hp"]
+    monsters["xp_scale"] = 1.0 if raw else 1 / max(monsters["xp"].max(initial=0.0), 1.0)
+
+
+def observation_space(
+    settings: Any, player: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
+) -> spaces.Box:
+    """Return the Box of finite bounds that every observation of a player lies in, float32."""
+    left, top, right, bottom = _bounds(levels)
+    grid = levels[0]
+    rows, columns = grid.terrain.shape
+    edges = (grid.left, grid.top, grid.left + columns * grid.tile, grid.top + rows * grid.tile)
+    if config.coast == "deadly":  # players die a little way out
+        left, top, right, bottom = edges
+    diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
+    forever = config.xp_scope == "forever"
+    worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
+    xp = (MOST_XP if forever else worth) * settings["xp_scale"]
+    bounds = {
+        "x": (
+            (left - settings["middle_x"]) * settings["scale_x"],
+            (right - settings["middle_x"]) * settings["scale_x"],
+        ),
+        "y": (
+            (top - settings["middle_y"]) * settings["scale_y"],
+            (bottom - settings["middle_y"]) * settings["scale_y"],
+        ),
+        "hp": (0.0, player["hp"] * player["hp_scale"]),
+        "energy": (0.0, player["energy"] * player["energy_scale"]),
+        "xp": (-xp if config.ending_cost or forever else 0.0, xp),
+        "facing_x": (-1.0, 1.0),
+        "facing_y": (-1.0, 1.0),
+    }
+    highest = {
+        "distance": diagonal * monsters["distance_scale"].max(initial=0.0),
+        "hp": (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0),
+        "xp": (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0),
+    }
+    seen = {name: (0.0, highest[name]) for name in highest}
+    seen |= {"direction_x": (-1.0, 1.0), "direction_y": (-1.0, 1.0)}
+    seen |= {axis: (min(bounds[axis][0], 0.0), max(bounds[axis][1], 0.0)) for axis in ("x", "y")}
+    row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
+    limits = np.array(
+        [bounds[name] for name in PLAYER_FEATURES[config.observation]] + row * int(settings["perceived"])
     )
+    low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # the long dead see zeros
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
-def fill_scales(settings: Any, level: Level, monster_stats: np.ndarray) -> None:
-    """Write the scales of an observation into one row of `state.SETTINGS`."""
-    left, top, right, bottom = level.land
-    settings["middle_x"], settings["middle_y"] = (left + right) / 2, (top + bottom) / 2
-    settings["scale_x"], settings["scale_y"] = 2 / (right - left), 2 / (bottom - top)
-    settings["xp_scale"] = 1 / max(monster_stats["xp"].sum(), 1.0)
+def _bounds(levels: list[Level]) -> tuple[float, float, float, float]:
+    """Return the box around all levels' land: left, top, right, bottom."""
+    lands = np.array([level.land for level in levels])
+    return (*lands[:, :2].min(axis=0).tolist(), *lands[:, 2:].max(axis=0).tolist())

@@ -51,7 +51,7 @@ class Hunter:
         )
         strike = (_meets_sword(worlds, x, y) & alive).any(axis=-1)
         here = np.stack([worlds.players["x"], worlds.players["y"]])
-        self._left_off = np.where(strike | (worlds.players["swing"] > 0), np.nan, here)
+        self._left_off = np.where(strike | (worlds.players["busy"] > 0), np.nan, here)
         return np.where(strike, rules.ATTACK, walk)
 
     def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:

@@ -85,20 +85,29 @@ class Renderer:
         self.camera = camera
         self.panel = panel
         level = worlds.level
-        split = max(round(level.tile / USUAL_TILE), 1)  # large tiles are drawn as several
+        self._split = max(round(level.tile / USUAL_TILE), 1)  # large tiles are drawn as several
         self._zoom = max(round(USUAL_TILE / level.tile), 1)  # among small ones, bodies are drawn larger
-        self._scale = sprites.TILE * split / level.tile
-        ground = ground_kinds(level).repeat(split, 0).repeat(split, 1)
-        if ground.size > MOST_TILES:
-            raise UserError(f"level = {level.name}: too large to draw; at most {MOST_TILES:,} tiles of 64 px")
-        self.background = sprites.paint_ground(ground)
-        solid = (level.terrain == rules.SOLID).repeat(split, 0).repeat(split, 1)
-        self._obstacles = tuple(_obstacles(solid, ground))
+        self._scale = sprites.TILE * self._split / level.tile
+        self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
+        self.background, _ = self._scene(0)
         height, width = self.background.shape[:2]
         if camera == "map":
             self.size = size or (width, height)
         else:
             self.size = size or (VIEW[0] * FOLLOW_FACTOR, VIEW[1] * FOLLOW_FACTOR)
+
+    def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
+        """Return the bare ground of a level, painted at the first call, and its obstacles."""
+        if index not in self._scenes:
+            level = self.worlds.levels[index]
+            ground = ground_kinds(level).repeat(self._split, 0).repeat(self._split, 1)
+            if ground.size > MOST_TILES:
+                raise UserError(
+                    f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles of 64 px"
+                )
+            solid = (level.terrain == rules.SOLID).repeat(self._split, 0).repeat(self._split, 1)
+            self._scenes[index] = sprites.paint_ground(ground), tuple(_obstacles(solid, ground))
+        return self._scenes[index]
 
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:
         """Return the frame of one world, shape (height, width, 3) uint8.
@@ -107,6 +116,7 @@ class Renderer:
             world: which of the worlds.
             player: whom the camera follows and the panel speaks of.
         """
+        self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         frame = self._whole_map(world) if self.camera == "map" else self._follow(world, player)
         if self.panel:
             self._draw_panel(frame, world, player)
@@ -154,8 +164,10 @@ class Renderer:
             sprites.blend(canvas, item.picture, item.left - left, item.top - top)
 
     def _monsters(self, world: int) -> Iterator[Item]:
+        level = int(self.worlds.worlds["level"][world])
+        kinds = self.worlds.levels[level].monsters
         for monster, stats, (kind, _, _) in zip(
-            self.worlds.monsters[world], self.worlds.monster_stats, self.worlds.level.monsters, strict=True
+            self.worlds.monsters[world], self.worlds.monster_stats[level], kinds, strict=True
         ):
             if monster["hp"] <= 0:
                 continue
@@ -174,12 +186,13 @@ class Renderer:
                 continue
             flash = sprites.RED if bitten >> index & 1 else ""
             yield from self._standing(_player_picture(index, player, flash), player, stats)
-            if player["swing"] > 0:
+            if player["busy"] > 0 and player["armed"]:
                 yield self._sword(player, stats)
 
     def _bitten(self, world: int) -> int:
         """Return the bits of the players that some living monster has only just bitten."""
-        monsters, stats = self.worlds.monsters[world], self.worlds.monster_stats
+        level = int(self.worlds.worlds["level"][world])
+        monsters, stats = self.worlds.monsters[world], self.worlds.monster_stats[level]
         fresh = monsters["bite"] > (stats["bite_ticks"] - FLASH_TICKS)[:, None]  # (M, players)
         fresh &= (monsters["bite"] > 0) & (monsters["hp"] > 0)[:, None]
         return sum(1 << int(index) for index in np.flatnonzero(fresh.any(axis=0)))
@@ -196,7 +209,7 @@ class Renderer:
     def _sword(self, player: Any, stats: Any) -> Item:
         """Return a player's sword, centred where the rules have its box."""
         way, facing = player["facing"], sprites.FACINGS[player["facing"]]
-        moment = sprites.SWINGS[int(3 * (stats["swing"] - player["swing"]) // stats["swing"])]
+        moment = sprites.SWINGS[int(3 * (stats["swing"] - player["busy"]) // stats["swing"])]
         picture = sprites.enlarge(sprites.sword_picture(facing, moment), self._zoom)
         x, y = self._place(player["x"] + stats["sword_x"][way], player["y"] + stats["sword_y"][way])
         _, foot = self._place(0.0, player["y"] + stats["half_height"])
@@ -205,8 +218,9 @@ class Renderer:
 
     def _bars(self, world: int) -> Iterator[Item]:
         """Yield the HP bars of all who are hurt and alive, monsters first."""
+        level = int(self.worlds.worlds["level"][world])
         groups = (
-            (self.worlds.monsters, self.worlds.monster_stats, sprites.RED, 17),
+            (self.worlds.monsters, self.worlds.monster_stats[level], sprites.RED, 17),
             (self.worlds.players, self.worlds.player_stats, sprites.GOLD, 16),
         )
         for bodies, all_stats, colour, height in groups:
@@ -282,7 +296,7 @@ def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
 def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
     """Return a player as they stand, walk or strike; which foot is in front follows from the place."""
     facing = sprites.FACINGS[player["facing"]]
-    if player["swing"] > 0:
+    if player["busy"] > 0:
         return sprites.player_picture(index, facing, "strike", flash)
     phase = int((player["x"] + player["y"]) // STRIDE) % 2
     return sprites.player_picture(index, facing, "stride" if phase else "stand", flash)

@@ -1,4 +1,4 @@
-"""The single environment of Gymnasium: one world, one player."""
+"""The single environment of Gymnasium: one world, one player; and the same with vector rewards."""
 
 from __future__ import annotations
 
@@ -7,52 +7,65 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 
-from pneuma.config import ACTION_NAMES, EnvConfig, read_settings
+from pneuma.config import ENVIRONMENTS, make_env_config
+from pneuma.env.observation import MOST_XP
+from pneuma.env.reward import PARTS, reward_parts
+from pneuma.env.showing import ShowsWorld
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
-class PneumaEnv(gymnasium.Env[np.ndarray, np.int64]):
-    """PneumaRL as the thesis's text describes it: one player against 14 bamboo monsters.
+class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
+    """PneumaRL: one player against the monsters of a level.
 
     ## Description
     A top-down island of snow, field and desert. Monsters notice a player within 300 pixels, chase
-    and bite; the player kills them with a sword for experience points (XP).
+    and bite; the player kills them with a sword for experience points (XP). `pneuma/Pneuma-v0` is the
+    thesis's text, well posed; `pneuma/PneumaGodot-v0` its published code, with its quirks.
 
     ## Action space
     `Discrete(5)`: 0 walk down, 1 left, 2 up, 3 right, 4 attack towards the last direction walked.
-    An action lasts 8 ticks of 1/60 s; an attack 24, during which further actions do nothing.
+    With `magic` also 5 flame and 6 heal. An action lasts 8 ticks of 1/60 s; an attack 24, during
+    which further actions do nothing. `info["action_mask"]` is 0 where an action would do nothing.
 
     ## Observation space
-    `Box` of 4 + 4 x monsters numbers, float32, all of order one; `pneuma.env.observation` lists them.
+    A `Box` of float32; `pneuma.env.observation` lists what stands where.
 
     ## Reward
-    XP so far minus HP over full HP, at every step (thesis section 5.3).
+    By formula; `pneuma.env.reward` lists them. That of Pneuma-v0: XP so far minus HP over full HP, at
+    every step (thesis section 5.3).
 
     ## Start
-    One of six places, at random; `reset(options={"start": i})` chooses the i-th.
+    One of the level's start places, at random; `reset(options={"start": i})` chooses the i-th.
 
     ## End
     Terminates when the player's HP are gone, and with `end_on_clear` when every monster is dead;
     truncates after `episode_steps` steps. `info` then holds `ending`, `kills`, `xp` and `hp`.
 
     ## Arguments
-    The fields of `pneuma.config.EnvConfig`: `level`, `reward`, `episode_steps`, `end_on_clear`.
+    The fields of `pneuma.config.EnvConfig`.
 
     Raises:
         UserError: at construction, for an argument out of range or a level that cannot be played.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own form)
-
-    def __init__(self, render_mode: str | None = None, **settings: object) -> None:
-        if render_mode is not None:
-            raise UserError(f"render_mode = {render_mode!r} is not allowed: this environment draws nothing")
-        self.state = Worlds(1, EnvConfig(**read_settings(EnvConfig, settings)))
+    def __init__(
+        self, env_id: str = ENVIRONMENTS[0], render_mode: str | None = None, **settings: object
+    ) -> None:
+        config = make_env_config(settings, env_id)
+        if config.players != 1:
+            raise UserError(
+                f"players = {config.players}: this face has one player; make the vector environment, or "
+                "pneuma.env.parallel.parallel_env"
+            )
+        self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
+        self._set_up_rendering(render_mode)
         self._actions = np.zeros((1, 1), np.int64)
+        self._action_count = int(self.state.action_space.n)
         self._keyed = False
 
     def reset(
@@ -61,40 +74,72 @@ class PneumaEnv(gymnasium.Env[np.ndarray, np.int64]):
         """Begin an episode; see `gymnasium.Env.reset`. The same seed begins the same world."""
         super().reset(seed=seed)
         if seed is not None or not self._keyed:
-            self.state.seed([seed if seed is not None else _fresh_seed(self.np_random)])
+            self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])
             self._keyed = True
         self.state.reset(starts=chosen_starts(self.state, options))
-        return self.state.observations[0, 0].copy(), {}
+        self._show()
+        return self.state.observations[0, 0].copy(), {"action_mask": self.state.masks[0, 0].copy()}
 
-    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
         index = operator.index(action)
-        if not 0 <= index < len(ACTION_NAMES):
+        if not 0 <= index < self._action_count:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         state = self.state
         self._actions[0, 0] = index
         ended = state.step(self._actions)
-        reward = state.events["reward"].item()
+        info: dict[str, Any] = {"action_mask": state.masks[0, 0].copy()}
         observation = state.observations[0, 0].copy()
+        self._show()
         if not ended:
-            return observation, reward, False, False, {}
-        truncated = state.ending(0) == "time-limit"
-        return observation, reward, not truncated, truncated, ending_info(state, 0)
+            return observation, self._reward(), False, False, info
+        info |= ending_info(state, 0)
+        truncated = bool(state.truncated[0])
+        return observation, self._reward(), not truncated, truncated, info
+
+    def _reward(self) -> Any:
+        return self.state.events["reward"].item()
 
 
-def ending_info(state: Worlds, world: int) -> dict[str, Any]:
-    """Say how a world's episode ended, for player 0's `info`."""
-    player = state.players[world, 0]
+class PneumaMOEnv(PneumaEnv):
+    """The same world with a vector reward, in MO-Gymnasium's convention.
+
+    `step` returns an array of `pneuma.env.reward.PARTS`: XP and HP share after the step, XP gained, HP
+    share lost, notice and attack circles entered. The thesis's reward is the first minus the second,
+    the reward `kills` the third minus the fourth.
+    """
+
+    def __init__(
+        self, env_id: str = ENVIRONMENTS[0], render_mode: str | None = None, **settings: object
+    ) -> None:
+        super().__init__(env_id, render_mode, **settings)
+        config = self.state.config
+        worth = float(self.state.monster_stats["xp"].sum(axis=-1).max(initial=0.0))
+        most = MOST_XP if config.xp_scope == "forever" else worth
+        least = -MOST_XP if config.xp_scope == "forever" else -config.ending_cost
+        circles = float(self.state.monsters.shape[1] * 8)
+        low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
+        high = np.array([most, 1.0, worth, 1.0, circles, circles], np.float32)
+        self.reward_space = spaces.Box(low, high, dtype=np.float32)
+        self.reward_dim = len(PARTS)
+
+    def _reward(self) -> Any:
+        return reward_parts(self.state.events, self.state.players, self.state.player_stats)[0, 0]
+
+
+def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
+    """Say how a world's episode ended for a player."""
+    row = state.players[world, player]
     return {
-        "ending": state.ending(world),
-        "kills": int(player["kills"]),
-        "xp": float(player["xp"]),
-        "hp": float(player["hp"]),
+        "ending": state.ending(world) if row["hp"] > 0 else "killed",
+        "kills": int(row["kills"]),
+        "xp": float(row["xp"]),
+        "hp": float(row["hp"]),
     }
 
 
 def chosen_starts(state: Worlds, options: dict[str, Any] | None) -> np.ndarray | None:
-    """Return the start places that reset's options ask for, shape (N,), or None for random ones.
+    """Return the start places that reset's options ask for, shape (N,), or None for the usual ones.
 
     Raises:
         ValueError: for a place that the level does not have.
@@ -102,12 +147,7 @@ def chosen_starts(state: Worlds, options: dict[str, Any] | None) -> np.ndarray |
     if not options or options.get("start") is None:
         return None
     starts = np.broadcast_to(np.asarray(options["start"], np.int64), (len(state),))
-    if starts.min() < 0 or starts.max() >= len(state.level.starts):
-        raise ValueError(
-            f"start {options['start']!r}: the level has places 0 to {len(state.level.starts) - 1}"
-        )
+    places = len(state.level.starts)
+    if starts.min() < 0 or starts.max() >= places:
+        raise ValueError(f"start {options['start']!r}: the level has places 0 to {places - 1}")
     return np.ascontiguousarray(starts)
-
-
-def _fresh_seed(generator: np.random.Generator) -> int:
-    return int(generator.integers(2**63))

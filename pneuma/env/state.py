@@ -1,7 +1,7 @@
 """The world's state as plain structured arrays: what each holds, and what the rules read and write.
 
 Lengths are pixels, times ticks of 1/60 s, speeds pixels a tick; y points down. N worlds, P players
-in each, M monsters in each.
+and M monsters in each, L levels, K monsters perceived.
 """
 
 from __future__ import annotations
@@ -15,132 +15,222 @@ MAX_PLAYERS = 8
 Array = Any
 """A NumPy array, or a row of one, inside a kernel."""
 
-_AREA = [("half_width", "f8"), ("half_height", "f8")]
 
-WORLD = np.dtype(
-    [
-        ("key", "u8"),  # of the world's random stream
-        ("draws", "u8"),  # numbers taken from it so far
-        ("steps", "i8"),  # agent steps of this episode
-        ("monsters_left", "i4"),
-        ("players_left", "i4"),
-        ("ending", "i4"),  # RUNNING, or how the episode ended
-        ("start", "i4"),  # index of player 0's start place
-    ],
-    align=True,
+def _record(*fields: tuple[Any, ...]) -> np.dtype[np.void]:
+    return np.dtype(list(fields), align=True)
+
+
+# --- The whole state of the worlds ----------------------------------------------------------------
+
+WORLD = _record(
+    ("key", "u8"),  # of the world's random stream
+    ("draws", "u8"),  # numbers taken from it so far
+    ("steps", "i8"),  # agent steps of this episode
+    ("level", "i4"),  # index of the level played
+    ("start", "i4"),  # index of player 0's start place
+    ("monsters_left", "i4"),
+    ("players_left", "i4"),
+    ("ending", "i4"),  # RUNNING, or how the episode ended
 )
-PLAYER = np.dtype(
-    [
-        ("x", "f8"),
-        ("y", "f8"),
-        ("hp", "f8"),
-        ("xp", "f8"),
-        ("facing", "i4"),
-        ("swing", "i4"),  # ticks that the current attack still lasts
-        ("kills", "i4"),
-    ],
-    align=True,
+PLAYER = _record(
+    ("x", "f8"),
+    ("y", "f8"),
+    ("hp", "f8"),
+    ("xp", "f8"),
+    ("energy", "f8"),
+    ("facing", "i4"),
+    ("busy", "i4"),  # ticks that the current attack or spell still lasts
+    ("armed", "i4"),  # whether it is an attack, whose sword strikes
+    ("attack", "i4"),  # number of the latest attack of this episode
+    ("safe", "i4"),  # ticks in which bites do nothing
+    ("kills", "i4"),
 )
-MONSTER = np.dtype(
-    [
-        ("x", "f8"),
-        ("y", "f8"),
-        ("hp", "f8"),
-        ("knock_x", "f8"),  # pixels a tick
-        ("knock_y", "f8"),
-        ("knocked", "i4"),  # ticks that the knock-back still lasts
-        ("noticed", "u1"),  # bit p: player p is inside the notice circle
-        ("struck", "u1"),  # bit p: already hit by player p's current swing
-        ("bite", "i2", (MAX_PLAYERS,)),  # ticks to the next hit of player p; 0: out of reach
-    ],
-    align=True,
+MONSTER = _record(
+    ("x", "f8"),
+    ("y", "f8"),
+    ("hp", "f8"),
+    ("knock_x", "f8"),  # pixels a tick
+    ("knock_y", "f8"),
+    ("knocked", "i4"),  # ticks that the knock-back still lasts
+    ("safe", "i4"),  # ticks in which blows do nothing
+    ("noticed", "u1"),  # bit p: player p is inside the notice circle
+    ("bite", "i2", (MAX_PLAYERS,)),  # ticks to the next bite of player p; 0: out of reach
+    ("struck_by", "i4", (MAX_PLAYERS,)),  # the last attack of player p that hit it
 )
-EVENTS = np.dtype(
-    [
-        ("reward", "f8"),
-        ("xp_gained", "f8"),
-        ("hp_lost", "f8"),
-        ("hp_gained", "f8"),
-        ("hits", "i4"),  # blows landed on monsters
-        ("kills", "i4"),
-        ("notices", "i4"),  # notice circles entered
-        ("contacts", "i4"),  # attack circles entered
-    ],
-    align=True,
+
+# --- What the rules read --------------------------------------------------------------------------
+
+_BODY = (("half_width", "f8"), ("half_height", "f8"))
+
+PLAYER_STATS = _record(
+    ("hp", "f8"),
+    ("energy", "f8"),
+    ("energy_gain", "f8"),  # a tick
+    ("speed", "f8"),
+    *_BODY,
+    ("damage", "f8"),
+    ("swing", "i4"),
+    ("knock_ticks", "i4"),
+    ("knock_speed", "f8"),
+    ("safe", "i4"),  # ticks after a bite in which further ones do nothing
+    ("sword_x", "f8", (4,)),  # centre of the sword box from the player, by facing
+    ("sword_y", "f8", (4,)),
+    ("sword_half_width", "f8", (4,)),
+    ("sword_half_height", "f8", (4,)),
+    ("cast", "i4"),  # ticks that a spell lasts
+    ("flame_damage", "f8"),
+    ("flame_cost", "f8"),
+    ("flame_x", "f8", (4,)),  # the box that a flame burns, by facing
+    ("flame_y", "f8", (4,)),
+    ("flame_half_width", "f8", (4,)),
+    ("flame_half_height", "f8", (4,)),
+    ("heal", "f8"),
+    ("heal_cost", "f8"),
+    ("reward", "i4"),  # which formula
+    ("hp_scale", "f8"),  # of an observation
+    ("energy_scale", "f8"),
+)
+MONSTER_STATS = _record(
+    ("home_x", "f8"),
+    ("home_y", "f8"),
+    ("hp", "f8"),
+    ("speed", "f8"),
+    *_BODY,
+    ("notice_squared", "f8"),
+    ("attack_squared", "f8"),
+    ("stand_off", "f8"),  # no approach on an axis nearer than this
+    ("damage", "f8"),
+    ("bite_ticks", "i4"),
+    ("safe", "i4"),  # ticks after a blow in which further ones do nothing
+    ("knock_ticks", "i4"),  # below 0: as the striker's
+    ("knock_speed", "f8"),
+    ("xp", "f8"),  # for the kill
+    ("heal", "f8"),
+    ("reach_squared", "f8"),  # beyond this distance nothing can happen to it within one step
+    ("perceived", "i4"),  # whether it is part of observations
+    ("hp_scale", "f8"),  # of an observation
+    ("distance_scale", "f8"),
+    ("xp_scale", "f8"),
+)
+SETTINGS = _record(
+    ("left", "f8"),  # of the tile grid
+    ("top", "f8"),
+    ("tile", "f8"),
+    ("cells_per_pixel", "f8"),  # of the finer grid that tells where there is room
+    ("ticks", "i4"),  # of one agent step
+    ("step_limit", "i8"),
+    ("end_on_clear", "i4"),
+    ("deadly_coast", "i4"),
+    ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
+    ("ending_cost", "f8"),  # XP lost by an ending other than the coast's
+    ("keep_xp", "i4"),  # from episode to episode
+    ("magic", "i4"),
+    ("layout", "i4"),  # of observations
+    ("fixed_order", "i4"),
+    ("perceived", "i4"),  # most monsters in an observation
+    ("middle_x", "f8"),  # positions are observed as (x - middle) * scale
+    ("middle_y", "f8"),
+    ("scale_x", "f8"),
+    ("scale_y", "f8"),
+    ("xp_scale", "f8"),
+)
+
+# --- What the rules write -------------------------------------------------------------------------
+
+EVENTS = _record(
+    ("reward", "f8"),
+    ("xp_gained", "f8"),  # by kills, less what an ending cost
+    ("hp_lost", "f8"),
+    ("hp_gained", "f8"),
+    ("hits", "i4"),  # blows landed on monsters
+    ("kills", "i4"),  # last blows among them
+    ("notices", "i4"),  # notice circles entered
+    ("contacts", "i4"),  # attack circles entered
+    ("distance", "f8"),  # to the nearest living monster, infinite without one
+    ("died", "i4"),
+    ("present", "i4"),  # ticks of the step that the player lived through
 )
 """What happened to a player during one step, for rewards computed outside."""
 
-PLAYER_STATS = np.dtype(
-    [
-        ("hp", "f8"),
-        ("speed", "f8"),
-        *_AREA,
-        ("damage", "f8"),
-        ("swing", "i4"),
-        ("knock_ticks", "i4"),
-        ("knock_speed", "f8"),
-        ("sword_x", "f8", (4,)),  # centre of the sword box from the player, by facing
-        ("sword_y", "f8", (4,)),
-        ("sword_half_width", "f8", (4,)),
-        ("sword_half_height", "f8", (4,)),
-    ],
-    align=True,
+PATH = _record(
+    ("x", "f8"),
+    ("y", "f8"),
+    ("facing", "i4"),
+    ("energy", "f8"),
+    ("armed", "i4"),  # whether something strikes at this tick: the box below
+    ("attack", "i4"),  # number of that attack
+    ("box_x", "f8"),
+    ("box_y", "f8"),
+    ("half_width", "f8"),
+    ("half_height", "f8"),
+    ("damage", "f8"),
+    ("knock_speed", "f8"),
+    ("knock_ticks", "i4"),
+    ("healed", "f8"),  # by a spell
 )
-MONSTER_STATS = np.dtype(
-    [
-        ("home_x", "f8"),
-        ("home_y", "f8"),
-        ("hp", "f8"),
-        ("speed", "f8"),
-        *_AREA,
-        ("notice", "f8"),
-        ("attack", "f8"),
-        ("stand_off", "f8"),  # no approach on an axis nearer than this
-        ("damage", "f8"),
-        ("bite_ticks", "i4"),
-        ("xp", "f8"),  # for the kill
-        ("heal", "f8"),
-        ("hp_scale", "f8"),  # of observed HP and distances
-        ("distance_scale", "f8"),
-        ("reach", "f8"),  # beyond this nothing can happen to it within one step
-    ],
-    align=True,
-)
-SETTINGS = np.dtype(
-    [
-        ("left", "f8"),  # of the tile grid
-        ("top", "f8"),
-        ("tile", "f8"),
-        ("cells_per_pixel", "f8"),  # of the finer grid that tells where there is room
-        ("ticks", "i4"),  # of one agent step
-        ("step_limit", "i8"),
-        ("end_on_clear", "i4"),
-        ("middle_x", "f8"),  # unit scale of positions: (x - middle) * scale
-        ("middle_y", "f8"),
-        ("scale_x", "f8"),
-        ("scale_y", "f8"),
-        ("xp_scale", "f8"),
-    ],
-    align=True,
-)
+"""Where a player is at one tick of a step and what strikes from there."""
 
-SCRATCH = np.dtype([("order", "i8"), ("distance", "f8")])
+LEDGER = _record(
+    ("xp", "f8"),
+    ("healed", "f8"),
+    ("bitten", "f8"),
+    ("hits", "i4"),
+    ("kills", "i4"),
+    ("notices", "i4"),
+    ("contacts", "i4"),
+    ("pays", "i4"),  # kills of this tick, anybody's
+)
+"""What one tick of a step brings a player."""
+
+SCRATCH = _record(("order", "i8"), ("distance", "f8"))
 
 
 class State(NamedTuple):
-    """Every array that the kernels share, in the order in which they take them.
+    """Every array that the kernels share.
 
-    The first three are the whole state of the worlds; the last three are overwritten by every step.
+    The first three are the whole state of the worlds. `events`, `observations` and `masks` are
+    written by every step; `path`, `ledger`, `backup` and `scratch` are room to work in.
     """
 
     worlds: Array  # (N,) WORLD
     players: Array  # (N, P) PLAYER
     monsters: Array  # (N, M) MONSTER
     player_stats: Array  # (P,) PLAYER_STATS
-    monster_stats: Array  # (M,) MONSTER_STATS
+    monster_stats: Array  # (L, M) MONSTER_STATS
     settings: Array  # (1,) SETTINGS
-    terrain: Array  # (rows, columns) uint8: OPEN, SOLID or COAST
-    room: Array  # (2 rows, 2 columns) uint8: whether a body has room, by half tiles
+    terrain: Array  # (L, rows, columns) uint8: OPEN, SOLID or COAST
+    room: Array  # (L, 2 rows, 2 columns) uint8: whether a body has room, by half tiles
+    starts: Array  # (L, S, 2) start places
     events: Array  # (N, P) EVENTS
     observations: Array  # (N, P, features) float32
-    scratch: Array  # (M,) SCRATCH: room to sort monsters in
+    masks: Array  # (N, P, actions) int8: 0 where an action would do nothing
+    path: Array  # (ticks, P) PATH
+    ledger: Array  # (ticks, P) LEDGER
+    backup: Array  # (M,) MONSTER
+    scratch: Array  # (M,) SCRATCH
+
+
+DTYPES = State(
+    WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.uint8),
+    np.dtype(np.float64), EVENTS, np.dtype(np.float32), np.dtype(np.int8), PATH, LEDGER, MONSTER, SCRATCH,
+)  # fmt: skip
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 2, 2, 1, 1)
+HANDLE_WIDTH = 4
+
+
+def make_handle(state: State) -> np.ndarray:
+    """Return addresses and shapes of all arrays, (16, 4) int64: what the kernels are called with.
+
+    Handing one small array to a compiled function instead of sixteen saves most of the time of a
+    call. The arrays must outlive the handle.
+
+    Raises:
+        ValueError: for an array that is not laid out as declared here.
+    """
+    handle = np.zeros((len(state), HANDLE_WIDTH), np.int64)
+    for row, array, dtype, dimensions in zip(handle, state, DTYPES, DIMENSIONS, strict=True):
+        if array.dtype != dtype or array.ndim != dimensions or not array.flags.c_contiguous:
+            raise ValueError(f"an array of the state is {array.dtype} with shape {array.shape}")
+        row[0] = array.ctypes.data
+        row[1 : 1 + dimensions] = array.shape
+    return handle

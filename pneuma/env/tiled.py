@@ -27,8 +27,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from pneuma.config import Number, Several
 from pneuma.errors import UserError
+from pneuma.values import Number, Several
 
 START = "start"
 START_CODE = 400

@@ -1,4 +1,4 @@
-"""The native vector environment of Gymnasium: N worlds, one player each, one kernel call a step."""
+"""The native vector environment of Gymnasium: N slots, one kernel call a step."""
 
 from __future__ import annotations
 
@@ -10,18 +10,23 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from pneuma.config import EnvConfig, read_settings
+from pneuma.config import ENVIRONMENTS, make_env_config
+from pneuma.env.showing import ShowsWorld
 from pneuma.env.single import chosen_starts, ending_info
+from pneuma.env.slots import Slots
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
 
 
-class PneumaVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """N worlds of `pneuma/Pneuma-v0` as one environment; `PneumaEnv` says what each is.
+class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """N worlds as one environment; `PneumaEnv` says what each is.
 
-    World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit.
+    World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With
+    several players to a world, each is a slot: slot i is player i % players of world i // players. A
+    slot whose player dies before its world ends idles until then (`pneuma.env.slots`).
 
     Args:
-        num_envs: number of worlds.
+        num_envs: number of slots, a multiple of the players in a world.
         autoreset_mode: Gymnasium's three. `NEXT_STEP`, its default: the step after an ending
             resets and ignores the action. `SAME_STEP`: the step that ends resets too, and `info`
             holds `final_obs` and `final_info`. `DISABLED`: reset by hand with
@@ -32,21 +37,28 @@ class PneumaVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __init__(
         self,
         num_envs: int = 1,
+        env_id: str = ENVIRONMENTS[0],
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         **settings: object,
     ) -> None:
+        config = make_env_config(settings, env_id)
+        if num_envs < 1 or num_envs % config.players:
+            raise UserError(
+                f"num_envs = {num_envs} is not allowed: a multiple of the {config.players} players in a world"
+            )
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
-        self.render_mode = render_mode
-        self.state = Worlds(num_envs, EnvConfig(**read_settings(EnvConfig, settings)))
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
+        self.state = Worlds(num_envs // config.players, config)
+        self.slots = Slots(self.state)
+        self._set_up_rendering(render_mode)
         self.single_observation_space = self.state.space
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.state.space, num_envs)
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
-        self._over = np.zeros(num_envs, np.bool_)
+        self._over = np.zeros(len(self.state), np.bool_)
 
     def reset(
         self,
@@ -68,59 +80,71 @@ class PneumaVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._keyed = True
         self.state.reset(mask, chosen_starts(self.state, options))
         self._over &= ~mask
-        return self.state.observations[:, 0].copy(), {}
+        self._show()
+        return self.slots.observations, self._infos()
 
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
         """Return a seed for each world."""
         if seed is None:
             return None
         if isinstance(seed, numbers.Integral):
-            return [int(seed) + i for i in range(self.num_envs)]
+            return [int(seed) + i for i in range(len(self.state))]
         seeds = [int(own) for own in seed]  # type: ignore[union-attr]
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} worlds")
+        if len(seeds) != len(self.state):
+            raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
         return seeds
 
     def _reset_mask(self, options: dict[str, Any] | None) -> np.ndarray:
         """Return which worlds to reset, (N,)."""
         mask = (options or {}).get("reset_mask")
         if mask is None:
-            return np.ones(self.num_envs, np.bool_)
+            return np.ones(len(self.state), np.bool_)
         if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)):
             raise TypeError(f"reset_mask must be an array of {self.num_envs} booleans, not {mask!r}")
-        return mask
+        return np.asarray(mask.reshape(len(self.state), -1).any(axis=1))
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Play one action in every world; see `gymnasium.vector.VectorEnv.step`."""
-        actions = np.asarray(actions, np.int64).reshape(self.num_envs, 1)
-        if actions.min() < 0 or actions.max() > 4:
-            raise ValueError(f"actions {actions.ravel()} are outside {self.action_space}")
-        state = self.state
-        waiting = self._over.copy()
+        """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
+        actions = np.asarray(actions, np.int64).reshape(self.num_envs)
+        if actions.min() < 0 or actions.max() >= self.single_action_space.n:  # type: ignore[attr-defined]
+            raise ValueError(f"actions {actions} are outside {self.action_space}")
+        waiting = self._over
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
             raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
-        ended = state.step(actions)
+        slots = self.slots
+        ended = slots.step(actions)
         if waiting.any():  # NEXT_STEP: this step resets what the last one ended
-            state.reset(waiting)
-        rewards = state.events["reward"][:, 0].copy()
-        over = (state.worlds["ending"] != 0) if ended else np.zeros(self.num_envs, np.bool_)
-        truncated = over & (state.worlds["ending"] == 3)
-        infos = self._final(over) if ended else {}
-        if ended and self.autoreset_mode == AutoresetMode.SAME_STEP:
-            state.reset(over)
+            self.state.reset(waiting)
+        rewards = slots.rewards.copy()
+        terminated, truncated = slots.terminated.copy(), slots.truncated.copy()
+        infos = self._final(terminated | truncated) if ended else {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            if slots.world_over.any():
+                self.state.reset(slots.world_over)
         else:
-            self._over = over
-        return state.observations[:, 0].copy(), rewards, over & ~truncated, truncated, infos
+            self._over = slots.world_over.copy()
+        self._show()
+        return slots.observations, rewards, terminated, truncated, self._infos(infos)
+
+    def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Add every slot's action mask to the infos."""
+        return {
+            "action_mask": self.slots.masks,
+            "_action_mask": np.ones(self.num_envs, np.bool_),
+            **(infos or {}),
+        }
 
     def _final(self, over: np.ndarray) -> dict[str, Any]:
-        """Return the infos of the worlds that ended, in Gymnasium's form for this autoreset mode."""
+        """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
         infos: dict[str, Any] = {}
-        for world in np.flatnonzero(over):
-            info = ending_info(self.state, int(world))
+        for slot in np.flatnonzero(over):
+            world, player = divmod(int(slot), self.slots.players)
+            info = ending_info(self.state, world, player)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                final = self.state.observations[world, 0].copy()
-                info = {"final_obs": final, "final_info": info}
-            infos = self._add_info(infos, info, int(world))
+                final = self.state.observations[world, player].copy()
+                mask = self.state.masks[world, player].copy()
+                info = {"final_obs": final, "final_info": {"action_mask": mask, **info}}
+            infos = self._add_info(infos, info, int(slot))
         return infos

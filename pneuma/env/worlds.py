@@ -1,55 +1,93 @@
 """N worlds side by side: owns their state and drives the rules.
 
-Every face (single, vector, Stable-Baselines3) is a thin layer over `Worlds`, so all of them give
-the same bits for the same seeds and actions.
+Every face (single, vector, parallel, Stable-Baselines3) is a thin layer over `Worlds`, so all of them
+give the same bits for the same seeds and actions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 
-from pneuma.config import ACTION_NAMES, EnvConfig
+from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
-from pneuma.env.level import load_level, room_for_bodies
+from pneuma.env.level import Level, load_level, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
+from pneuma.env.reward import custom_rewards, load_reward, reward_code
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
 
 
+@dataclass(frozen=True)
+class Snapshot:
+    """The whole state of some worlds: what they need to go on as they would have.
+
+    Attributes:
+        worlds, players, monsters: (N,), (N, P) and (N, M), as in `Worlds`.
+    """
+
+    worlds: np.ndarray
+    players: np.ndarray
+    monsters: np.ndarray
+
+
 class Worlds:
-    """The state of `count` independent worlds with `players` players each.
+    """The state of `count` independent worlds, each with the configuration's players.
 
     Attributes:
         worlds, players, monsters: the whole state, shapes (N,), (N, P) and (N, M), with the dtypes
-            `state.WORLD`, `PLAYER` and `MONSTER`; copy them, put them back, and the worlds go on
-            as they would have.
+            `state.WORLD`, `PLAYER` and `MONSTER`.
         events: (N, P) `state.EVENTS`, what the last step did, the reward among it.
         observations: (N, P, features) float32, overwritten by every step.
+        masks: (N, P, actions) int8, 0 where an action would do nothing in the next step.
+        levels: the levels played; one, unless random ones are drawn.
+        player_stats, monster_stats: (P,) and (L, M), what the rules read.
+
+    Raises:
+        UserError: for a configuration that cannot be played.
     """
 
-    def __init__(self, count: int, config: EnvConfig | None = None, players: int = 1) -> None:
-        if not 1 <= players <= state.MAX_PLAYERS:
-            raise UserError(f"players = {players} is not allowed: 1 to {state.MAX_PLAYERS} to a world")
-        config = config or EnvConfig()
+    def __init__(self, count: int, config: EnvConfig | None = None) -> None:
+        config = config or make_env_config({})
         self.config = config
-        self.level = load_level(config.level, characters.monster_codes())
-        self.player_stats = characters.player_stats(("base",) * players)
-        self.monster_stats = characters.monster_stats(self.level, self.player_stats)
-        self.space = observation_space(self.level, self.monster_stats)
-        self.action_space = spaces.Discrete(len(ACTION_NAMES))
+        cast = characters.load_characters(config.characters)
+        self.levels = _load_levels(config, characters.monster_codes(cast))
+        self.player_stats = characters.player_stats(
+            cast, _one_each(config.classes, config), _one_each(config.weapons, config)
+        )
+        rewards = _one_each(config.reward, config)
+        self.player_stats["reward"] = [reward_code(name) for name in rewards]
+        self._custom = [(p, name, load_reward(name)) for p, name in enumerate(rewards) if ":" in name]
+        self.monster_stats = np.stack(
+            [characters.monster_stats(cast, level, self.player_stats, config.magic) for level in self.levels]
+        )
         self.settings = self._settings(config)
+        fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
+        self.spaces = [
+            observation_space(self.settings[0], player, self.monster_stats, config, self.levels)
+            for player in self.player_stats
+        ]
+        names = ACTION_NAMES + (SPELL_NAMES if config.magic else ())
+        self.action_space = spaces.Discrete(len(names))
+        self._allocate(count, len(names))
+
+    def _allocate(self, count: int, actions: int) -> None:
+        players, monsters = len(self.player_stats), self.monster_stats.shape[1]
+        margin = characters.margin(self.player_stats, self.monster_stats.ravel())
+        ticks = int(self.settings["ticks"][0])
         self.worlds = np.zeros(count, state.WORLD)
         self.players = np.zeros((count, players), state.PLAYER)
-        self.monsters = np.zeros((count, len(self.monster_stats)), state.MONSTER)
+        self.monsters = np.zeros((count, monsters), state.MONSTER)
         self.events = np.zeros((count, players), state.EVENTS)
         self.observations = np.zeros((count, players, *self.space.shape), np.float32)
-        margin = characters.margin(self.player_stats, self.monster_stats)
+        self.masks = np.zeros((count, players, actions), np.int8)
         self._arrays = state.State(
             self.worlds,
             self.players,
@@ -57,18 +95,51 @@ class Worlds:
             self.player_stats,
             self.monster_stats,
             self.settings,
-            self.level.terrain,
-            room_for_bodies(self.level, margin),
+            np.ascontiguousarray([level.terrain for level in self.levels]),
+            np.ascontiguousarray([room_for_bodies(level, margin) for level in self.levels]),
+            np.ascontiguousarray([level.starts for level in self.levels]),
             self.events,
             self.observations,
-            np.zeros(len(self.monster_stats), state.SCRATCH),
+            self.masks,
+            np.zeros((ticks, players), state.PATH),
+            np.zeros((ticks, players), state.LEDGER),
+            np.zeros(monsters, state.MONSTER),
+            np.zeros(monsters, state.SCRATCH),
         )
+        self._handle = state.make_handle(self._arrays)
         self._every = np.ones(count, np.bool_)
-        self._anywhere = np.full(count, -1, np.int64)
+        self._no_actions = np.zeros((count, players), np.int64)
+        start = -1 if self.config.start == "random" else 0
+        self._usual_starts = np.full(count, start, np.int64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the addresses behind: a copy's arrays lie elsewhere."""
+        return {
+            name: value for name, value in self.__dict__.items() if name not in ("_handle", "_arrays")
+        } | {"_rest": tuple(self._arrays[3:])}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Take the copied arrays and note their addresses."""
+        rest = kept.pop("_rest")
+        self.__dict__.update(kept)
+        self._arrays = state.State(self.worlds, self.players, self.monsters, *rest)
+        self.player_stats, self.monster_stats, self.settings = rest[:3]
+        self.events, self.observations, self.masks = rest[6:9]
+        self._handle = state.make_handle(self._arrays)
 
     def __len__(self) -> int:
         """Return the number of worlds."""
         return len(self.worlds)
+
+    @property
+    def level(self) -> Level:
+        """The first level, or the only one."""
+        return self.levels[0]
+
+    @property
+    def space(self) -> spaces.Box:
+        """What player 0 observes."""
+        return self.spaces[0]
 
     def _settings(self, config: EnvConfig) -> np.ndarray:
         settings = np.zeros(1, state.SETTINGS)
@@ -78,46 +149,101 @@ class Worlds:
         row["ticks"] = characters.TICKS_PER_STEP
         row["step_limit"] = config.episode_steps
         row["end_on_clear"] = config.end_on_clear
-        fill_scales(row, self.level, self.monster_stats)
+        row["deadly_coast"] = config.coast == "deadly"
+        row["credit_near"] = config.kill_credit == "near"
+        row["ending_cost"] = config.ending_cost
+        row["keep_xp"] = config.xp_scope == "forever"
+        row["magic"] = config.magic
+        fastest = max(self.player_stats["speed"].max(), self.player_stats["knock_speed"].max())
+        fastest = max(fastest, self.monster_stats["speed"].max(), self.monster_stats["knock_speed"].max())
+        if fastest > self.level.tile:
+            raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
 
     def seed(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
         """Key the random stream of every world, or of those of `mask`, by its own seed.
 
-        Equal seeds make equal worlds.
+        Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
         for world in np.flatnonzero(self._every if mask is None else mask):
             self.worlds["key"][world] = world_key(seeds[int(world)])
             self.worlds["draws"][world] = 0
+            self.players["xp"][world] = 0.0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Begin an episode in all worlds, or in those of `mask`, and observe all.
 
         Args:
             mask: (N,) booleans.
-            starts: (N,) indices of start places; below zero, or left out, drawn at random.
+            starts: (N,) indices of start places; below zero, drawn at random.
         """
-        rules.reset_worlds(
-            *self._arrays[:5],
-            self.level.starts,
-            self._anywhere if starts is None else starts,
-            self._every if mask is None else mask,
-        )
-        rules.observe_worlds(*self._arrays)
+        usual = self._usual_starts if starts is None else starts
+        rules.reset_worlds(self._handle, usual, self._every if mask is None else mask)
+        self.observe()
 
     def step(self, actions: np.ndarray) -> int:
         """Advance every running world; return how many episodes ended with this step.
 
         Args:
-            actions: (N, P) whole numbers below 5, trusted.
+            actions: (N, P) whole numbers of the action space, trusted.
         """
-        return int(rules.step_worlds(*self._arrays, actions))
+        ended = int(rules.step_worlds(self._handle, actions, False))
+        for player, name, function in self._custom:
+            rewards = custom_rewards(function, name, self.events, self.players, self.player_stats)
+            self.events["reward"][:, player] = np.where(self.present[:, player], rewards[:, player], 0.0)
+        return ended
+
+    @property
+    def present(self) -> np.ndarray:
+        """Which players were alive when the last step began, (N, P)."""
+        return (self.events["present"] > 0) | (self.events["died"] > 0)
+
+    @property
+    def truncated(self) -> np.ndarray:
+        """Which worlds a time limit that truncates has ended, (N,)."""
+        limit = self.worlds["ending"] == rules.TIME_LIMIT
+        return limit if self.config.time_limit == "truncate" else np.zeros_like(limit)
 
     def ending(self, world: int) -> str:
         """Name how a world's episode ended, or 'running'."""
         return ENDINGS[self.worlds["ending"][world]]
 
+    # --- Saving and restoring ---------------------------------------------------------------------
+
+    def save(self, world: int) -> Snapshot:
+        """Return a copy of one world's state; it can be pickled, sent and restored elsewhere."""
+        one = slice(world, world + 1)
+        return Snapshot(self.worlds[one].copy(), self.players[one].copy(), self.monsters[one].copy())
+
+    def restore(self, world: int, snapshot: Snapshot) -> None:
+        """Put a saved state into one world, of this or of another `Worlds` of equal configuration.
+
+        The world goes on as the saved one would have. Its observation is that of the next step;
+        `observe` writes it at once.
+        """
+        self.worlds[world] = snapshot.worlds[0]
+        self.players[world] = snapshot.players[0]
+        self.monsters[world] = snapshot.monsters[0]
+
+    def observe(self) -> None:
+        """Write all observations and masks from the state as it is."""
+        rules.step_worlds(self._handle, self._no_actions, True)
+
 
 def world_key(seed: int) -> int:
     """Return the key of the random stream of the world seeded `seed`."""
     return int(seeding.np_random(seed)[0].integers(2**64, dtype=np.uint64))
+
+
+def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
+    return names * config.players if len(names) == 1 else names
+
+
+def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:
+    """Load the level, or as many random ones as asked for, numbered from the first on."""
+    if config.random_levels == 1:
+        return [load_level(config.level, codes)]
+    first, _, number = config.level.rpartition(":")
+    if not number.isdigit():
+        return [load_level(config.level, codes)]  # says what is wrong with the name
+    return [load_level(f"{first}:{int(number) + i}", codes) for i in range(config.random_levels)]

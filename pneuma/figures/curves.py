@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from pneuma.analysis.curves import BANDS, WINDOWS, Curve, evaluation_curves, training_curves
+from pneuma.analysis import WINDOWS
+from pneuma.analysis.curves import BANDS, Curve, evaluation_curves, training_curves
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.style import condition_look, house_style, save_figure
 
@@ -68,7 +69,9 @@ def _draw_panel(
         axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
         label = f"{curve.condition} (n = {len(curve.runs)})"
         look["marker"] = look["marker"] if marked else ""
-        axes.plot(curve.step, curve.mean, label=label, markersize=2.8, **look)
+        whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
+        axes.plot(curve.step, whole, label=label, markersize=2.8, clip_on=False, **look)
+        axes.plot(curve.step, curve.mean, alpha=0.35, markersize=2.8, zorder=1.5, **look)
     axes.set_xlim(0, data.budget)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     if np.ptp(axes.get_ylim()) > 5000:
@@ -82,14 +85,14 @@ def _headline(data: StudyData) -> str:
 
 def _caption(data: StudyData, evaluations: pd.DataFrame, band: str, window: str) -> str:
     episodes = {
-        WINDOWS[0]: "the episodes that ended in the last 5 % of the budget",
+        WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
         WINDOWS[1]: "each run's last 100 episodes",
     }[window]
     words = (
-        f"{', '.join(data.environments)}. Lines: mean over n runs; bands: {BANDS[band].label}. "
-        f"Return averages {episodes}."
+        f"{', '.join(data.environments)}. Lines: mean over n runs, faint where fewer have a value; "
+        f"bands: {BANDS[band].label}.\nReturn averages {episodes}."
     )
     if len(evaluations):
         hunter = evaluations["hunter_share_killed"].mean()
-        words += f"\nOn the scale of the right panel the scripted hunter kills {hunter:.0%}."
+        words += f" On the right the scripted hunter would be at {hunter:.0%}."
     return words

@@ -26,8 +26,6 @@ DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
-FORMATS = ("png", "svg", "pdf")
-
 _RC: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
     "font.size": 8,
@@ -50,6 +48,7 @@ _RC: Any = {
     "savefig.dpi": 300,
     "svg.hashsalt": "pneuma",
     "svg.fonttype": "path",
+    "text.parse_math": False,  # a condition may be called $x$
     "pdf.fonttype": 42,
     "pdf.compression": 6,
 }

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from importlib import import_module
+from pathlib import Path
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, SHIPPED_LEVELS, Run, as_settings
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, SHIPPED_CHARACTERS, SHIPPED_LEVELS, Run, as_settings
 
 
 def run_id(run: Run) -> str:
@@ -18,18 +19,27 @@ def run_id(run: Run) -> str:
     """
     identity = {
         "run": {key: value for key, value in as_settings(run).items() if value is not None},
-        "contents": _contents(run.level),
+        "contents": _contents(run),
         "rules": RULES_VERSION,
         "engine": ENGINE_VERSIONS[run.engine],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _contents(level: str) -> str:
-    """Return a digest of the files of a user's own level; shipped ones are part of the rules' version."""
-    if level in SHIPPED_LEVELS or level.startswith("random:"):
-        return ""
+def _contents(run: Run) -> str:
+    """Return a digest of the user's own files that a run reads: level, characters, reward functions.
+
+    What is shipped is part of the rules' version.
+    """
+    paths: list[Path] = []
+    if run.level not in SHIPPED_LEVELS and not run.level.startswith("random:"):
+        paths += import_module("pneuma.env.level").level_files(run.level)
+    if run.characters and run.characters not in SHIPPED_CHARACTERS:
+        paths += import_module("pneuma.env.characters").character_files(run.characters)
+    custom = [name for name in run.reward if ":" in name]
+    if custom:
+        paths += import_module("pneuma.env.reward").reward_files(custom)
     digest = hashlib.sha256()
-    for path in import_module("pneuma.env.level").level_files(level):
+    for path in paths:
         digest.update(f"{path.name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
-    return digest.hexdigest()
+    return digest.hexdigest() if paths else ""

@@ -95,7 +95,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     over = {"steps": steps, **_settings(selection.settings or {})}
     if selection.engine:
         over["engine"] = read_setting(Run, "engine", selection.engine)
-    runs = {name: make_run({**study.settings(name), **over}) for name in names}
+    runs = {name: make_run(study.settings(name, over)) for name in names}
     for key in unread_settings(runs.values(), selection.settings or {}):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     seeds = selection.seeds or preset.seeds
@@ -142,7 +142,7 @@ def _same(runs: Mapping[str, Run]) -> tuple[tuple[str, ...], ...]:
 def _notes(runs: Mapping[str, Run], steps: int) -> tuple[str, ...]:
     rounded = {run.steps: run.steps_per_update for run in runs.values() if run.steps != steps}
     notes = [
-        f"{steps:,} steps are rounded up to {whole:,}, whole horizons of {horizon:,}"
+        f"{steps:,} steps are rounded up to {whole:,}, whole updates of {horizon:,}"
         for whole, horizon in rounded.items()
     ]
     notes += [

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import BASES, OPTIMIZER_SETTINGS, Run, make_run, read_setting
+from pneuma.config import BASES, ENVIRONMENT_SLOTS, OPTIMIZER_SETTINGS, Run, make_run, read_setting
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.study.toml_file import TomlFile, Where, read_toml
 
@@ -43,7 +43,8 @@ class Study:
         title, section, about: for people.
         figure: file stem of its figure.
         baseline: the condition that the others are compared with.
-        shared: settings of every condition, base included.
+        base: name of the settings to start from.
+        shared: settings of every condition on top of the base.
         conditions: what each condition sets on top.
         presets: by name.
     """
@@ -55,13 +56,14 @@ class Study:
     about: str
     figure: str
     baseline: str
+    base: str
     shared: Mapping[str, Any]
     conditions: Mapping[str, Mapping[str, Any]]
     presets: Mapping[str, Preset] = field(default_factory=dict)
 
-    def settings(self, condition: str) -> dict[str, Any]:
-        """Return what a condition sets, base and shared settings included."""
-        return {**self.shared, **self.conditions[condition]}
+    def settings(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what a condition sets, base and shared settings included, `over` on top of all."""
+        return join_settings(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
 
     def preset(self, name: str) -> Preset:
         """Return a preset by its name.
@@ -72,6 +74,13 @@ class Study:
         if name not in self.presets:
             raise unknown_name(f"preset of study {self.name}", name, self.presets)
         return self.presets[name]
+
+
+def join_settings(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay settings over a base and over what the environment they choose brings along."""
+    env = own.get("env")
+    slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
+    return {**BASES[base], **slots, **own}
 
 
 def studies_folder() -> Path:
@@ -128,8 +137,8 @@ def _read_study(file: TomlFile) -> Study:
         raise file.mistake((), str(unknown_name("base", texts["base"], BASES)), "base")
     if not re.fullmatch(r"[\w.-]*", texts["figure"]):
         raise file.mistake((), f"figure = {texts['figure']!r} must be a plain file name", "figure")
-    shared = {**BASES[texts["base"]], **_read_settings(file, ("run",))}
-    conditions = _read_conditions(file, shared)
+    shared = _read_settings(file, ("run",))
+    conditions = _read_conditions(file, texts["base"], shared)
     baseline = texts["baseline"] or next(iter(conditions))
     if baseline not in conditions:
         raise file.mistake((), str(unknown_name("condition", baseline, conditions)), "baseline")
@@ -141,6 +150,7 @@ def _read_study(file: TomlFile) -> Study:
         about=" ".join(texts["about"].split()),
         figure=texts["figure"] or f"study-{file.path.stem}",
         baseline=baseline,
+        base=texts["base"],
         shared=shared,
         conditions=conditions,
         presets=_read_presets(file),
@@ -154,7 +164,7 @@ def _text(file: TomlFile, key: str) -> str:
     return value
 
 
-def _read_conditions(file: TomlFile, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _read_conditions(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     names = file.table(("conditions",))
     if not names:
         raise file.mistake((), "a study needs at least one condition", "conditions")
@@ -163,7 +173,7 @@ def _read_conditions(file: TomlFile, shared: Mapping[str, Any]) -> dict[str, dic
         where = ("conditions", name)
         conditions[name] = _read_settings(file, where)
         try:
-            runs.append(make_run({**shared, **conditions[name]}))
+            runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))
         except UserError as error:
             raise file.mistake(where, str(error)) from None
         for key in unread_settings(runs[-1:], conditions[name]):

@@ -32,7 +32,7 @@ FINISHED = ("done", "diverged")
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run stands: planned, running, done, diverged, crashed; and agent steps trained."""
+    """Where a run stands: planned, done, diverged, crashed or damaged; and agent steps trained."""
 
     name: str
     step: int = 0
@@ -73,7 +73,7 @@ class Store:
         return self.root / "runs" / run_id
 
     def status(self, run_id: str) -> Status:
-        """Return how far a run is; 'planned' where nothing is stored or something is damaged."""
+        """Return how far a run is; 'planned' where nothing is stored, 'damaged' where a checksum is wrong."""
         manifest = self._manifest(run_id)
         if manifest is None:
             return Status("planned")
@@ -81,7 +81,7 @@ class Store:
             for name in manifest["files"]:
                 self.read_file(run_id, name)
         except UserError:
-            return Status("planned")
+            return Status("damaged")
         return Status(manifest["status"], manifest["step"])
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
@@ -147,7 +147,14 @@ def to_json(value: object) -> bytes:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens meanwhile."""
+    """Write a file so that it is there whole or not at all, whatever happens meanwhile.
+
+    A link is followed; what is no ordinary file, such as a pipe or a terminal, is written to.
+    """
+    path = path.resolve()
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(descriptor, "wb") as file:

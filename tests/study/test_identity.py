@@ -17,13 +17,30 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
-    "tanh": "1a23d58c0648dea2",
-    "relu": "c9f041112efed36b",
-    "leaky-relu": "9b80934d39cc8170",
+    "tanh": "1bfeb1b1603e06af",
+    "relu": "8a72dfe740ec3c27",
+    "leaky-relu": "6779cb3d848d8a23",
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 
 OTHER: dict[str, Any] = {
+    "players": 2,
+    "classes": "tank",
+    "weapons": "lance",
+    "magic": True,
+    "reward": "kills",
+    "observation": "pygame",
+    "perceive": "nearest:3",
+    "order": "fixed",
+    "scale": "raw",
+    "start": "first",
+    "coast": "deadly",
+    "kill_credit": "near",
+    "xp_scope": "forever",
+    "ending_cost": 1.0,
+    "time_limit": "terminate",
+    "characters": "pygame",
+    "env": "pneuma/PneumaGodot-v0",
     "episode_steps": 500,
     "end_on_clear": True,
     "seed": 1,
@@ -52,11 +69,11 @@ OTHER: dict[str, Any] = {
 """For every field with more than one value, one that is not the default."""
 
 OF_OTHER_OPTIMIZERS = {"momentum": ("sgd", 0.9), "dampening": ("sgd", 0.9), "smoothing": ("rmsprop", 0.9)}
-OF_ONE_VALUE = {"env", "reward", "engine", "algorithm"}
+OF_ONE_VALUE = {"engine", "algorithm"}
 
 
 def test_every_field_of_a_run_is_tested_here() -> None:
-    tested = {*OTHER, *OF_OTHER_OPTIMIZERS, *OF_ONE_VALUE, "level"}
+    tested = {*OTHER, *OF_OTHER_OPTIMIZERS, *OF_ONE_VALUE, "level", "random_levels"}
     assert tested == {item.name for item in fields(Run)}
 
 

@@ -1,0 +1,179 @@
+"""`pneuma study plot` and `pneuma study export`: what people take away from a study."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.analysis import BAND_NAMES, EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TABLES, WINDOWS
+from pneuma.cli.options import (
+    Conditions,
+    EngineName,
+    Json,
+    Preset,
+    Results,
+    Seeds,
+    Settings,
+    Steps,
+    StudyName,
+    print_json,
+    read_selection,
+    say,
+)
+from pneuma.errors import UserError, unknown_name
+from pneuma.figures import FIGURE_FORMATS
+from pneuma.study import execute, plan, spec
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
+
+RESULTS = Path("results")
+
+
+def plot(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
+    ] = None,
+    band: Annotated[
+        str, typer.Option("--band", metavar="|".join(BAND_NAMES), help="What the band shows.")
+    ] = "std",
+    window: Annotated[
+        str, typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages.")
+    ] = WINDOWS[0],
+    format: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="|".join(FIGURE_FORMATS),
+            help="File formats (may be repeated; default: png and svg).",
+        ),
+    ] = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Draw a study's figure: mean over seeds with a band, return and monsters killed."""
+    _check_choice("--band", band, BAND_NAMES)
+    _check_choice("--window", window, WINDOWS)
+    formats = tuple(format or ("png", "svg"))
+    for form in formats:
+        _check_choice("--format", form, FIGURE_FORMATS)
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    names = names or store.studies()
+    if not names:
+        raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
+    records = [study_record(store, name, selection) for name in names]
+    from pneuma.analysis.tables import StudyData
+    from pneuma.figures.curves import draw_study
+
+    studies = [StudyData(store, record) for record in records]
+    folder = out or results / "figures"
+    _check_folder("--out", folder)
+    for data in studies:
+        _tell_left_out(data)
+    paths = [path for data in studies for path in draw_study(data, folder, band, window, formats)]
+    if json:
+        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
+    for path in paths:
+        print(f"wrote {path}")
+    return None
+
+
+def export(
+    name: StudyName,
+    table: Annotated[str, typer.Option("--table", metavar="|".join(EXPORT_TABLES), help="What to export.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="The file to write; - for standard output.")
+    ],
+    format: Annotated[
+        str | None,
+        typer.Option(
+            "--format", metavar="|".join(EXPORT_FORMATS), help="Its format (default: by the file's ending)."
+        ),
+    ] = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+) -> None:
+    """Write a study's records as one tidy table."""
+    _check_choice("--table", table, EXPORT_TABLES)
+    form = format or EXPORT_SUFFIXES.get(out.suffix, "csv")
+    _check_choice("--format", form, EXPORT_FORMATS)
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    record = study_record(store, name, selection)
+    from pneuma.analysis.export import encode_table, export_table
+    from pneuma.analysis.tables import StudyData
+
+    data = StudyData(store, record)
+    _tell_left_out(data)
+    if str(out) == "-":
+        sys.stdout.buffer.write(encode_table(data, table, form)[0])
+        return
+    if out.is_dir():
+        raise UserError(f"--out {out}: is a folder; name a file")
+    _check_folder("--out", out.parent)
+    print(f"wrote {out}: {export_table(data, table, form, out):,} rows")
+
+
+def study_record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
+    """Return a study's latest record, or the one of a selection; what that leaves open is the latest's."""
+    stem = Path(name).stem if name.endswith(".toml") else name
+    record = store.selection(stem)
+    if selection is not None:
+        study = spec.load_study(record["path"] if record else name)
+        latest = execute.recorded_selection(record) if record else plan.Selection()
+        return execute.selection_record(plan.make_plan(study, selection.over(latest)))
+    if record is None:
+        if (store.root / "studies" / f"{stem}.json").exists():
+            raise UserError(
+                f"{store.root / 'studies' / stem}.json: damaged; `pneuma study run {name}` writes it anew"
+            )
+        if stem not in spec.list_studies() and not name.endswith(".toml"):
+            raise unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
+        raise UserError(
+            f"study {stem} has no runs in {store.root}: run `pneuma study run {name}` first, "
+            "or name the folder with --results"
+        )
+    return record
+
+
+def _tell_left_out(data: StudyData) -> None:
+    """Say how many runs of a selection are not shown, if any."""
+    if data.left_out:
+        of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {data.study}"
+        say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
+
+
+def _check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
+    if value not in allowed:
+        raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
+
+
+def _check_folder(option: str, folder: Path) -> None:
+    """Refuse a folder that cannot be written, before any work is done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".pneuma-probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UserError(f"{option} {folder}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,119 @@
+"""The face of PettingZoo: one world, several players at once, each with class, reward and view of its own."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from pettingzoo import ParallelEnv
+
+from pneuma.config import ENVIRONMENTS, make_env_config
+from pneuma.env.showing import ShowsWorld
+from pneuma.env.single import chosen_starts, ending_info
+from pneuma.env.worlds import Worlds
+
+
+class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
+    """One world of 1 to 8 players, `player_0` and so on; `PneumaEnv` says what the world is.
+
+    A player leaves `agents` when it dies; the episode ends for all when nobody lives, when the level is
+    cleared and `end_on_clear` is set, or at the time limit. `infos` hold `action_mask`, and `ending`,
+    `kills`, `xp` and `hp` at a player's end.
+
+    Args:
+        env_id: whose presets to start from.
+        players: how many; `classes`, `weapons` and `reward` may list one each.
+        settings: the other fields of `pneuma.config.EnvConfig`.
+    """
+
+    def __init__(
+        self,
+        env_id: str = ENVIRONMENTS[0],
+        players: int = 2,
+        render_mode: str | None = None,
+        **settings: object,
+    ) -> None:
+        self.worlds = Worlds(1, make_env_config({"players": players, **settings}, env_id))
+        self.possible_agents = [f"player_{i}" for i in range(players)]
+        self.agents: list[str] = []
+        self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
+        self._actions = np.zeros((1, players), np.int64)
+        self._keyed = False
+        self._set_up_rendering(render_mode)
+
+    @property
+    def rendered(self) -> Worlds:
+        """The worlds that `render` shows."""
+        return self.worlds
+
+    @functools.cache  # noqa: B019 (PettingZoo's own form; environments are few)
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Return what a player observes."""
+        return self.worlds.spaces[self._index[agent]]
+
+    @functools.cache  # noqa: B019
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """Return what a player can do; each has a space of its own to seed."""
+        return spaces.Discrete(int(self.worlds.action_space.n))
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Begin an episode with all players alive; the same seed begins the same world."""
+        if seed is not None or not self._keyed:
+            fresh = seed if seed is not None else int(seeding.np_random()[0].integers(2**63))
+            self.worlds.seed([fresh])
+            self._keyed = True
+        self.worlds.reset(starts=chosen_starts(self.worlds, options))
+        self.agents = list(self.possible_agents)
+        self._show()
+        return self._observations(self.agents), self._masks(self.agents)
+
+    def step(
+        self, actions: dict[str, np.int64]
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Play one action of every living player."""
+        acting = self.agents
+        for agent in acting:
+            if not self.action_space(agent).contains(actions[agent]):
+                raise ValueError(
+                    f"action {actions[agent]!r} of {agent} is outside {self.action_space(agent)}"
+                )
+            self._actions[0, self._index[agent]] = actions[agent]
+        over = self.worlds.step(self._actions) > 0
+        cut = bool(self.worlds.truncated[0])
+        alive = {agent: bool(self.worlds.players["hp"][0, self._index[agent]] > 0) for agent in acting}
+        rewards = {a: float(self.worlds.events["reward"][0, self._index[a]]) for a in acting}
+        truncations = {agent: over and cut and alive[agent] for agent in acting}
+        terminations = {agent: (over or not alive[agent]) and not truncations[agent] for agent in acting}
+        infos = self._masks(acting)
+        for agent in acting:
+            if terminations[agent] or truncations[agent]:
+                infos[agent] |= ending_info(self.worlds, 0, self._index[agent])
+        self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
+        self._show()
+        return self._observations(acting), rewards, terminations, truncations, infos
+
+    def state(self) -> np.ndarray:
+        """Return everything that all players observe, one after the other."""
+        return self.worlds.observations[0].ravel().copy()
+
+    def _observations(self, agents: list[str]) -> dict[str, np.ndarray]:
+        return {agent: self.worlds.observations[0, self._index[agent]].copy() for agent in agents}
+
+    def _masks(self, agents: list[str]) -> dict[str, dict[str, Any]]:
+        return {agent: {"action_mask": self.worlds.masks[0, self._index[agent]].copy()} for agent in agents}
+
+
+def parallel_env(**settings: Any) -> PneumaParallelEnv:
+    """Make the environment, under the name that PettingZoo's users expect."""
+    return PneumaParallelEnv(**settings)

@@ -1,0 +1,122 @@
+"""Rewards: the formulas by name, rewards of a user's own, and vector rewards of the same parts.
+
+With xp and hp after the step, hp0 full HP, and Δ for what the step itself brought:
+
+    thesis            xp - hp / hp0                        thesis section 5.3, as printed
+    pygame            xp + hp / hp0                        the PyGame version
+    godot             event by event: +1 on entering a monster's notice circle, +1 on entering its
+                      attack circle; at every kill, and at every ending that costs XP, what the step
+                      has paid so far is replaced by the current XP      the Godot version
+    kills             Δxp - HP lost / hp0                  what the thesis's words ask for
+    distance-sigmoid  Δxp + S(d)                           after thesis section 5.3, footnote 4
+                      d is the distance to the nearest living monster in pixels, S an algebraic
+                      sigmoid: S = 1/2 + z / (2 sqrt(1 + z²)), z = (150 - d) / 50; 0 without one
+
+`module:function` names a reward of one's own. It is called after every step as
+
+    function(events, players, player_stats) -> (N, P) numbers
+
+with the arrays `pneuma.env.state.EVENTS` and `PLAYER`, both (N, P), and `PLAYER_STATS`, (P,). What it
+returns for players that were not alive is not used.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pneuma.env import rules
+from pneuma.errors import UserError
+
+REWARD_CODES = {
+    "thesis": rules.REWARD_THESIS,
+    "pygame": rules.REWARD_PYGAME,
+    "godot": rules.REWARD_GODOT,
+    "kills": rules.REWARD_KILLS,
+    "distance-sigmoid": rules.REWARD_SIGMOID,
+}
+
+PARTS = ("xp", "hp", "xp_gained", "hp_lost", "notices", "contacts")
+"""Parts of a vector reward: XP and HP share after the step, XP gained, HP share lost, circles entered."""
+
+RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
+
+
+def reward_code(name: str) -> int:
+    """Return the rules' number of a formula; `REWARD_CUSTOM` for module:function."""
+    return REWARD_CODES.get(name, rules.REWARD_CUSTOM)
+
+
+def load_reward(name: str) -> RewardFunction:
+    """Import a reward of a user's own, looking in the current folder too.
+
+    Raises:
+        UserError: when the module or the function does not exist.
+    """
+    module_name, _, function_name = name.partition(":")
+    path = str(Path.cwd())
+    added = path not in sys.path
+    if added:
+        sys.path.insert(0, path)
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise UserError(f"reward {name!r}: {error}") from None
+    finally:
+        if added:
+            sys.path.remove(path)
+    function = getattr(module, function_name, None)
+    if not callable(function):
+        raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
+    return function
+
+
+def reward_files(names: Sequence[str]) -> list[Path]:
+    """Return the source files that rewards of a user's own are defined in."""
+    files = []
+    for name in names:
+        source = getattr(sys.modules.get(load_reward(name).__module__), "__file__", None)
+        if source:
+            files.append(Path(source))
+    return files
+
+
+def custom_rewards(
+    function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, stats: np.ndarray
+) -> np.ndarray:
+    """Call a reward of a user's own and check what it returns: (N, P) finite numbers.
+
+    Raises:
+        UserError: naming the function and what was wrong.
+    """
+    rewards = np.asarray(function(events, players, stats), np.float64)
+    if rewards.shape != events.shape:
+        raise UserError(f"reward {name!r} returned shape {rewards.shape}, where {events.shape} was asked for")
+    if not np.isfinite(rewards).all():
+        raise UserError(f"reward {name!r} returned a number that is not finite")
+    return rewards
+
+
+def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> np.ndarray:
+    """Return the vector reward: (N, P) events -> (N, P, len(PARTS)) float32.
+
+    Absent players' parts are zero. `thesis` is xp - hp, `kills` is xp_gained - hp_lost.
+    """
+    present = (events["present"] > 0) | (events["died"] > 0)
+    parts = np.stack(
+        [
+            players["xp"],
+            players["hp"] / stats["hp"],
+            events["xp_gained"],
+            events["hp_lost"] / stats["hp"],
+            events["notices"].astype(float),
+            events["contacts"].astype(float),
+        ],
+        axis=-1,
+    )
+    return np.where(present[..., None], parts, 0.0).astype(np.float32)

@@ -1,0 +1,74 @@
+"""Play an environment for somebody to watch: frames of an episode, or a person at the keyboard.
+
+A step of 8 ticks is shown in four frames of 2, so that motion is smooth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from pneuma.config import ACTION_NAMES
+from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
+from pneuma.env.render import Renderer, Window
+from pneuma.env.worlds import Worlds
+
+FRAMES_PER_STEP = 4
+FRAMES_PER_SECOND = TICKS_PER_SECOND * FRAMES_PER_STEP // TICKS_PER_STEP
+
+Act = Callable[[Worlds], np.ndarray]
+"""Chooses actions (N, P) for all worlds."""
+
+
+def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.ndarray]:
+    """Yield the frames of one episode of the first world, which must just have been reset."""
+    smooth(worlds)
+    yield renderer.frame(0)
+    while worlds.worlds["ending"][0] == 0:
+        actions = act(worlds)
+        for _ in range(FRAMES_PER_STEP):
+            if worlds.step(actions):
+                break
+            yield renderer.frame(0)
+    yield renderer.frame(0)
+
+
+def smooth(worlds: Worlds) -> None:
+    """Let worlds advance by the ticks of one frame at a time."""
+    worlds.settings["ticks"] = TICKS_PER_STEP // FRAMES_PER_STEP
+    worlds.settings["step_limit"] *= FRAMES_PER_STEP
+
+
+def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, float]]:
+    """Let a person play player 0 with the keyboard until the window closes.
+
+    Arrows or W, A, S, D walk, space attacks, escape leaves. The other players stand still.
+
+    Returns:
+        Kills and reward of every episode.
+    """
+    smooth(worlds)
+    renderer = Renderer(worlds, camera)
+    window = Window(renderer.size, title)
+    keys = {**dict(zip(ACTION_NAMES, ACTION_NAMES, strict=True)), "attack": "space"}
+    scores: list[tuple[int, float]] = []
+    total = 0.0
+    while not window.closed:
+        window.show(renderer.frame(0), FRAMES_PER_SECOND)
+        held = window.keys()
+        if "escape" in held:
+            break
+        chosen = [name for name in ("attack", *ACTION_NAMES[:4]) if keys[name] in held]
+        if not chosen:
+            continue  # the world waits for its player
+        actions = np.zeros(worlds.players.shape, np.int64)
+        actions[0, 0] = ACTION_NAMES.index(chosen[0])
+        ended = worlds.step(actions)
+        total += float(worlds.events["reward"][0, 0])
+        if ended:
+            scores.append((int(worlds.players["kills"][0, 0]), total))
+            total = 0.0
+            worlds.reset()
+    window.close()
+    return scores

@@ -1,0 +1,79 @@
+"""Rendering as Gymnasium's and PettingZoo's faces offer it: `rgb_array` and `human`."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+FRAMES_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
+RENDER_MODES = ("rgb_array", "human")
+
+
+class ShowsWorld:
+    """What the faces share: a world to show, drawn only when somebody looks.
+
+    `rgb_array` gives the frame of the first world, or of every world for a vector environment; `human`
+    opens a window, which needs the extra `play`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "pneuma",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": round(FRAMES_PER_SECOND),
+        "is_parallelizable": True,
+    }
+    render_mode: str | None = None
+    camera = "map"
+    _renderer: Any = None
+    _window: Any = None
+
+    @property
+    def rendered(self) -> Worlds:
+        """The worlds that `render` shows."""
+        return self.state  # type: ignore[attr-defined]
+
+    def _set_up_rendering(self, render_mode: str | None) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            allowed = ", ".join(RENDER_MODES)
+            raise UserError(f"render_mode = {render_mode!r} is not allowed: one of {allowed}, or none")
+        self.render_mode = render_mode
+
+    def render(self) -> Any:
+        """Return the frame, (height, width, 3) uint8, for `rgb_array`; nothing for `human`."""
+        if self.render_mode == "human":
+            self._show()
+            return None
+        if self.render_mode is None:
+            return None
+        if hasattr(self, "num_envs"):
+            return tuple(self._frame(world) for world in range(len(self.rendered)))
+        return self._frame(0)
+
+    def _frame(self, world: int) -> np.ndarray:
+        if self._renderer is None:
+            from pneuma.env.render import Renderer
+
+            self._renderer = Renderer(self.rendered, self.camera)
+        return self._renderer.frame(world)
+
+    def _show(self) -> None:
+        """Bring the window up to date, if there is to be one."""
+        if self.render_mode != "human":
+            return
+        frame = self._frame(0)
+        if self._window is None:
+            from pneuma.env.render import Window
+
+            self._window = Window((frame.shape[1], frame.shape[0]), "Pneuma")
+        self._window.show(frame, FRAMES_PER_SECOND)
+
+    def close(self, **keywords: Any) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None

@@ -1,0 +1,66 @@
+"""Slots: every player of every world as an environment of its own, as learners want them.
+
+A slot's player may die while its world goes on. Its episode then ends, at once; until the world ends
+as well, the slot idles: observations of zeros, no reward, and no ending. When the world ends, all of
+its slots that were not idle end with it, and all begin again together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pneuma.env import rules
+from pneuma.env.worlds import Worlds
+
+
+class Slots:
+    """The bookkeeping of slots over `Worlds`; slot i is player i % P of world i // P.
+
+    Attributes:
+        terminated, truncated: (slots,) what the last step ended.
+        world_over: (N,) which worlds it ended.
+    """
+
+    def __init__(self, worlds: Worlds) -> None:
+        self.worlds = worlds
+        self.players = worlds.players.shape[1]
+        self.count = worlds.players.size
+        self._none = np.zeros(self.count, np.bool_)
+        self.terminated = self.truncated = self._none
+        self.world_over = np.zeros(len(worlds), np.bool_)
+
+    def step(self, actions: np.ndarray) -> bool:
+        """Advance all worlds by (slots,) actions; tell whether any slot's episode ended."""
+        worlds = self.worlds
+        ended = worlds.step(actions.reshape(worlds.players.shape))
+        if not ended and self.players == 1:
+            self.terminated = self.truncated = self._none
+            self.world_over = self._none
+            return False
+        present = worlds.present  # nobody is, in a world that had ended before
+        self.world_over = (worlds.worlds["ending"] != rules.RUNNING) & present.any(axis=1)
+        died = present & (worlds.players["hp"] <= 0)
+        over = present & self.world_over[:, None]
+        cut = over & ~died & worlds.truncated[:, None]
+        self.terminated = ((died | over) & ~cut).ravel()
+        self.truncated = cut.ravel()
+        return bool(self.terminated.any() or self.truncated.any())
+
+    @property
+    def rewards(self) -> np.ndarray:
+        """Rewards of the last step, (slots,) float64."""
+        return self.worlds.events["reward"].ravel()
+
+    @property
+    def observations(self) -> np.ndarray:
+        """A copy of all observations, (slots, features)."""
+        return self.worlds.observations.reshape(self.count, -1).copy()
+
+    @property
+    def masks(self) -> np.ndarray:
+        """A copy of all action masks, (slots, actions)."""
+        return self.worlds.masks.reshape(self.count, -1).copy()
+
+    def of_worlds(self, flags: np.ndarray) -> np.ndarray:
+        """Return per-world flags as per-slot flags, (slots,)."""
+        return np.repeat(flags, self.players)

@@ -1,0 +1,150 @@
+"""What a value of a configuration may be: readers that check and convert it, and say what is allowed."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+MOST_NAMES = 8
+"""As many as there can be players in a world."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number within bounds; `whole` for integers, `optional` where "none" switches it off."""
+
+    low: float
+    high: float = math.inf
+    whole: bool = False
+    above: bool = False
+    """Whether `low` itself is excluded."""
+    below: bool = False
+    """Whether `high` itself is excluded."""
+    optional: bool = False
+
+    def read(self, value: object) -> int | float | None:
+        """Return the number, or raise ValueError."""
+        if self.optional and (value is None or value == "none"):
+            return None
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError
+        if not math.isfinite(value) or (self.whole and value != int(value)):
+            raise ValueError
+        too_low = value <= self.low if self.above else value < self.low
+        too_high = value >= self.high if self.below else value > self.high
+        if too_low or too_high:
+            raise ValueError
+        return int(value) if self.whole else float(value) + 0.0  # -0.0 is 0.0
+
+    @property
+    def allowed(self) -> str:
+        """Say in words what is allowed."""
+        kind = "a whole number" if self.whole else "a number"
+        parts = [f"{'above' if self.above else 'of at least'} {self._told(self.low)}"]
+        if self.high < math.inf:
+            parts.append(f"{'below' if self.below else 'at most'} {self._told(self.high)}")
+        return f"{kind} {' and '.join(parts)}" + (', or "none"' if self.optional else "")
+
+    def _told(self, bound: float) -> str:
+        return str(int(bound)) if self.whole else f"{bound:g}"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of a few names."""
+
+    names: tuple[str, ...]
+
+    def read(self, value: object) -> str:
+        """Return the name, or raise ValueError."""
+        if value not in self.names:
+            raise ValueError
+        return str(value)
+
+    @property
+    def allowed(self) -> str:
+        """Say in words what is allowed."""
+        return "one of " + ", ".join(self.names)
+
+
+@dataclass(frozen=True)
+class Flag:
+    """True or false."""
+
+    allowed: str = "true or false"
+
+    def read(self, value: object) -> bool:
+        """Return the flag, or raise ValueError."""
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Text:
+    """A name or a path."""
+
+    allowed: str = "a name or a path"
+    empty: bool = False
+
+    def read(self, value: object) -> str:
+        """Return the text, or raise ValueError."""
+        if not isinstance(value, str) or not (value or self.empty):
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Names:
+    """A name, or a list of names with one for each player; always a tuple in the end."""
+
+    pattern: str
+    allowed: str
+
+    def read(self, value: object) -> tuple[str, ...]:
+        """Return the names, or raise ValueError."""
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, (list, tuple)) or not 1 <= len(names) <= MOST_NAMES:
+            raise ValueError
+        if not all(isinstance(name, str) and re.fullmatch(self.pattern, name) for name in names):
+            raise ValueError
+        return tuple(names)
+
+
+@dataclass(frozen=True)
+class Matching:
+    """A text of a certain form."""
+
+    pattern: str
+    allowed: str
+
+    def read(self, value: object) -> str:
+        """Return the text, or raise ValueError."""
+        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Several:
+    """A list of numbers, each of one kind, with a least and a greatest length."""
+
+    each: Number
+    shortest: int
+    longest: int
+
+    def read(self, value: object) -> tuple[int | float | None, ...]:
+        """Return the numbers as a tuple, or raise ValueError."""
+        if not isinstance(value, (list, tuple)) or not self.shortest <= len(value) <= self.longest:
+            raise ValueError
+        return tuple(self.each.read(item) for item in value)
+
+    @property
+    def allowed(self) -> str:
+        """Say in words what is allowed."""
+        count = str(self.shortest) if self.shortest == self.longest else "a list"
+        return f"{count} of: {self.each.allowed}"
+
+
+Reader = Number | Choice | Flag | Text | Several | Names | Matching
