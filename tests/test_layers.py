@@ -123,7 +123,9 @@ def test_a_command_loads_what_is_heavy_only_when_it_needs_it(module: str) -> Non
     names = [alias.name for node in tree.body if isinstance(node, ast.Import) for alias in node.names]
     names += [node.module or "" for node in tree.body if isinstance(node, ast.ImportFrom)]
     layers = ("pneuma.analysis", "pneuma.figures", "pneuma.engines", "pneuma.bench", "pneuma.search")
-    assert not [name for name in names if any(_belongs(name, heavy) for heavy in (*HEAVY, *layers))]
+    light = ("pneuma.analysis", "pneuma.figures")  # their __init__ holds names alone
+    heavy = [name for name in names if any(_belongs(name, layer) for layer in (*HEAVY, *layers))]
+    assert not [name for name in heavy if name not in light]
 
 
 def test_the_package_list_is_every_folder_with_code() -> None:

@@ -17,7 +17,7 @@ from pneuma.cli import main
 from pneuma.env.worlds import Worlds
 assert pneuma.__file__.startswith(sys.argv[1]), pneuma.__file__
 worlds = Worlds(1)
-print(len(worlds.level.starts), len(worlds.monster_stats))
+print(len(worlds.level.starts), worlds.monsters.shape[1])
 main(["study", "list"])
 main(["study", "show", "activation"])
 """
@@ -55,4 +55,4 @@ def test_wheel_from_sdist_works_away_from_the_source(tmp_path: Path) -> None:
     )
     assert printed.startswith("6 14\n")
     assert "activation " in printed
-    assert "activation: tanh tanh" in printed
+    assert "activation: tanh (tanh)" in printed

@@ -34,5 +34,6 @@ def engines(json: Json = False) -> None:
         return print_json({"schema": 1, **report})
     for case in report["cases"]:
         print(f"{case['case']:<28} {case['engine']:<20} {case['steps_per_second']:>10,.0f} steps/s")
-    print(f"sb3 engine over Stable-Baselines3 alone, time per step: {report['overhead']:.3f}")
+    for case, ratio in report["ratios"].items():
+        print(f"{case}: sb3 over Stable-Baselines3 alone, time per step, median of pairs: {ratio:.3f}")
     return None

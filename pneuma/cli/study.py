@@ -35,6 +35,7 @@ from pneuma.study.store import Store
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
 RESULTS = Path("results")
+UNWELL = ("crashed", "killed")
 
 app.command()(study_output.plot)
 app.command()(study_output.export)
@@ -109,9 +110,11 @@ def plan_(
     state = {
         cell.run_id: "stored" if store.status(cell.run_id).finished else "to-train" for cell in planned.cells
     }
+    seconds = execute.expected_seconds(planned, store)
     if json:
         cells = [
-            {**_cell(cell), "state": state[cell.run_id], "expected_seconds": None} for cell in planned.cells
+            {**_cell(cell), "state": state[cell.run_id], "expected_seconds": seconds[cell.run_id]}
+            for cell in planned.cells
         ]
         return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
     for note in planned.notes:
@@ -159,7 +162,7 @@ def run(
     _tell_outcomes(planned, outcomes, store, json, quiet)
     if json:
         _print_runs(planned.study.name, [(o.cell, o.status.name, o.trained) for o in outcomes])
-    return 1 if any(outcome.status.name == "crashed" for outcome in outcomes) else 0
+    return 1 if any(outcome.status.name in UNWELL for outcome in outcomes) else 0
 
 
 @app.command()
@@ -223,13 +226,13 @@ def _tell_outcomes(
                 f"{cell.condition} seed {cell.seed} diverged at step {state.step:,}; its records count",
                 as_json,
             )
-        if state.name == "crashed":
+        if state.name in UNWELL:
             trace = store.run_folder(cell.run_id) / "error.txt"
-            say(f"{cell.condition} seed {cell.seed} crashed: {trace}", as_json)
+            say(f"{cell.condition} seed {cell.seed} {state.name}: {trace}", as_json)
     trained = sum(outcome.trained for outcome in outcomes)
     counts = Counter(outcome.status.name for outcome in outcomes)
     states = ", ".join(f"{n} {state}" for state, n in counts.items())
     kept = len(outcomes) - trained
     say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
-    if not counts["crashed"]:
+    if not any(counts[name] for name in UNWELL):
         say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", as_json, quiet)

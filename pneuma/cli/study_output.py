@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -85,6 +86,10 @@ def plot(
     _check_folder("--out", folder)
     for data in studies:
         _tell_left_out(data)
+    stems = Counter(data.figure for data in studies)
+    for data in studies:
+        if stems[data.figure] > 1:
+            data.figure += f"-{data.study}"
     paths = [path for data in studies for path in draw_study(data, folder, band, window, formats)]
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
@@ -112,6 +117,7 @@ def export(
     condition: Conditions = None,
     set_: Settings = None,
     results: Results = RESULTS,
+    json: Json = False,
 ) -> None:
     """Write a study's records as one tidy table."""
     _check_choice("--table", table, EXPORT_TABLES)
@@ -127,11 +133,15 @@ def export(
     _tell_left_out(data)
     if str(out) == "-":
         sys.stdout.buffer.write(encode_table(data, table, form)[0])
-        return
+        return None
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
     _check_folder("--out", out.parent)
-    print(f"wrote {out}: {export_table(data, table, form, out):,} rows")
+    rows = export_table(data, table, form, out)
+    if json:
+        return print_json({"schema": 1, "file": str(out), "rows": rows})
+    print(f"wrote {out}: {rows:,} rows")
+    return None
 
 
 def study_record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
@@ -139,7 +149,8 @@ def study_record(store: Store, name: str, selection: plan.Selection | None) -> d
     stem = Path(name).stem if name.endswith(".toml") else name
     record = store.selection(stem)
     if selection is not None:
-        study = spec.load_study(record["path"] if record else name)
+        own = name if name.endswith(".toml") or not record else record["path"] or name
+        study = spec.load_study(own)
         latest = execute.recorded_selection(record) if record else plan.Selection()
         return execute.selection_record(plan.make_plan(study, selection.over(latest)))
     if record is None:

@@ -1,14 +1,14 @@
 """The contract between engines and studies.
 
 An engine module has one function, `train(runs, checkpoints, on_update)`. It takes complete runs of
-equal shapes and returns one `Result` for each. After every update it hands `on_update` a
+equal shapes and yields one `Result` for each as it ends. After every update it hands `on_update` a
 `Progress`; a false answer stops the training there. What a run ends with depends on the run alone:
 not on its neighbours in the group, on the number of workers, or on the order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Protocol
@@ -97,8 +97,14 @@ OnUpdate = Callable[[Progress], bool]
 class Engine(Protocol):
     """What `load_engine` returns: a module with this function."""
 
-    def train(self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> list[Result]:
-        """Train every run of a group; `checkpoints` maps an index of `runs` to where to go on from."""
+    def train(
+        self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate
+    ) -> Iterator[Result]:
+        """Train every run of a group; `checkpoints` maps an index of `runs` to where to go on from.
+
+        Raises:
+            ValueError: for a checkpoint that the engine cannot go on from.
+        """
         ...
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.policy import Policy
+from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 
@@ -44,7 +45,7 @@ class Evaluation:
 
         returns = self._play(act)
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
-        died = self.worlds.worlds["ending"] == 1
+        died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
         return {
             "step": step,

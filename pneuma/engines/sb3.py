@@ -6,7 +6,7 @@ gradients before clipping, to rollouts, to the learner's own log) and evaluates 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,17 +46,26 @@ _LOGGED = {
 _TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 
 
-def train(runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> list[Result]:
-    """Train every run, one after the other; see `pneuma.engines.base`."""
+def train(runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> Iterator[Result]:
+    """Train every run from its start, one after the other; see `pneuma.engines.base`."""
+    if checkpoints:
+        raise ValueError("this engine trains from the start alone; give it no checkpoints")
     torch.set_num_threads(1)
-    return [train_one(run, on_update) for run in runs]
+    for run in runs:
+        yield train_one(run, on_update)
 
 
 def train_one(run: Run, on_update: OnUpdate, env: VecEnv | None = None) -> Result:
     """Train one run from its start; `env` stands in for the run's own environment in benchmarks."""
     model = make_model(run, env or make_env(run))
-    norms = GradientNorms(model, run)
-    evaluation = Evaluation(run) if env is None else None
+    with GradientNorms(model, run) as norms:
+        return _train_model(model, run, norms, on_update, Evaluation(run) if env is None else None)
+
+
+def _train_model(
+    model: PPO, run: Run, norms: GradientNorms, on_update: OnUpdate, evaluation: Evaluation | None
+) -> Result:
+    """Collect, learn, record and evaluate, update by update."""
     evaluated = evaluation_updates(run) if evaluation else set()
     records = Records()
     status, policy, step = "done", extract_policy(model, run), 0
@@ -99,7 +108,9 @@ def learn_from_rollout(model: PPO) -> dict[str, float]:
 def make_env(run: Run) -> PneumaVecEnv:
     """Return the worlds of a run's slots, each with a random stream of its own."""
     seeds = [stream_seed(run.seed, "world", slot) for slot in range(run.slots)]
-    return PneumaVecEnv(seeds, env_config(run))
+    env = PneumaVecEnv(seeds, env_config(run))
+    env.keep_finished = True
+    return env
 
 
 def make_model(run: Run, env: VecEnv) -> PPO:
@@ -163,8 +174,19 @@ class GradientNorms:
         self._is_actor = torch.tensor(["policy_net" in name or "action_net" in name for name, _ in named])
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None
-        model.policy.optimizer.register_step_pre_hook(self._clip_parts)
-        torch.autograd.graph.register_multi_grad_hook(self._parameters, self._measure)
+        self._hooks = (
+            model.policy.optimizer.register_step_pre_hook(self._clip_parts),
+            torch.autograd.graph.register_multi_grad_hook(self._parameters, self._measure),
+        )
+
+    def __enter__(self) -> GradientNorms:
+        """Listen until the end of a `with` block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop listening: a hook keeps its network in memory."""
+        for hook in self._hooks:
+            hook.remove()
 
     def _measure(self, gradients: Sequence[torch.Tensor | None]) -> None:
         present = [g for g in gradients if g is not None]

@@ -9,7 +9,7 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.config import EnvConfig
-from pneuma.env.single import ending_info
+from pneuma.env.single import chosen_starts, ending_info
 from pneuma.env.slots import Slots
 from pneuma.env.worlds import Worlds
 
@@ -32,8 +32,9 @@ class PneumaVecEnv(VecEnv):
         self.slots = Slots(self.state)
         self.render_mode = None
         super().__init__(self.slots.count, self.state.space, self.state.action_space)
+        self.keep_finished = False
         self.finished: list[dict[str, Any]] = []
-        """Every episode that has ended since someone last emptied the list."""
+        """With `keep_finished`, every episode that has ended since someone last emptied the list."""
         self._steps_taken = 0
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, np.int64)
@@ -48,17 +49,18 @@ class PneumaVecEnv(VecEnv):
         if self._seeds[0] is not None:
             self.state.seed([int(seed) for seed in self._seeds[every] if seed is not None])
         asked = [options.get("start") for options in self._options[every]]
-        usual = self.state._usual_starts
-        starts = [own if start is None else start for start, own in zip(asked, usual, strict=True)]
+        starts = None if None in asked else chosen_starts(self.state, {"start": asked})
         self._reset_seeds()
         self._reset_options()
-        self.state.reset(starts=np.array(starts, np.int64))
+        self.state.reset(starts=starts)
         self._returns[:] = 0.0
         self._lengths[:] = 0
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions of the next step, shape (slots,)."""
+        if np.min(actions) < 0 or np.max(actions) >= self.action_space.n:  # type: ignore[attr-defined]
+            raise ValueError(f"actions {actions} are outside {self.action_space}")
         self._actions[:] = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -83,16 +85,10 @@ class PneumaVecEnv(VecEnv):
         world, player = divmod(slot, self.slots.players)
         info = ending_info(self.state, world, player)
         length, total = int(self._lengths[slot]), float(self._returns[slot])
-        self.finished.append(
-            {
-                "slot": slot,
-                "episode": int(self._episodes[slot]),
-                "step": self._steps_taken * self.num_envs,
-                "return": total,
-                "length": length,
-                **info,
-            }
-        )
+        if self.keep_finished:
+            place = {"slot": slot, "episode": int(self._episodes[slot])}
+            step = self._steps_taken * self.num_envs
+            self.finished.append({**place, "step": step, "return": total, "length": length, **info})
         info["terminal_observation"] = self.state.observations[world, player].copy()
         info["TimeLimit.truncated"] = bool(self.slots.truncated[slot])
         info["episode"] = {"r": total, "l": length}

@@ -92,6 +92,8 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
         observation = state.observations[0, 0].copy()
         self._show()
         if not ended:
+            if state.worlds["ending"][0]:
+                raise gymnasium.error.ResetNeeded("the episode has ended: call reset first")
             return observation, self._reward(), False, False, info
         info |= ending_info(state, 0)
         truncated = bool(state.truncated[0])

@@ -18,6 +18,7 @@ from pneuma.figures.style import condition_look, house_style, save_figure
 
 WIDTH_INCHES, HEIGHT_INCHES = 7.0, 3.4
 LEGEND_COLUMNS = 4
+LEGEND_ROW_INCHES = 0.22
 
 
 def draw_study(
@@ -31,7 +32,9 @@ def draw_study(
     evaluations = data.table("evaluations")
     returns, killed = training_curves(data, "return", window), evaluation_curves(data)
     with house_style():
-        figure = Figure(figsize=(WIDTH_INCHES, HEIGHT_INCHES), layout="constrained")
+        rows = -(-(len(data.conditions) + 1) // LEGEND_COLUMNS)
+        height = HEIGHT_INCHES + LEGEND_ROW_INCHES * (rows - 1)
+        figure = Figure(figsize=(WIDTH_INCHES, height), layout="constrained")
         left, right = figure.subplots(1, 2)
         _draw_panel(left, data, returns, band)
         _draw_panel(right, data, killed, band, marked=True)
@@ -51,13 +54,19 @@ def _add_words(figure: Figure, axes: Axes, headline: str, caption: str) -> None:
     """Put the headline and a row or more of legend above the panels, and the caption below."""
     lines, labels = axes.get_legend_handles_labels()
     rows = -(-len(labels) // LEGEND_COLUMNS)
-    top = 0.92 - 0.065 * rows
-    figure.get_layout_engine().set(rect=(0, 0.1, 1, top - 0.1))  # type: ignore[union-attr, call-arg]
-    figure.text(0.01, 0.94, headline, fontsize=10)
+    height = figure.get_size_inches()[1]
+    top, bottom = 1 - (0.27 + LEGEND_ROW_INCHES * rows) / height, 0.34 / height
+    figure.get_layout_engine().set(rect=(0, bottom, 1, top - bottom))  # type: ignore[union-attr, call-arg]
+    figure.text(0.01, 1 - 0.2 / height, headline, fontsize=10)
     figure.legend(
-        lines, labels, loc="upper left", bbox_to_anchor=(0.0, 0.94), ncols=LEGEND_COLUMNS, handlelength=3.2
+        lines,
+        labels,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 1 - 0.2 / height),
+        ncols=LEGEND_COLUMNS,
+        handlelength=3.2,
     )
-    figure.text(0.01, 0.02, caption, fontsize=6.2, color="#444444", linespacing=1.4)
+    figure.text(0.01, 0.07 / height, caption, fontsize=6.2, color="#444444", linespacing=1.4)
 
 
 def _draw_panel(
@@ -67,10 +76,13 @@ def _draw_panel(
         look = condition_look(data.conditions.index(curve.condition))
         low, high = curve.band(band)
         axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
-        label = f"{curve.condition} (n = {len(curve.runs)})"
+        at_end = int(curve.count[-1]) if len(curve.count) else 0
+        fewer = f", {at_end} at the end" if at_end < len(curve.runs) and marked else ""
+        label = f"{curve.condition} (n = {len(curve.runs)}{fewer})"
         look["marker"] = look["marker"] if marked else ""
         whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
-        axes.plot(curve.step, whole, label=label, markersize=2.8, clip_on=False, **look)
+        (line,) = axes.plot(curve.step, whole, label=label, markersize=2.8, clip_on=False, **look)
+        line.set_in_layout(False)  # it may reach over the edge, and may be empty
         axes.plot(curve.step, curve.mean, alpha=0.35, markersize=2.8, zorder=1.5, **look)
     axes.set_xlim(0, data.budget)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))

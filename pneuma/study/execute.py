@@ -5,6 +5,8 @@ Plan → groups of runs → executor → store
 
 from __future__ import annotations
 
+import json
+import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -64,7 +66,7 @@ def execute(
         for cell in cells[event["run_id"]]:
             on_progress(Progress(cell, event["step"], event.get("status", "")))
 
-    local.run_groups([[run] for run in todo.values()], store, workers, report)
+    local.run_groups([{name: run} for name, run in todo.items()], store, workers, report)
     return [Outcome(cell, store.status(cell.run_id), cell.run_id in todo) for cell in plan.cells]
 
 
@@ -86,7 +88,7 @@ def selection_record(plan: Plan) -> dict[str, Any]:
     """Return what `results/studies/NAME.json` holds of a plan."""
     return {
         "study": plan.study.name,
-        "path": str(plan.study.path.resolve()),
+        "path": plan.study.own_path,
         "title": plan.study.title,
         "figure": plan.study.figure,
         "baseline": plan.study.baseline,
@@ -103,6 +105,22 @@ def selection_record(plan: Plan) -> dict[str, Any]:
             for cell in plan.cells
         ],
     }
+
+
+def expected_seconds(plan: Plan, store: Store) -> dict[str, float | None]:
+    """Return how long each run of a plan takes here, by id, judged by stored ones; None without any.
+
+    A run is judged by the finished runs of its condition, or failing that by all of the plan's.
+    """
+    rates: dict[str, list[float]] = {}
+    for cell in plan.cells:
+        if store.status(cell.run_id).finished:
+            seconds = json.loads(store.read_file(cell.run_id, "provenance.json"))["wall_seconds"]
+            for group in (cell.condition, ""):
+                rates.setdefault(group, []).append(seconds / cell.run.steps)
+    known = {group: statistics.fmean(own) for group, own in rates.items()}
+    rate = {cell.run_id: known.get(cell.condition, known.get("")) for cell in plan.cells}
+    return {cell.run_id: r and r * cell.run.steps for cell in plan.cells for r in [rate[cell.run_id]]}
 
 
 def recorded_selection(record: Mapping[str, Any]) -> Selection:

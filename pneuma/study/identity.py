@@ -13,12 +13,19 @@ from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, SHIPPED_CHARACTERS, SH
 def run_id(run: Run) -> str:
     """Return 16 hexadecimal digits that two runs share only if they end with the same bits.
 
-    Hashed are the resolved configuration with its seed and budget, the contents of a level folder
-    of the user's own, and the versions of rules and engine; not the study's name. A setting that is
-    None is left out, so that a new optional setting leaves old names alone.
+    Hashed are the resolved configuration with its seed and budget, the contents of the user's own
+    files (not their paths), and the versions of rules and engine; not the study's name. A setting at
+    its default is left out, so that a new setting leaves old names alone; a default that changes
+    must therefore raise a version.
     """
+    usual = as_settings(Run())
+    own = {key: value for key, value in as_settings(run).items() if value != usual[key]}
+    if run.level not in SHIPPED_LEVELS and not run.level.startswith("random:"):
+        own["level"] = "of the user's own"
+    if run.characters and run.characters not in SHIPPED_CHARACTERS:
+        own["characters"] = "of the user's own"
     identity = {
-        "run": {key: value for key, value in as_settings(run).items() if value is not None},
+        "run": own,
         "contents": _contents(run),
         "rules": RULES_VERSION,
         "engine": ENGINE_VERSIONS[run.engine],

@@ -36,11 +36,13 @@ class Selection:
     settings: Mapping[str, Any] | None = None
 
     def over(self, recorded: Selection) -> Selection:
-        """Fill what this selection leaves open from a recorded one."""
+        """Fill what this selection leaves open from a recorded one; one that names a preset stands alone."""
+        if self.preset:
+            return self
         return Selection(
-            preset=self.preset or recorded.preset,
-            seeds=self.seeds or (None if self.preset else recorded.seeds),
-            steps=self.steps or (None if self.preset else recorded.steps),
+            preset=recorded.preset,
+            seeds=self.seeds or recorded.seeds,
+            steps=self.steps or recorded.steps,
             engine=self.engine or recorded.engine,
             conditions=self.conditions or recorded.conditions,
             settings={**(recorded.settings or {}), **(self.settings or {})},

@@ -65,6 +65,11 @@ class Study:
         """Return what a condition sets, base and shared settings included, `over` on top of all."""
         return join_settings(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
 
+    @property
+    def own_path(self) -> str | None:
+        """The path of a user's own file; None for a shipped study."""
+        return None if self.path.parent == studies_folder() else str(self.path.resolve())
+
     def preset(self, name: str) -> Preset:
         """Return a preset by its name.
 

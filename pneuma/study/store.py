@@ -23,16 +23,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 
 SCHEMA = 1
+STATUSES = ("planned", "done", "diverged", "crashed", "killed", "damaged")
 FINISHED = ("done", "diverged")
 """Statuses that are results: such a run is not trained again."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run stands: planned, done, diverged, crashed or damaged; and agent steps trained."""
+    """Where a run stands, one of `STATUSES`, and agent steps trained."""
 
     name: str
     step: int = 0
@@ -85,17 +87,22 @@ class Store:
         return Status(manifest["status"], manifest["step"])
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
-        """Write a run's files, then the status that vouches for them; earlier files of the run go."""
+        """Write a run's files, then the status that vouches for them; other files of the run go.
+
+        A finished run is never replaced by one that is not: another process may have trained it.
+        """
+        if not status.finished and self.status(run_id).finished:
+            return
         folder = self.run_folder(run_id)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "status.json").unlink(missing_ok=True)
-        for path in folder.iterdir():
-            path.unlink()
         for name, data in files.items():
             write_whole(folder / name, data)
         checksums = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
         manifest = {"schema": SCHEMA, "status": status.name, "step": status.step, "files": checksums}
         write_whole(folder / "status.json", to_json(manifest))
+        for path in folder.glob("[!.]*"):
+            if path.name not in (*files, "status.json"):
+                path.unlink(missing_ok=True)
 
     def read_file(self, run_id: str, name: str) -> bytes:
         """Return one file of a run.
@@ -124,7 +131,8 @@ class Store:
 
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here."""
-        return _read_document(self.root / "studies" / f"{study}.json")
+        record = _read_document(self.root / "studies" / f"{study}.json")
+        return record if record and {"study", "runs", "selection"} <= record.keys() else None
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
@@ -139,6 +147,11 @@ def _read_document(path: Path) -> dict[str, Any] | None:
         return None
     sound = isinstance(document, dict) and document.get("schema") == SCHEMA
     return document if sound else None
+
+
+def run_document(run: Run, run_id: str) -> bytes:
+    """Return the contents of run.json."""
+    return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_settings(run)})
 
 
 def to_json(value: object) -> bytes:

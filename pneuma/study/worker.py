@@ -14,12 +14,12 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines.base import (
     EPISODE_COLUMNS,
     EVALUATION_COLUMNS,
@@ -30,7 +30,7 @@ from pneuma.engines.base import (
 )
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import provenance
-from pneuma.study.store import Status, Store, to_json
+from pneuma.study.store import Status, Store, run_document, to_json
 from pneuma.study.tables import to_parquet
 
 REPORT_SECONDS = 0.25
@@ -43,40 +43,44 @@ def main() -> int:
     threading.Thread(target=_die_with_parent, args=(sys.stdin,), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # whatever a library prints is no event
-    runs = [make_run(settings) for settings in job["runs"]]
+    runs = {name: make_run(settings) for name, settings in job["runs"].items()}
     return train_group(runs, Store(Path(job["results"])), events)
 
 
-def train_group(runs: Sequence[Run], store: Store, events: TextIO) -> int:
-    """Train runs of equal shapes with their engine; a crash is stored as the end of every one."""
+def train_group(runs: Mapping[str, Run], store: Store, events: TextIO) -> int:
+    """Train runs of equal shapes, given by id, with their engine; store each as it ends.
+
+    A crash is stored as the end of every run that had not ended.
+    """
+    names = list(runs)
+    group = [runs[name] for name in names]
     started, clock = datetime.now(UTC), time.perf_counter()
-    reporter = _Reporter(events)
+    reporter = _Reporter(events, dict(zip(group, names, strict=True)))
+    waiting = dict(runs)
     try:
-        results = load_engine(runs[0].engine).train(runs, {}, reporter.update)
+        for name, run in runs.items():
+            if run_id(run) != name:
+                raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")
+        for result in load_engine(group[0].engine).train(group, {}, reporter.update):
+            name = reporter.names[result.run]
+            about = provenance(started, time.perf_counter() - clock, THREADS)
+            store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
+            del waiting[name]
+            reporter.end(name, result.status, result.step)
     except Exception:
-        for run in runs:
-            error = traceback.format_exc().encode()
-            store.save_run(run_id(run), Status("crashed"), {"run.json": run_file(run), "error.txt": error})
-            _send(events, {"event": "end", "run_id": run_id(run), "status": "crashed", "step": 0})
+        error = traceback.format_exc().encode()
+        for name, run in waiting.items():
+            files = {"run.json": run_document(run, name), "error.txt": error}
+            store.save_run(name, Status("crashed"), files)
+            reporter.end(name, "crashed", 0)
         return 1
-    seconds = (time.perf_counter() - clock) / len(results)
-    for result in results:
-        name = run_id(result.run)
-        about = provenance(started, seconds, THREADS)
-        store.save_run(name, Status(result.status, result.step), result_files(result, about))
-        _send(events, {"event": "end", "run_id": name, "status": result.status, "step": result.step})
     return 0
 
 
-def run_file(run: Run) -> bytes:
-    """Return the contents of run.json."""
-    return to_json({"schema": 1, "run_id": run_id(run), "run": as_settings(run)})
-
-
-def result_files(result: Result, about: Mapping[str, Any]) -> dict[str, bytes]:
+def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:
     """Return every file of a finished run by name."""
     files = {
-        "run.json": run_file(result.run),
+        "run.json": run_document(result.run, name),
         "provenance.json": to_json(about),
         "episodes.parquet": to_parquet(result.records.episodes, EPISODE_COLUMNS),
         "metrics.parquet": to_parquet(result.records.metrics, METRIC_COLUMNS),
@@ -88,9 +92,10 @@ def result_files(result: Result, about: Mapping[str, Any]) -> dict[str, bytes]:
 
 
 class _Reporter:
-    """Sends a run's progress, a few times a second at most."""
+    """Sends events: a run's progress, a few times a second at most, and its end."""
 
-    def __init__(self, events: TextIO) -> None:
+    def __init__(self, events: TextIO, names: Mapping[Run, str]) -> None:
+        self.names = names
         self._events = events
         self._next = 0.0
 
@@ -98,13 +103,14 @@ class _Reporter:
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REPORT_SECONDS
-            event = {"event": "step", "run_id": run_id(progress.run), "step": progress.step}
-            _send(self._events, event)
+            self._send(event="step", run_id=self.names[progress.run], step=progress.step)
         return True
 
+    def end(self, name: str, status: str, step: int) -> None:
+        self._send(event="end", run_id=name, status=status, step=step)
 
-def _send(events: TextIO, event: Mapping[str, Any]) -> None:
-    events.write(json.dumps(event) + "\n")
+    def _send(self, **event: Any) -> None:
+        self._events.write(json.dumps(event) + "\n")
 
 
 def _die_with_parent(lifeline: TextIO) -> None:

@@ -137,7 +137,7 @@ def test_plan_tells_what_is_stored_and_what_is_not(trained: Trained) -> None:
 
 def test_a_plan_says_in_what_the_conditions_differ(trained: Trained) -> None:
     called = _call("study", "plan", "activation", *TINY, "--seeds", "3", "--results", trained.results)
-    assert "Conditions differ in activation: tanh tanh, relu relu" in called.out
+    assert "Conditions differ in activation: tanh (tanh), relu (relu)" in called.out
     assert "4 stored, 2 to train." in called.out
 
 
@@ -355,7 +355,7 @@ def test_the_shipped_studies_are_listed() -> None:
 
 def test_show_says_what_a_study_compares() -> None:
     text = _call("study", "show", "activation").out
-    assert "activation: tanh tanh, relu relu, leaky-relu leaky-relu" in text
+    assert "activation: tanh (tanh), relu (relu), leaky-relu (leaky-relu)" in text
     assert "Compared with: relu" in text
     assert "gradient_limit = 0.5" in text
     document = _call("study", "show", "activation", "--json").document

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ def small_run(**settings: object) -> Run:
 
 
 def train(run: Run) -> Result:
-    return load_engine("sb3").train([run], {}, lambda progress: True)[0]
+    return next(load_engine("sb3").train([run], {}, lambda progress: True))
 
 
 def parameters(model: PPO) -> list[np.ndarray]:
@@ -60,7 +62,7 @@ def test_same_run_same_bits_and_another_seed_others() -> None:
 
 def test_a_run_is_the_same_alone_and_after_a_neighbour() -> None:
     runs = [small_run(seed=8), small_run(seed=9, activation="relu")]
-    together = load_engine("sb3").train(runs, {}, lambda progress: True)
+    together = list(load_engine("sb3").train(runs, {}, lambda progress: True))
     assert together[1].records == train(runs[1]).records
 
 
@@ -223,7 +225,7 @@ def test_training_stops_where_it_is_told_to() -> None:
         steps.append(progress.step)
         return progress.step < 128
 
-    result = load_engine("sb3").train([small_run()], {}, stop_at_128)[0]
+    result = next(load_engine("sb3").train([small_run()], {}, stop_at_128))
     assert steps == [64, 128]
     assert (result.status, result.step) == ("stopped", 128)
 
@@ -249,3 +251,20 @@ def test_time_limits_are_bootstrapped_with_the_value_of_the_last_observation() -
     assert not rest
     value = sb3.extract_policy(model, run).values(last[None])[0]
     assert model.rollout_buffer.rewards[9, 0] == pytest.approx(reward + 0.99 * value, abs=1e-5)
+
+
+def test_a_checkpoint_is_refused_rather_than_ignored() -> None:
+    with pytest.raises(ValueError, match="no checkpoints"):
+        next(load_engine("sb3").train([small_run()], {0: b"a checkpoint"}, lambda progress: True))
+
+
+def test_a_trained_network_is_let_go() -> None:
+    """Hooks on gradients once kept every network of a process in memory."""
+    run = small_run()
+    model = sb3.make_model(run, sb3.make_env(run))
+    kept = weakref.ref(next(model.policy.parameters()))
+    with sb3.GradientNorms(model, run) as norms:
+        model.learn(64, log_interval=None)  # type: ignore[arg-type]
+    del model, norms
+    gc.collect()
+    assert kept() is None

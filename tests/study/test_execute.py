@@ -282,8 +282,8 @@ def test_a_killed_worker_is_a_crash_with_a_reason_and_is_trained_again(
             os.kill(workers[0].pid, signal.SIGKILL)
 
     (outcome,) = _run(plan, store, 1, kill_at_first_sign)
-    assert (outcome.status.name, outcome.trained) == ("crashed", True)
-    assert seen[-1].status == "crashed"
+    assert (outcome.status.name, outcome.trained) == ("killed", True)
+    assert seen[-1].status == "killed"
     assert b"killed by SIGKILL" in store.read_file(name, "error.txt")
     assert json.loads(store.read_file(name, "run.json"))["run"] == as_settings(plan.cells[0].run)
 

@@ -17,9 +17,9 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
-    "tanh": "1bfeb1b1603e06af",
-    "relu": "8a72dfe740ec3c27",
-    "leaky-relu": "6779cb3d848d8a23",
+    "tanh": "0d0c575bdb8304a5",
+    "relu": "be195cb307962ba3",
+    "leaky-relu": "d887aff72606de67",
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 

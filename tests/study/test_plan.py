@@ -76,7 +76,7 @@ def test_different_conditions_are_not_a_a(study: Study) -> None:
 def test_a_rounded_budget_is_told(study: Study) -> None:
     # 195 horizons of 256 are 49,920, so 50,000 steps need 196
     notes = make_plan(study, Selection(conditions=("sgd",))).notes
-    assert notes == ("50,000 steps are rounded up to 50,176, whole horizons of 256",)
+    assert notes == ("50,000 steps are rounded up to 50,176, whole updates of 256",)
 
 
 def test_a_whole_budget_needs_no_word(study: Study) -> None:

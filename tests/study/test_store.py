@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NoReturn
 
@@ -141,20 +142,38 @@ def test_a_file_that_nothing_vouches_for_is_not_read(store: Store) -> None:
         store.read_file(NAME, "extra.parquet")
 
 
-def test_a_run_saved_again_holds_only_its_new_files(store: Store) -> None:
-    store.save_run(NAME, Status("crashed"), {"run.json": b"{}", "error.txt": b"why"})
-    assert {path.name for path in store.run_folder(NAME).iterdir()} == {
-        "run.json",
-        "error.txt",
-        "status.json",
-    }
+CRASH = {"run.json": b"{}", "error.txt": b"why"}
+
+
+def test_a_run_saved_again_holds_only_its_new_files(tmp_path: Path) -> None:
+    store = Store(tmp_path / "other")
+    store.save_run(NAME, Status("crashed"), CRASH)
+    assert {path.name for path in store.run_folder(NAME).iterdir()} == {*CRASH, "status.json"}
     store.save_run(NAME, Status("done", 512), FILES)
     assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
 
 
+def test_a_crash_never_replaces_a_finished_run(store: Store) -> None:
+    """Another process may have trained it meanwhile."""
+    before = store.status(NAME)
+    assert before.finished
+    store.save_run(NAME, Status("crashed"), CRASH)
+    assert store.status(NAME) == before
+
+
+def test_two_processes_may_save_one_run_at_once(tmp_path: Path) -> None:
+    store = Store(tmp_path / "other")
+    with ThreadPoolExecutor(8) as pool:
+        for done in [pool.submit(store.save_run, NAME, Status("done", 512), FILES) for _ in range(40)]:
+            done.result()
+    assert store.status(NAME) == Status("done", 512)
+    assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
+
+
 def test_a_save_that_fails_half_way_leaves_the_run_planned(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    store = Store(tmp_path / "other")
     monkeypatch.setattr(os, "fsync", _fail)
     with pytest.raises(OSError, match="no space left"):
         store.save_run(NAME, Status("done", 1024), FILES)
@@ -165,10 +184,11 @@ def test_a_save_that_fails_half_way_leaves_the_run_planned(
 
 
 def test_the_latest_selection_of_a_study_comes_back(store: Store) -> None:
-    store.save_selection("one", {"study": "one", "runs": []})
-    store.save_selection("two", {"study": "two", "runs": []})
-    store.save_selection("one", {"study": "one", "runs": [{"run_id": NAME}]})
-    assert store.selection("one") == {"schema": 1, "study": "one", "runs": [{"run_id": NAME}]}
+    latest = {"study": "one", "selection": {}, "runs": [{"run_id": NAME}]}
+    store.save_selection("one", {"study": "one", "selection": {}, "runs": []})
+    store.save_selection("two", {"study": "two", "selection": {}, "runs": []})
+    store.save_selection("one", latest)
+    assert store.selection("one") == {"schema": 1, **latest}
     assert store.studies() == ["one", "two"]
     path = store.root / "studies" / "one.json"
     assert json.loads(path.read_bytes()) == store.selection("one")

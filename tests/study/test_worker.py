@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -30,22 +30,22 @@ TABLES = {"episodes.parquet", "metrics.parquet", "evaluations.parquet"}
 
 
 class _Engine:
-    """Trains nothing: seed 0 ends well and seed 1 diverges, or the whole group breaks."""
+    """Trains nothing: seed 0 ends well, and seed 1 diverges or breaks the engine."""
 
     def __init__(self, breaks: bool = False) -> None:
         self._breaks = breaks
 
-    def train(self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> list[Result]:
+    def train(
+        self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate
+    ) -> Iterator[Result]:
         for run in runs:
             on_update(Progress(run, 256, Records()))
-        if self._breaks:
-            raise RuntimeError("the engine broke")
         layer = (np.zeros((3, 2), np.float32), np.zeros(2, np.float32))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
-        return [
-            Result(runs[0], "done", 512, Records(), Policy("tanh", (layer,), (layer,))),
-            Result(runs[1], "diverged", 256, Records(metrics=metrics), None),
-        ]
+        yield Result(runs[0], "done", 512, Records(), Policy("tanh", (layer,), (layer,)))
+        if self._breaks:
+            raise RuntimeError("the engine broke")
+        yield Result(runs[1], "diverged", 256, Records(metrics=metrics), None)
 
 
 def _train(
@@ -53,7 +53,7 @@ def _train(
 ) -> tuple[int, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "load_engine", lambda _: engine)
     store, events = Store(folder), io.StringIO()
-    code = worker.train_group(RUNS, store, events)
+    code = worker.train_group({run_id(run): run for run in RUNS}, store, events)
     return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
 
 
@@ -80,16 +80,25 @@ def test_a_diverged_run_keeps_its_records_and_has_no_policy(
     assert (row["step"], row["policy_loss"]) == (256, 0.5)
 
 
-def test_an_engine_that_breaks_is_a_crash_of_every_run_with_its_traceback(
+def test_an_engine_that_breaks_is_a_crash_of_the_runs_that_had_not_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch)
     assert code == 1
-    for run in RUNS:
-        assert store.status(run_id(run)).name == "crashed"
-        error = store.read_file(run_id(run), "error.txt").decode()
-        assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
-    assert [event["status"] for event in events if event["event"] == "end"] == ["crashed", "crashed"]
+    assert store.status(run_id(RUNS[0])).name == "done"
+    assert store.status(run_id(RUNS[1])).name == "crashed"
+    error = store.read_file(run_id(RUNS[1]), "error.txt").decode()
+    assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
+    assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
+
+
+def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "load_engine", lambda _: _Engine())
+    store, events = Store(tmp_path), io.StringIO()
+    assert worker.train_group({"0123456789abcdef": RUNS[0]}, store, events) == 1
+    assert b"changed meanwhile" in store.read_file("0123456789abcdef", "error.txt")
 
 
 def test_progress_is_reported_sparingly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,7 +121,7 @@ def test_a_worker_leaves_within_two_seconds_when_its_parent_does(tmp_path: Path)
     )
     try:
         assert process.stdin is not None and process.stdout is not None
-        job = {"results": str(tmp_path), "runs": [as_settings(run)]}
+        job = {"results": str(tmp_path), "runs": {run_id(run): as_settings(run)}}
         process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.flush()
         event = json.loads(process.stdout.readline())  # it is training

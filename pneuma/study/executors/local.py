@@ -13,15 +13,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from pneuma.config import Run, as_settings
-from pneuma.study.identity import run_id
-from pneuma.study.store import Status, Store, to_json
+from pneuma.study.store import Status, Store, run_document
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
@@ -43,8 +42,8 @@ def one_thread_environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), "PYTHONPATH": path}
 
 
-def run_groups(groups: Iterable[Sequence[Run]], store: Store, workers: int, on_event: OnEvent) -> None:
-    """Train every group, `workers` at a time; hand every event of theirs to `on_event`.
+def run_groups(groups: Iterable[Mapping[str, Run]], store: Store, workers: int, on_event: OnEvent) -> None:
+    """Train every group of runs by id, `workers` at a time; hand every event of theirs to `on_event`.
 
     Events are `{"event": "step" | "end", "run_id", "step", …}`; an end has a `status`. Leaving by
     an exception (Ctrl-C among them) ends the workers.
@@ -67,7 +66,7 @@ def run_groups(groups: Iterable[Sequence[Run]], store: Store, workers: int, on_e
 @dataclass
 class _Worker:
     process: subprocess.Popen[bytes]
-    group: Sequence[Run]
+    group: Mapping[str, Run]
     errors: IO[bytes]
     ended: set[str]
 
@@ -77,10 +76,10 @@ class _Worker:
         return self.process.stdout
 
 
-def _start(group: Sequence[Run], store: Store) -> _Worker:
+def _start(group: Mapping[str, Run], store: Store) -> _Worker:
     errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the worker is buried)
     process = subprocess.Popen(
-        [sys.executable, "-m", "pneuma.study.worker"],
+        [sys.executable, "-P", "-m", "pneuma.study.worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=errors,
@@ -88,7 +87,10 @@ def _start(group: Sequence[Run], store: Store) -> _Worker:
         start_new_session=True,  # Ctrl-C reaches the parent alone
         bufsize=0,
     )
-    job = {"results": str(store.root.resolve()), "runs": [as_settings(run) for run in group]}
+    job = {
+        "results": str(store.root.resolve()),
+        "runs": {name: as_settings(run) for name, run in group.items()},
+    }
     assert process.stdin is not None
     with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
         process.stdin.write(json.dumps(job).encode() + b"\n")
@@ -102,7 +104,11 @@ def _read(worker: _Worker, selector: selectors.BaseSelector, store: Store, on_ev
         selector.unregister(worker.events)
         _bury(worker, store, on_event)
         return
-    event = json.loads(line)
+    try:
+        event = json.loads(line)
+    except ValueError:
+        worker.process.kill()  # it has gone astray; reading on finds its end
+        return
     if event["event"] == "end":
         worker.ended.add(event["run_id"])
     on_event(event)
@@ -115,16 +121,14 @@ def _bury(worker: _Worker, store: Store, on_event: OnEvent) -> None:
     worker.errors.seek(0)
     last_words = worker.errors.read()
     worker.errors.close()
-    for run in worker.group:
-        if run_id(run) in worker.ended:
+    status = "killed" if code < 0 else "crashed"
+    for name, run in worker.group.items():
+        if name in worker.ended:
             continue
         message = f"the worker process {_reason(code)}\n".encode() + last_words
-        files = {
-            "run.json": to_json({"schema": 1, "run_id": run_id(run), "run": as_settings(run)}),
-            "error.txt": message,
-        }
-        store.save_run(run_id(run), Status("crashed"), files)
-        on_event({"event": "end", "run_id": run_id(run), "status": "crashed", "step": 0})
+        files = {"run.json": run_document(run, name), "error.txt": message}
+        store.save_run(name, Status(status), files)
+        on_event({"event": "end", "run_id": name, "status": status, "step": 0})
 
 
 def _reason(code: int) -> str:
