@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
-.PHONY: help install study test test-all lint clean
+.PHONY: help install study figures test test-all lint clean
 
 help:            ## Say what each target does
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 16
@@ -21,6 +21,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset and draw its figure
 	$(BIN)/pneuma study run activation --results results
 	$(BIN)/pneuma study plot activation --results results
+
+figures: install  ## Draw everything in paper_figures/
+	$(BIN)/python -m pneuma.figures.paper paper_figures
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pneuma.env import rules, sprites
+from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.level import LEVELS, Level
 from pneuma.errors import UserError, unknown_name
 
@@ -247,10 +248,12 @@ class Renderer:
     def _panel_lines(self, world: int, player: int) -> list[str]:
         worlds = self.worlds
         row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
+        ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
         name = f"P{player + 1}  " if worlds.players.shape[1] > 1 else ""
         lines = [  # rounded up, so that only the dead have 0 HP
             f"{name}HP {ceil(row['hp'])}/{ceil(stats['hp'])}  XP {ceil(row['xp'])}",
-            f"STEP {state['steps']}  MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
+            f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}  "
+            f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
         ]
         if state["ending"] != rules.RUNNING:
             lines.append(worlds.ending(world).replace("-", " "))

@@ -5,12 +5,14 @@ A step of 8 ticks is shown in four frames of 2, so that motion is smooth.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from pneuma.config import ACTION_NAMES
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
+from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer, Window
 from pneuma.env.worlds import Worlds
 
@@ -72,3 +74,28 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
             worlds.reset()
     window.close()
     return scores
+
+
+def level_worlds(start: int = 0) -> Worlds:
+    """Return the shipped level at the start of an episode."""
+    worlds = Worlds(1)
+    worlds.seed([0])
+    worlds.reset(starts=np.array([start], np.int64))
+    return worlds
+
+
+def fight_worlds() -> Worlds:
+    """Return the shipped level in the middle of a fight: a monster just hit, as many awake as ever."""
+    best, most = level_worlds(), 0
+    for start in range(len(best.level.starts)):
+        worlds = level_worlds(start)
+        hunter = Hunter(worlds)
+        smooth(worlds)
+        while worlds.worlds["ending"][0] == 0 and most < 3:
+            actions = hunter.act(worlds)
+            for _ in range(FRAMES_PER_STEP):
+                worlds.step(actions)
+                awake = int(((worlds.monsters["noticed"][0] > 0) & (worlds.monsters["hp"][0] > 0)).sum())
+                if worlds.events["hits"][0, 0] and awake > most:
+                    best, most = copy.deepcopy(worlds), awake
+    return best

@@ -44,8 +44,8 @@ _RC: Any = {
     "xtick.labelsize": 7.5,
     "ytick.labelsize": 7.5,
     "lines.linewidth": 1.6,
-    "figure.dpi": 100,
-    "savefig.dpi": 300,
+    "figure.dpi": 300,
+    "savefig.dpi": "figure",
     "svg.hashsalt": "pneuma",
     "svg.fonttype": "path",
     "text.parse_math": False,  # a condition may be called $x$
@@ -83,12 +83,14 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: Figure, folder: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
+def save_figure(
+    figure: Figure, folder: Path, stem: str, formats: tuple[str, ...], dots_per_inch: float | None = None
+) -> list[Path]:
     """Write a figure in every format; the same figure gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name in formats:
         path = folder / f"{stem}.{name}"
-        figure.savefig(path, format=name, metadata=_NO_DATES[name])
+        figure.savefig(path, format=name, metadata=_NO_DATES[name], dpi=dots_per_inch or "figure")
         paths.append(path)
     return paths

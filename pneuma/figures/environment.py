@@ -1,0 +1,87 @@
+"""What the thesis's Figs. 2.1, 5.1, 5.2 and 6.1 show, drawn from this environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, FancyArrowPatch
+
+from pneuma.env.render import Renderer
+from pneuma.env.show import fight_worlds, level_worlds
+from pneuma.figures.style import COLOURS, house_style, save_figure
+
+STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
+MOVES = (
+    ("s₁\npost office", "s₂\nletters", "0", (0.52, 0.72)),
+    ("s₂\nletters", "s₃\nhome", "+1: letters delivered", (2.32, 0.72)),
+    ("s₁\npost office", "s₃\nhome", "−1: fired", (1.32, -0.28)),
+)
+RADIUS = 0.33
+
+
+def draw_mailman(folder: Path) -> list[Path]:
+    """Draw Fig. 2.1: the decision process of `pneuma/Mailman-v0`, its best route in bold."""
+    with house_style():
+        figure = Figure(figsize=(4.2, 2.1))
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.set(xlim=(-0.5, 3.5), ylim=(-0.55, 1.6), aspect="equal")
+        axes.axis("off")
+        for name, place in STATES.items():
+            axes.add_patch(
+                Circle(place, RADIUS, facecolor="white", edgecolor="black", linewidth=1.2, zorder=2)
+            )
+            axes.text(*place, name, ha="center", va="center", fontsize=7, zorder=3)
+        for start, end, label, place in MOVES:
+            best = "s₂\nletters" in (start, end)
+            _arrow(axes, STATES[start], STATES[end], COLOURS[0] if best else "#777777", 2.0 if best else 1.0)
+            axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
+        return save_figure(figure, folder, "fig-2-1", ("png", "svg"))
+
+
+def _arrow(
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, width: float
+) -> None:
+    shrink = 29
+    axes.add_patch(
+        FancyArrowPatch(
+            start, end, arrowstyle="-|>", mutation_scale=11, color=colour, linewidth=width,
+            shrinkA=shrink, shrinkB=shrink, zorder=1,
+        )
+    )  # fmt: skip
+
+
+def draw_level(folder: Path) -> list[Path]:
+    """Draw Fig. 6.1: the whole level, with its start places and monsters."""
+    worlds = level_worlds()
+    level = worlds.level
+    image = Renderer(worlds, "map", panel=False).frame(0)
+    rows, columns = level.terrain.shape
+    edges = (level.left, level.left + columns * level.tile, level.top + rows * level.tile, level.top)
+    with house_style():
+        figure = Figure(figsize=(5.2, 4.7), layout="constrained")
+        axes = figure.subplots()
+        axes.imshow(image, extent=edges, interpolation="none")
+        axes.plot(
+            *level.starts.T, "*", color="#FFD400", markeredgecolor="black", markersize=9, label="start places"
+        )
+        axes.set(xlabel="x (pixels)", ylabel="y (pixels)", title=level.title)
+        axes.grid(visible=False)
+        axes.legend(loc="lower right", frameon=True, facecolor="white")
+        return save_figure(figure, folder, "fig-6-1", ("png",))
+
+
+def draw_screens(folder: Path) -> list[Path]:
+    """Draw Figs. 5.1 and 5.2: the view that follows a player, at the start and in a fight."""
+    paths = []
+    for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds())):
+        frame: np.ndarray = Renderer(worlds, "follow").frame(0)
+        with house_style():
+            figure = Figure(figsize=(frame.shape[1] / 200, frame.shape[0] / 200))
+            axes = figure.add_axes((0, 0, 1, 1))
+            axes.imshow(frame, interpolation="none")
+            axes.axis("off")
+            paths += save_figure(figure, folder, stem, ("png",), dots_per_inch=200)
+    return paths
