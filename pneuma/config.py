@@ -142,6 +142,8 @@ def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) 
     Raises:
         UserError: for an unknown key, a value out of range, or values that do not go together.
     """
+    if env not in ENVIRONMENT_SETTINGS:
+        raise unknown_name("environment", env, ENVIRONMENTS)
     given = read_settings(EnvConfig, {**ENVIRONMENT_SETTINGS[env], **settings})
     return EnvConfig(**_resolve_world(given))
 
@@ -206,7 +208,7 @@ class Run(EnvConfig):
     epsilon: float | None = setting(None, Number(0, 1, above=True))
     momentum: float | None = setting(None, Number(0, 1, below=True))
     dampening: float | None = setting(None, _UNIT)
-    """Equal to `momentum`, it gives the thesis's update, whose new gradient weighs 1 - beta."""
+    """Equal to `momentum`, it weighs a new gradient by 1 - beta as the thesis does (torch: but the first)."""
     smoothing: float | None = setting(None, Number(0, 1, below=True))
     """Decay of RMSProp's mean square, torch's alpha."""
     weight_decay: float = setting(0.0, Number(0, 1))

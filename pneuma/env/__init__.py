@@ -27,5 +27,8 @@ def register_environments() -> None:
             vector_entry_point="pneuma.env.vector:PneumaVectorEnv",
             **own,
         )
-        gymnasium.register(mo_name, entry_point="pneuma.env.single:PneumaMOEnv", **own)
+        # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
+        gymnasium.register(
+            mo_name, entry_point="pneuma.env.single:PneumaMOEnv", disable_env_checker=True, **own
+        )
     gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")

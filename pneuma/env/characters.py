@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from pneuma.config import SHIPPED_CHARACTERS
 from pneuma.env import state
 from pneuma.env.level import Level
+from pneuma.env.tiled import START_CODE
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.values import Number, Several, Text
 
@@ -60,7 +60,6 @@ Characters = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """{"players" | "weapons" | "spells" | "monsters": {name: {key: value}}}."""
 
 
-@cache
 def load_characters(name: str = "") -> Characters:
     """Read the shipped characters, overridden by those of a file.
 
@@ -73,14 +72,29 @@ def load_characters(name: str = "") -> Characters:
     with open(DATA / "characters.toml", "rb") as file:
         characters = tomllib.load(file)
     for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
-        for group, members in _read_file(path).items():
-            for member, values in members.items():
-                characters[group][member] = {**characters[group].get(member, {}), **values}
-                _check_complete(path, group, member, characters[group][member])
+        _override(characters, path)
+    return characters
+
+
+def _override(characters: dict[str, Any], path: Path) -> None:
+    """Lay a file over the characters so far, and check that what comes of it holds together."""
+    for group, members in _read_file(path).items():
+        known = list(characters[group])
+        for member, values in members.items():
+            if group == "spells" and member not in known:
+                raise UserError(f"{path}: {unknown_name('spell', member, known)}")
+            characters[group][member] = {**characters[group].get(member, {}), **values}
+            _check_complete(path, group, member, characters[group][member], known)
     for member, values in characters["players"].items():
         if values["weapon"] not in characters["weapons"]:
-            raise unknown_name(f"weapon of players.{member}", values["weapon"], characters["weapons"])
-    return characters
+            problem = unknown_name("weapon", values["weapon"], characters["weapons"])
+            raise UserError(f"{path}: [players.{member}] weapon: {problem}")
+    codes = {START_CODE: "a start place"}
+    for member, values in characters["monsters"].items():
+        code = int(values["code"])
+        if code in codes:
+            raise UserError(f"{path}: [monsters.{member}] code = {code} already stands for {codes[code]}")
+        codes[code] = member
 
 
 def character_files(name: str) -> list[Path]:
@@ -88,8 +102,8 @@ def character_files(name: str) -> list[Path]:
     if not name or name in SHIPPED_CHARACTERS:
         return []
     if not Path(name).is_file():
-        known = ", ".join(SHIPPED_CHARACTERS)
-        raise UserError(f"characters {name!r}: no such file; shipped are {known}")
+        hint, known = nearest_name(name, SHIPPED_CHARACTERS), ", ".join(SHIPPED_CHARACTERS)
+        raise UserError(f"characters {name!r}: no such file{hint}; shipped are {known}")
     return [Path(name)]
 
 
@@ -239,7 +253,7 @@ def _read_value(where: str, group: str, key: str, value: object) -> Any:
         raise UserError(f"{where} unknown key {key!r}{nearest_name(key, form)}; known are {', '.join(form)}")
     if key == "reach":
         sound = isinstance(value, dict) and set(value) == set(FACINGS)
-        if not sound or not all(isinstance(v, (int, float)) and 0 <= v <= 4096 for v in value.values()):  # type: ignore[attr-defined]
+        if not sound or not all(_is_number(side) for side in value.values()):  # type: ignore[attr-defined]
             raise UserError(
                 f"{where} reach = {value!r} is not allowed: a number for each of {', '.join(FACINGS)}"
             )
@@ -250,9 +264,17 @@ def _read_value(where: str, group: str, key: str, value: object) -> Any:
         raise UserError(f"{where} {key} = {value!r} is not allowed: {form[key].allowed}") from None
 
 
-def _check_complete(path: Path, group: str, member: str, values: Mapping[str, Any]) -> None:
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= 4096
+
+
+def _check_complete(
+    path: Path, group: str, member: str, values: Mapping[str, Any], known: Sequence[str]
+) -> None:
+    """Refuse a new character that lacks something, and half a knock-back."""
     for key in _FORM[group]:
         if key not in values and key not in _OPTIONAL:
-            raise UserError(f"{path}: [{group}.{member}] is new and lacks the key {key!r}")
+            hint = nearest_name(member, known)
+            raise UserError(f"{path}: [{group}.{member}] is new{hint} and lacks the key {key!r}")
     if ("knock_back" in values) != ("knock_back_time" in values) and group == "monsters":
         raise UserError(f"{path}: [{group}.{member}] knock_back and knock_back_time go together")

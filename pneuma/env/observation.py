@@ -126,7 +126,7 @@ def observation_space(
         ),
         "hp": (0.0, player["hp"] * player["hp_scale"]),
         "energy": (0.0, player["energy"] * player["energy_scale"]),
-        "xp": (-xp if config.ending_cost or forever else 0.0, xp),
+        "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
         "facing_x": (-1.0, 1.0),
         "facing_y": (-1.0, 1.0),
     }

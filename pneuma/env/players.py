@@ -41,7 +41,7 @@ class Hunter:
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
-        if not len(worlds.monster_stats):
+        if not worlds.monsters.shape[1]:
             return np.full(worlds.players.shape, rules.ATTACK)
         x, y = _offsets(worlds)
         alive = worlds.monsters["hp"][:, None, :] > 0
@@ -72,6 +72,11 @@ class Hunter:
         return np.where(self._detour > 0, self._way, straight)
 
 
+def _kinds(worlds: Worlds) -> np.ndarray:
+    """Return the stats of every monster on its world's level, (N, 1, M)."""
+    return np.asarray(worlds.monster_stats[worlds.worlds["level"]][:, None, :])
+
+
 def _offsets(worlds: Worlds) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y from every player to every monster, each (N, P, M)."""
     monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
@@ -82,7 +87,7 @@ def _meets_sword(worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Tell which monsters a swing begun now would meet, the way the player faces: (N, P, M)."""
     facing = worlds.players["facing"]
     player = np.arange(facing.shape[1])
-    stats = worlds.monster_stats
+    stats = _kinds(worlds)
     awake = worlds.monsters["noticed"][:, None, :] > 0
     meets = np.ones(x.shape, bool)
     for offset, axis, side in ((x, "sword_x", "width"), (y, "sword_y", "height")):
@@ -97,7 +102,7 @@ def _meets_sword(worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _come_closer(worlds: Worlds, offset: np.ndarray) -> np.ndarray:
     """Return where, on one axis, a chasing monster is after two thirds of a swing."""
-    stats = worlds.monster_stats
+    stats = _kinds(worlds)
     way = stats["speed"] * worlds.player_stats["swing"].min() * 2 / 3
     closer = np.maximum(np.abs(offset) - way, stats["stand_off"])
     return np.where(np.abs(offset) > stats["stand_off"], np.sign(offset) * closer, offset)

@@ -65,8 +65,8 @@ def load_reward(name: str) -> RewardFunction:
         sys.path.insert(0, path)
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise UserError(f"reward {name!r}: {error}") from None
+    except Exception as error:  # whatever a stranger's module does when it is read
+        raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:
         if added:
             sys.path.remove(path)
@@ -89,14 +89,18 @@ def reward_files(names: Sequence[str]) -> list[Path]:
 def custom_rewards(
     function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, stats: np.ndarray
 ) -> np.ndarray:
-    """Call a reward of a user's own and check what it returns: (N, P) finite numbers.
+    """Call a reward of a user's own and check what it returns: (N, P) numbers, finite for the living.
 
     Raises:
         UserError: naming the function and what was wrong.
     """
-    rewards = np.asarray(function(events, players, stats), np.float64)
+    try:
+        rewards = np.asarray(function(events, players, stats), np.float64)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"reward {name!r} did not return numbers: {error}") from None
     if rewards.shape != events.shape:
         raise UserError(f"reward {name!r} returned shape {rewards.shape}, where {events.shape} was asked for")
+    rewards = np.where((events["present"] > 0) | (events["died"] > 0), rewards, 0.0)
     if not np.isfinite(rewards).all():
         raise UserError(f"reward {name!r} returned a number that is not finite")
     return rewards

@@ -110,8 +110,9 @@ def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
                 _clear(s.events[w, p])
         if running:
             ended += _step_world(s, w, actions)
-        if running or only_observe:
-            _observe(s, w)
+        for p in range(s.players.shape[1]):
+            if running or only_observe:
+                _observe(s, w, p, s.worlds[w].ending == RUNNING or running)
         for p in range(s.players.shape[1]):
             if running and (s.events[w, p].present or s.events[w, p].died):
                 _reward(s.players[w, p], s.player_stats[p], s.events[w, p])
@@ -164,6 +165,7 @@ def _clear(event: Array) -> None:
     event.contacts = 0
     event.died = 0
     event.present = 0
+    event.distance = math.inf
 
 
 # --- Random numbers ------------------------------------------------------------------------------
@@ -283,6 +285,8 @@ def _may_stir(s: State, w: int, m: int) -> bool:
     if monster.knocked > 0 or monster.safe > 0 or monster.noticed:
         return True
     for p in range(s.players.shape[1]):
+        if monster.bite[p] > 0:
+            return True
         player = s.players[w, p]
         gap = _gap(monster.x, monster.y, player.x, player.y, s.player_stats[p])
         if gap <= kind.reach_squared and player.hp > 0.0:
@@ -309,9 +313,11 @@ def _walk_path(s: State, w: int, p: int, action: int) -> None:
     settings = s.settings[0]
     event = s.events[w, p]
     event.present = settings.ticks
+    x, y, facing, attack = player.x, player.y, player.facing, player.attack
     for tick in range(settings.ticks):
         spot = s.path[tick, p]
         spot.armed = 0
+        spot.attack = player.attack
         spot.healed = 0.0
         if player.busy == 0:
             _act(s, w, player, stats, spot, action)
@@ -328,6 +334,10 @@ def _walk_path(s: State, w: int, p: int, action: int) -> None:
             event.died = 1
             event.present = tick
             break
+    stood = player.x == x and player.y == y and player.facing == facing
+    at_once = s.path[0, p].armed and s.path[0, p].attack == player.attack  # no other began later
+    one_attack = player.attack == attack or (at_once and player.attack == attack + 1)
+    s.path[0, p].still = stood and one_attack and event.present == settings.ticks
 
 
 @part
@@ -337,6 +347,7 @@ def _act(s: State, w: int, player: Array, stats: Array, spot: Array, action: int
         player.busy = stats.swing
         player.armed = 1
         player.attack += 1
+        spot.attack = player.attack
     elif action == FLAME:
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
@@ -452,11 +463,13 @@ def _note_first_death(s: State, w: int) -> bool:
                 if tick + 1 < s.events[w, p].present:
                     first = tick
                     who = p
+                else:
+                    s.events[w, p].died = 0  # of bites, a tick before he would have reached the sea
                 break
     if who < 0:
         return False
     s.events[w, who].present = first + 1
-    s.events[w, who].died = 0  # of bites, before he could reach the sea
+    s.events[w, who].died = 0  # nor did he reach the sea
     return True
 
 
@@ -488,6 +501,9 @@ def _live_step(s: State, w: int, m: int) -> None:
     notice, attack = kind.notice_squared, kind.attack_squared
     stand_off, speed = kind.stand_off, kind.speed
     x, y = monster.x, monster.y
+    if s.path[0, 0].still and s.players.shape[1] == 1 and _only_waits(s, w, m, x, y):
+        monster.bite[0] -= s.settings[0].ticks
+        return
     for tick in range(s.settings[0].ticks):
         if monster.safe > 0:
             monster.safe -= 1
@@ -538,6 +554,32 @@ def _live_step(s: State, w: int, m: int) -> None:
 
 
 @part
+def _only_waits(s: State, w: int, m: int, x: float, y: float) -> bool:
+    """Tell whether all that a monster does in a step is to wait for its next bite.
+
+    So it is for one that stands as near as it gets to a lone player who stands as well, when no bite
+    and no new blow is due: in a fight, most are.
+    """
+    monster = s.monsters[w, m]
+    kind = s.monster_stats[s.worlds[w].level, m]
+    spot = s.path[0, 0]
+    if monster.knocked > 0 or monster.safe > 0 or not monster.noticed & 1:
+        return False
+    if s.events[w, 0].present < s.settings[0].ticks:
+        return False
+    if monster.bite[0] <= s.settings[0].ticks:
+        return False
+    if abs(spot.x - x) > kind.stand_off or abs(spot.y - y) > kind.stand_off:
+        return False
+    gap = _gap(x, y, spot.x, spot.y, s.player_stats[0])
+    if gap > kind.attack_squared or gap > kind.notice_squared:
+        return False
+    if not spot.armed or spot.attack == monster.struck_by[0]:
+        return True
+    return not _overlap(spot, x, y, kind.half_width, kind.half_height)
+
+
+@part
 def _overlap(spot: Array, x: float, y: float, half_width: float, half_height: float) -> bool:
     """Tell whether what strikes at a tick overlaps a body."""
     return (
@@ -556,8 +598,8 @@ def _take_blow(monster: Array, kind: Array, spot: Array, x: float, y: float) -> 
     away_x = x - spot.box_x
     away_y = y - spot.box_y
     if away_x == 0.0 and away_y == 0.0:
-        away_x = spot.box_x - spot.x
-        away_y = spot.box_y - spot.y
+        away_x = float((spot.facing == RIGHT) - (spot.facing == LEFT))
+        away_y = float((spot.facing == DOWN) - (spot.facing == UP))
     length = math.sqrt(away_x * away_x + away_y * away_y)
     speed = spot.knock_speed if kind.knock_ticks < 0 else kind.knock_speed
     monster.knock_x = away_x / length * speed
@@ -628,9 +670,9 @@ def _settle(s: State, w: int, p: int, met: bool) -> None:
     else:
         player.safe = max(player.safe - event.present, 0)
         for tick in range(event.present):
-            healed = min(player.hp + s.path[tick, p].healed, s.player_stats[p].hp) - player.hp
-            player.hp += healed
-            event.hp_gained += healed
+            hp = min(player.hp + s.path[tick, p].healed, s.player_stats[p].hp)
+            event.hp_gained += hp - player.hp
+            player.hp = hp
     if event.died:  # at sea, which costs no XP
         event.hp_lost += player.hp
         player.hp = 0.0
@@ -640,6 +682,7 @@ def _settle(s: State, w: int, p: int, met: bool) -> None:
         player.y = spot.y
         player.facing = spot.facing
         player.energy = spot.energy
+        player.attack = spot.attack
         player.busy = 0
         player.armed = 0
         if not event.died:
@@ -769,32 +812,28 @@ def _blocked(terrain: Array, level: int, column: int, row: int, coast_blocks: in
 
 
 @part
-def _observe(s: State, w: int) -> None:
-    """Write observation and action mask of every player of a world; layouts in `observation.py`."""
+def _observe(s: State, w: int, p: int, tell: bool) -> None:
+    """Write a player's observation and action mask; layouts in `observation.py`.
+
+    `tell` says whether the events are to tell of the nearest monster: not those of an ended world.
+    """
     settings = s.settings[0]
-    for p in range(s.players.shape[1]):
-        if s.players[w, p].hp <= 0.0 and s.events[w, p].present == 0 and not s.events[w, p].died:
-            for i in range(s.observations.shape[2]):  # long dead: sees nothing
-                s.observations[w, p, i] = 0.0
-            for a in range(s.masks.shape[2]):
-                s.masks[w, p, a] = a == ATTACK
-            continue
-        count = _order_monsters(s, w, p)
-        if settings.layout == LAYOUT_THESIS:
-            _write_thesis(s, w, p, count)
-        elif settings.layout == LAYOUT_PYGAME:
-            _write_pygame(s, w, p, count)
-        else:
-            _write_godot(s, w, p, count)
-        _mask_actions(s, w, p)
+    count = _order_monsters(s, w, p, tell)
+    if settings.layout == LAYOUT_THESIS:
+        _write_thesis(s, w, p, count)
+    elif settings.layout == LAYOUT_PYGAME:
+        _write_pygame(s, w, p, count)
+    else:
+        _write_godot(s, w, p, count)
+    _mask_actions(s, w, p)
 
 
 @part
-def _order_monsters(s: State, w: int, p: int) -> int:
+def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
     """List in `scratch` the monsters that a player perceives, with distances; count them.
 
-    Nearest first, ties by index, the dead left out; or all in fixed order, the dead at distance -1.
-    An insertion sort: for 14 items it is several times faster than numpy.argsort.
+    The nearest come first, ties by index, and the dead are left out. In fixed order the same are
+    listed by index; the dead fill up what is left, infinitely far off.
     """
     player = s.players[w, p]
     level = s.worlds[w].level
@@ -803,26 +842,37 @@ def _order_monsters(s: State, w: int, p: int) -> int:
     count = 0
     for m in range(s.monsters.shape[1]):
         monster = s.monsters[w, m]
-        length = -1.0
+        length = math.inf
         if monster.hp > 0.0:
             x = monster.x - player.x
             y = monster.y - player.y
             length = math.sqrt(x * x + y * y)
             nearest = min(nearest, length)
-        elif not fixed:
-            continue
-        if not s.monster_stats[level, m].perceived:
-            continue
-        i = count
-        while i > 0 and not fixed and s.scratch[i - 1].distance > length:
-            s.scratch[i].distance = s.scratch[i - 1].distance
-            s.scratch[i].order = s.scratch[i - 1].order
-            i -= 1
-        s.scratch[i].distance = length
-        s.scratch[i].order = m
-        count += 1
-    s.events[w, p].distance = nearest
-    return min(count, s.settings[0].perceived)
+        if s.monster_stats[level, m].perceived and (fixed or length < math.inf):
+            _insert(s.scratch, count, m, length, length)
+            count += 1
+    if tell:
+        s.events[w, p].distance = nearest
+    count = min(count, s.settings[0].perceived)
+    if fixed:
+        for i in range(count):
+            _insert(s.scratch, i, s.scratch[i].order, s.scratch[i].distance, float(s.scratch[i].order))
+    return count
+
+
+@part
+def _insert(scratch: Array, count: int, order: int, distance: float, key: float) -> None:
+    """Insert into the first `count` of `scratch`, sorted by key, behind equals.
+
+    An insertion sort: for 14 items it is several times faster than numpy.argsort.
+    """
+    i = count
+    while i > 0 and scratch[i - 1].key > key:
+        scratch[i] = scratch[i - 1]
+        i -= 1
+    scratch[i].order = order
+    scratch[i].distance = distance
+    scratch[i].key = key
 
 
 @part
@@ -852,7 +902,7 @@ def _write_thesis(s: State, w: int, p: int, count: int) -> None:
         kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
         length = s.scratch[i].distance
         inverse = 1.0 / length if length > 0.0 else 0.0
-        alive = length >= 0.0
+        alive = length < math.inf
         s.observations[w, p, 4 + 4 * i] = length * kind.distance_scale if alive else 0.0
         s.observations[w, p, 5 + 4 * i] = (monster.x - player.x) * inverse
         s.observations[w, p, 6 + 4 * i] = (monster.y - player.y) * inverse
@@ -874,7 +924,7 @@ def _write_pygame(s: State, w: int, p: int, count: int) -> None:
         kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
         length = s.scratch[i].distance
         inverse = 1.0 / length if length > 0.0 else 0.0
-        alive = length >= 0.0
+        alive = length < math.inf
         s.observations[w, p, 6 + 5 * i] = length * kind.distance_scale if alive else 0.0
         s.observations[w, p, 7 + 5 * i] = (monster.x - player.x) * inverse
         s.observations[w, p, 8 + 5 * i] = (monster.y - player.y) * inverse
@@ -895,7 +945,7 @@ def _write_godot(s: State, w: int, p: int, count: int) -> None:
         kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
         length = s.scratch[i].distance
         inverse = 1.0 / length if length > 0.0 else 0.0
-        alive = length >= 0.0
+        alive = length < math.inf
         s.observations[w, p, 4 + 5 * i] = (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0
         s.observations[w, p, 5 + 5 * i] = (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0
         s.observations[w, p, 6 + 5 * i] = monster.hp * kind.hp_scale
@@ -918,8 +968,11 @@ def _mask_actions(s: State, w: int, p: int) -> None:
         s.masks[w, p, a] = free and (player.facing != a or _may_walk(s, w, player, stats, a))
     s.masks[w, p, ATTACK] = 1
     if s.masks.shape[2] > HEAL:
-        s.masks[w, p, FLAME] = free and player.energy >= stats.flame_cost
-        s.masks[w, p, HEAL] = free and player.energy >= stats.heal_cost and player.hp < stats.hp
+        energy = player.energy
+        for _ in range(s.settings[0].ticks - 1):  # a spell may begin as late as the step's last tick
+            energy = min(energy + stats.energy_gain, stats.energy)
+        s.masks[w, p, FLAME] = free and energy >= stats.flame_cost
+        s.masks[w, p, HEAL] = free and energy >= stats.heal_cost and player.hp < stats.hp
 
 
 @part

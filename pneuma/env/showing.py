@@ -77,3 +77,4 @@ class ShowsWorld:
         if self._window is not None:
             self._window.close()
             self._window = None
+        super().close(**keywords)  # type: ignore[misc]

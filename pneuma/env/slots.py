@@ -53,13 +53,24 @@ class Slots:
 
     @property
     def observations(self) -> np.ndarray:
-        """A copy of all observations, (slots, features)."""
-        return self.worlds.observations.reshape(self.count, -1).copy()
+        """A copy of all observations, (slots, features); idle slots see zeros."""
+        observations = self.worlds.observations.reshape(self.count, -1).copy()
+        if self.players > 1:
+            observations[self._idle] = 0.0
+        return observations
 
     @property
     def masks(self) -> np.ndarray:
-        """A copy of all action masks, (slots, actions)."""
-        return self.worlds.masks.reshape(self.count, -1).copy()
+        """A copy of all action masks, (slots, actions); idle slots are left attack."""
+        masks = self.worlds.masks.reshape(self.count, -1).copy()
+        if self.players > 1:
+            masks[self._idle] = np.arange(masks.shape[1]) == rules.ATTACK
+        return masks
+
+    @property
+    def _idle(self) -> np.ndarray:
+        """Which slots' players were dead already when the last step began, (slots,)."""
+        return ((self.worlds.players["hp"] <= 0) & ~self.worlds.present).ravel()
 
     def of_worlds(self, flags: np.ndarray) -> np.ndarray:
         """Return per-world flags as per-slot flags, (slots,)."""

@@ -167,6 +167,7 @@ PATH = _record(
     ("knock_speed", "f8"),
     ("knock_ticks", "i4"),
     ("healed", "f8"),  # by a spell
+    ("still", "i4"),  # at the first tick: whether nothing of all this changes during the step
 )
 """Where a player is at one tick of a step and what strikes from there."""
 
@@ -182,7 +183,7 @@ LEDGER = _record(
 )
 """What one tick of a step brings a player."""
 
-SCRATCH = _record(("order", "i8"), ("distance", "f8"))
+SCRATCH = _record(("order", "i8"), ("distance", "f8"), ("key", "f8"))
 
 
 class State(NamedTuple):

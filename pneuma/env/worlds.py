@@ -86,6 +86,7 @@ class Worlds:
         self.players = np.zeros((count, players), state.PLAYER)
         self.monsters = np.zeros((count, monsters), state.MONSTER)
         self.events = np.zeros((count, players), state.EVENTS)
+        self.events["distance"] = np.inf
         self.observations = np.zeros((count, players, *self.space.shape), np.float32)
         self.masks = np.zeros((count, players, actions), np.int8)
         self._arrays = state.State(
@@ -155,7 +156,8 @@ class Worlds:
         row["keep_xp"] = config.xp_scope == "forever"
         row["magic"] = config.magic
         fastest = max(self.player_stats["speed"].max(), self.player_stats["knock_speed"].max())
-        fastest = max(fastest, self.monster_stats["speed"].max(), self.monster_stats["knock_speed"].max())
+        for name in ("speed", "knock_speed"):
+            fastest = max(fastest, self.monster_stats[name].max(initial=0.0))
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
@@ -190,7 +192,7 @@ class Worlds:
         ended = int(rules.step_worlds(self._handle, actions, False))
         for player, name, function in self._custom:
             rewards = custom_rewards(function, name, self.events, self.players, self.player_stats)
-            self.events["reward"][:, player] = np.where(self.present[:, player], rewards[:, player], 0.0)
+            self.events["reward"][:, player] = rewards[:, player]
         return ended
 
     @property

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pneuma.analysis import WINDOWS
 from pneuma.analysis.curves import (
     BANDS,
-    WINDOWS,
     Curve,
     curves_table,
     evaluation_curves,

@@ -7,12 +7,12 @@ obstacle: x from 256 to 320, y from 0 to 64.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from pneuma.config import EnvConfig
+from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
@@ -20,12 +20,15 @@ LAND = 576.0
 OBSTACLE_LEFT, OBSTACLE_TOP, OBSTACLE_RIGHT, OBSTACLE_BOTTOM = 256.0, 0.0, 320.0, 64.0
 TILES = 20
 HEADER = 'title = "Arena"\ntile = 64\norigin = [10, 10]\ncoast = [0]\n'
-START, BAMBOO = 400, 390
+START, BAMBOO, SPIRIT, RACCOON, SQUID = 400, 390, 391, 392, 393
 
+THESIS, GODOT = ENVIRONMENTS
 DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
+FLAME, HEAL = rules.FLAME, rules.HEAL
 STAND = ATTACK  # whoever swings stands still
 
 STATE_ARRAYS = ("worlds", "players", "monsters")
+TOLD_ARRAYS = ("events", "observations", "masks")
 
 Place = tuple[float, float]
 
@@ -35,15 +38,26 @@ def write_level(
     starts: Sequence[Place],
     monsters: Sequence[Place],
     obstacles: Sequence[tuple[int, int]] = (),
+    codes: Sequence[int] = (),
 ) -> str:
-    """Write a level of 20 x 20 tiles; `obstacles` are columns and rows. Return its path."""
+    """Write a level of 20 x 20 tiles and return its path.
+
+    Args:
+        folder: where.
+        starts: x and y of each start place.
+        monsters: x and y of each monster.
+        obstacles: columns and rows.
+        codes: which kind each monster is, instead of bamboo.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     ground = np.zeros((TILES, TILES), np.int64)
     ground[1:-1, 1:-1] = 2
     blocks = np.full((TILES, TILES), -1, np.int64)
     for column, row in obstacles:
         blocks[row, column] = 395
-    objects = [(START, *place) for place in starts] + [(BAMBOO, *place) for place in monsters]
+    kinds = codes or [BAMBOO] * len(monsters)
+    objects = [(START, *place) for place in starts]
+    objects += [(code, *place) for code, place in zip(kinds, monsters, strict=True)]
     (folder / "level.toml").write_text(HEADER)
     (folder / "ground.csv").write_text(layer(ground))
     (folder / "obstacles.csv").write_text(layer(blocks))
@@ -58,6 +72,14 @@ def layer(tiles: np.ndarray) -> str:
     return "".join(",".join(str(code) for code in row) + "\n" for row in tiles)
 
 
+def begin(count: int, seed: int = 0, env_id: str = THESIS, **settings: object) -> Worlds:
+    """Return worlds seeded seed, seed + 1, … at the beginning of an episode."""
+    worlds = Worlds(count, make_env_config(settings, env_id))
+    worlds.seed(range(seed, seed + count))
+    worlds.reset()
+    return worlds
+
+
 def stage(
     level: str,
     *monsters: Place,
@@ -65,7 +87,8 @@ def stage(
     facing: int = RIGHT,
     ticks: int = 8,
     still: bool = False,
-    settings: EnvConfig | None = None,
+    env_id: str = THESIS,
+    settings: Mapping[str, object] | None = None,
 ) -> Worlds:
     """Set up one world by hand: players and the first monsters at these places, other monsters at home.
 
@@ -76,10 +99,11 @@ def stage(
         facing: of every player.
         ticks: how many a step takes, instead of 8.
         still: whether monsters stay where they are unless knocked back.
-        settings: other settings; its level is replaced.
+        env_id: the environment whose presets hold.
+        settings: other settings.
     """
-    config = EnvConfig(**{**vars(settings or EnvConfig()), "level": level})
-    worlds = Worlds(1, config, players=len(players))
+    config = make_env_config({**(settings or {}), "level": level, "players": len(players)}, env_id)
+    worlds = Worlds(1, config)
     worlds.seed([0])
     worlds.reset()
     worlds.settings["ticks"] = ticks
@@ -89,6 +113,7 @@ def stage(
         move_monster(worlds, index, *place)
     if still:
         worlds.monster_stats["speed"] = 0.0
+    worlds.observe()
     return worlds
 
 
@@ -131,4 +156,4 @@ def bits(*arrays: np.ndarray) -> list[bytes]:
 
 def state_bits(worlds: Worlds) -> list[bytes]:
     """Return every bit of the worlds' state and of what they last told."""
-    return bits(*(getattr(worlds, name) for name in (*STATE_ARRAYS, "events", "observations")))
+    return bits(*(getattr(worlds, name) for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from .arena import write_level
+from .arena import BAMBOO, RACCOON, SPIRIT, SQUID, write_level
 
 
 @pytest.fixture(scope="session")
@@ -14,6 +14,14 @@ def arena(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a field with one obstacle, a start at its centre and a monster in every corner."""
     corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
     return write_level(_folder(tmp_path_factory, "arena"), [(0.0, 0.0)], corners, [(14, 10)])
+
+
+@pytest.fixture(scope="session")
+def zoo(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return a field with a start at its centre and a bamboo, spirit, raccoon and squid in the corners."""
+    corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
+    codes = (BAMBOO, SPIRIT, RACCOON, SQUID)
+    return write_level(_folder(tmp_path_factory, "zoo"), [(0.0, 0.0)], corners, codes=codes)
 
 
 @pytest.fixture(scope="session")

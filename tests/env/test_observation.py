@@ -123,7 +123,7 @@ def test_each_player_sees_from_its_own_place(arena: str) -> None:
 
 
 def test_every_number_has_a_name() -> None:
-    names = feature_names(14)
+    names = feature_names("thesis", 14)
     assert len(names) == len(set(names)) == Worlds(1).space.shape[0] == 4 + 14 * 4
     assert names[:5] == ["x", "y", "hp", "xp", "monster_0_distance"]
     assert names[-1] == "monster_13_hp"
@@ -133,8 +133,8 @@ def test_the_space_is_float32_and_finite() -> None:
     space = Worlds(1).space
     assert space.dtype == np.float32
     assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
-    # No two places on the land are further apart than its diagonal: hypot(2944, 2432) / 300 = 12.73.
-    assert space.high[4] == pytest.approx(12.7287, abs=1e-3)
+    # No two places of 57 x 50 tiles of 64 px are further apart than hypot(3648, 3200) = 4852.6 px.
+    assert space.high[4] == pytest.approx(4852.6 / 300, abs=1e-3)
 
 
 @pytest.mark.parametrize("player", ["random", "hunter"])

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
+from pneuma.config import make_env_config
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 
-from .arena import ATTACK, DOWN, LEFT, RIGHT, UP, Place, monster_hp, stage
+from .arena import (
+    ATTACK,
+    DOWN,
+    LEFT,
+    RIGHT,
+    UP,
+    Place,
+    begin,
+    bits,
+    monster_hp,
+    stage,
+    write_level,
+)
 
 
 def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
@@ -28,7 +44,7 @@ def test_the_random_player_chooses_every_action_equally_often() -> None:
 
 
 def test_the_random_player_is_as_random_as_its_generator() -> None:
-    worlds = Worlds(4, players=2)
+    worlds = Worlds(4, make_env_config({"players": 2}))
     one, same, other = (RandomPlayer(np.random.default_rng(seed)) for seed in (3, 3, 4))
     actions = one.act(worlds)
     assert actions.shape == (4, 2)
@@ -105,8 +121,36 @@ def test_every_world_is_hunted_as_if_it_were_alone() -> None:
         assert np.array_equal(alone.players["kills"][0], company.players["kills"][start])
 
 
+@pytest.mark.parametrize(("count", "levels", "players"), [(5, 3, 1), (3, 3, 1), (4, 2, 2)])
+def test_every_world_is_hunted_by_its_own_level(count: int, levels: int, players: int) -> None:
+    settings: dict[str, Any] = {"level": "random:train:3", "players": players}
+    company = begin(count, seed=9, random_levels=levels, **settings)
+    drawn = company.worlds["level"].tolist()
+    assert len(set(drawn)) > 1
+    alone = []
+    for world in range(count):
+        level = f"random:train:{3 + drawn[world]}"
+        alone.append(Worlds(1, make_env_config({**settings, "level": level})))
+        alone[world].reset(starts=company.worlds["start"][world : world + 1].astype(np.int64))
+    hunters = [Hunter(worlds) for worlds in (company, *alone)]
+    for _ in range(400):
+        company.step(hunters[0].act(company))
+        for worlds, hunter in zip(alone, hunters[1:], strict=True):
+            worlds.step(hunter.act(worlds))
+    for world, worlds in enumerate(alone):
+        assert bits(worlds.players) == bits(company.players[world : world + 1])
+    assert (company.players["kills"] > 0).any()
+
+
+def test_a_world_without_monsters_can_be_played(tmp_path: Path) -> None:
+    level = write_level(tmp_path / "empty", [(0.0, 0.0)], [])
+    worlds = begin(2, level=level, episode_steps=5)
+    play_out(worlds, Hunter(worlds))
+    assert [worlds.ending(world) for world in range(2)] == ["time-limit"] * 2
+
+
 def test_two_hunters_clear_the_level_together() -> None:
-    worlds = Worlds(6, players=2)
+    worlds = Worlds(6, make_env_config({"players": 2}))
     worlds.seed(range(6))
     worlds.reset(starts=np.arange(6))
     play_out(worlds, Hunter(worlds))

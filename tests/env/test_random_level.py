@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from pneuma.config import EnvConfig
+from pneuma.config import make_env_config
 from pneuma.env import random_level as islands
 from pneuma.env import rules
 from pneuma.env.level import Level, level_files, load_level
@@ -169,7 +169,7 @@ def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[
 @pytest.mark.parametrize("name", ["random:train:1", "random:test:2"])
 def test_a_player_walks_to_every_monster_by_the_rules(name: str) -> None:
     """Steer a player, tick by tick, along a way of tiles; nothing ever holds it up."""
-    worlds = Worlds(1, EnvConfig(level=name, episode_steps=1_000_000))
+    worlds = Worlds(1, make_env_config({"level": name, "episode_steps": 1_000_000}))
     worlds.settings["ticks"] = 1
     worlds.monster_stats["speed"] = worlds.monster_stats["damage"] = 0.0
     worlds.seed([0])
@@ -196,7 +196,7 @@ def _walk(worlds: Worlds, x: float, y: float) -> None:
 
 
 def test_the_worlds_of_a_random_level_go_on_alike() -> None:
-    one, two = (Worlds(3, EnvConfig(level="random:test:5")) for _ in range(2))
+    one, two = (Worlds(3, make_env_config({"level": "random:test:5"})) for _ in range(2))
     for worlds in (one, two):
         worlds.seed([1, 2, 3])
         worlds.reset()

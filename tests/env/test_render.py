@@ -1,29 +1,26 @@
-"""Frames, the window that shows them, and the videos that they become.
+"""Frames, and the window that shows them.
 
 The arena's grid spans -640 … 640 on both axes, so that the art pixel of a place is (x + 640) / 4.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from PIL import Image, ImageSequence
 
-from pneuma.env import rules, sprites, video
+from pneuma.env import rules, sprites
 from pneuma.env.render import Renderer, Window
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, DOWN, LEFT, RIGHT, STATE_ARRAYS, UP, play, stage
+from .arena import DOWN, LEFT, RIGHT, STATE_ARRAYS, UP, begin, play, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
 BODY = 12  # no picture of a body reaches further from its centre
@@ -66,7 +63,7 @@ def test_sword_is_where_the_rules_have_its_box(arena: str, facing: int, way: tup
     """The box ends 69.5 px above, 77.5 px below and 79.5 px beside the player: 17 to 20 art pixels."""
     worlds = stage(arena, facing=facing)
     before = bare(worlds)
-    worlds.players["swing"] = 12
+    worlds.players["busy"], worlds.players["armed"] = 12, 1
     ahead = np.array(way) @ (changed(before, bare(worlds)) - MIDDLE)
     assert 15 <= ahead.max() <= 21
     assert ahead.min() >= -BODY
@@ -84,9 +81,9 @@ def test_dead_monster_is_gone(arena: str) -> None:
 def test_dead_player_leaves_a_grave(arena: str) -> None:
     worlds = stage(arena, facing=LEFT)
     alive = bare(worlds)
-    worlds.players["hp"], worlds.players["swing"] = 0.0, 12
+    worlds.players["hp"], worlds.players["busy"] = 0.0, 12
     grave = bare(worlds)
-    worlds.players["facing"], worlds.players["swing"] = RIGHT, 0
+    worlds.players["facing"], worlds.players["busy"] = RIGHT, 0
     np.testing.assert_array_equal(grave, bare(worlds))
     assert changed(alive, grave).size > 0
 
@@ -130,7 +127,7 @@ def test_bite_flashes_and_hit_monster_flashes(arena: str) -> None:
     x, _ = changed(calm, bare(worlds))
     assert x.size > 0 and (abs(x - 110) <= BODY).all()
     worlds.monsters["knocked"][0, 0] = 0
-    worlds.monsters["bite"][0, 0, 0] = worlds.monster_stats["bite_ticks"][0]
+    worlds.monsters["bite"][0, 0, 0] = worlds.monster_stats["bite_ticks"][0, 0]
     x, _ = changed(calm, bare(worlds))
     assert x.size > 0 and (abs(x - MIDDLE) <= BODY).all()
 
@@ -239,10 +236,8 @@ def walk(worlds: Worlds, seed: int, steps: int) -> None:
 
 
 def test_same_state_gives_the_same_bytes() -> None:
-    first, second = Worlds(2, players=3), Worlds(2, players=3)
+    first, second = begin(2, seed=5, players=3), begin(2, seed=5, players=3)
     for worlds in (first, second):
-        worlds.seed([5, 6])
-        worlds.reset()
         walk(worlds, seed=1, steps=40)
     for camera in ("map", "follow"):
         here, there = (Renderer(worlds, camera).frame(1, 2) for worlds in (first, second))
@@ -329,138 +324,3 @@ def test_drawing_loads_neither_pygame_nor_pillow() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
     )
     assert done.stdout.strip() == "[]"
-
-
-# --- Videos --------------------------------------------------------------------------------------
-
-
-def squares(count: int, side: int = 64) -> Iterator[np.ndarray]:
-    """Yield frames in which a white square wanders over colours, pausing at every other frame."""
-    ground = np.zeros((side, side, 3), np.uint8)
-    ground[..., 0] = np.arange(side)[:, None] // 8 * 20
-    for number in range(count):
-        frame = ground.copy()
-        corner = number // 2 * 3 % (side - 8)
-        frame[corner : corner + 8, corner : corner + 8] = 255
-        yield frame
-
-
-def gif_frames(path: Path) -> tuple[list[np.ndarray], list[int]]:
-    """Return a GIF's frames and how many milliseconds each stays."""
-    with Image.open(path) as image:
-        frames = [
-            (np.array(frame.convert("RGB")), frame.info["duration"])
-            for frame in ImageSequence.Iterator(image)
-        ]
-    return [frame for frame, _ in frames], [duration for _, duration in frames]
-
-
-def test_gif_has_every_frame_pixel_by_pixel(tmp_path: Path) -> None:
-    """Frames that repeat are kept; 30 frames a second last 0.03 or 0.04 s, 1 s together."""
-    path = tmp_path / "squares.gif"
-    video.write_video(path, squares(30), 30)
-    frames, milliseconds = gif_frames(path)
-    np.testing.assert_array_equal(frames, list(squares(30)))
-    assert sum(milliseconds) == 1000 and set(milliseconds) == {30, 40}
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_gif_of_the_world_loses_no_colour(tmp_path: Path, arena: str) -> None:
-    worlds = stage(arena, (80.0, 0.0))
-    renderer = Renderer(worlds, "follow", size=(240, 176))
-    drawn = []
-    for action in (RIGHT, ATTACK, ATTACK, ATTACK, LEFT):
-        play(worlds, action)
-        drawn.append(renderer.frame())
-    video.write_video(tmp_path / "fight.gif", iter(drawn), 10)
-    np.testing.assert_array_equal(gif_frames(tmp_path / "fight.gif")[0], drawn)
-
-
-def test_gif_with_too_many_colours_comes_close(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (40, 40, 3)).astype(np.uint8)
-    video.write_video(tmp_path / "noise.gif", iter([noise, noise[::-1]]), 10)
-    frames, _ = gif_frames(tmp_path / "noise.gif")
-    assert len(frames) == 2
-    assert np.abs(frames[1].astype(int) - noise[::-1]).mean() < 20
-
-
-def test_memory_does_not_grow_with_the_length_of_a_gif(tmp_path: Path) -> None:
-    def peak(count: int) -> int:
-        tracemalloc.start()
-        video.write_video(tmp_path / f"{count}.gif", squares(count, 128), 20)
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most
-
-    peak(5)  # what is loaded once
-    assert peak(400) < 1.2 * peak(50)
-
-
-def test_mp4_can_be_read_and_has_even_sides(tmp_path: Path) -> None:
-    ffmpeg = pytest.importorskip(
-        "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested", exc_type=ImportError
-    )
-    path = tmp_path / "squares.mp4"
-    frames = [frame[:63, :61] for frame in squares(20)]
-    video.write_video(path, iter(frames), 10)
-    assert ffmpeg.count_frames_and_secs(str(path)) == (20, 2.0)
-    options = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    decode = [ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), *options]
-    raw = subprocess.run(decode, capture_output=True, check=True).stdout
-    read = np.frombuffer(raw, np.uint8).reshape(20, 64, 62, 3)
-    difference = [
-        np.abs(have[:63, :61].astype(int) - want).mean() for have, want in zip(read, frames, strict=True)
-    ]
-    assert max(difference) < 10  # H.264 is lossy
-
-
-def test_png_is_the_first_frame(tmp_path: Path) -> None:
-    video.write_video(tmp_path / "first.png", squares(3), 10)
-    with Image.open(tmp_path / "first.png") as image:
-        np.testing.assert_array_equal(np.array(image), next(squares(1)))
-
-
-@pytest.mark.parametrize(
-    ("name", "rate", "told"),
-    [
-        ("a.gfi", 10, r"unknown kind of video '.gfi' \(did you mean .gif\?\); known are .gif, .mp4, .png"),
-        ("a", 10, "unknown kind of video ''"),
-        ("a.gif", 60, "frames per second = 60 is not allowed: above 0 and at most 50"),
-        ("a.gif", 0, "frames per second = 0 is not allowed"),
-        ("missing/a.gif", 10, "there is no folder"),
-    ],
-)
-def test_what_cannot_be_written_is_told_before_a_frame_is_drawn(
-    tmp_path: Path, name: str, rate: float, told: str
-) -> None:
-    stream = squares(3)
-    with pytest.raises(UserError, match=told):
-        video.write_video(tmp_path / name, stream, rate)
-    assert len(list(stream)) == 3 and list(tmp_path.iterdir()) == []
-
-
-def test_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'pneuma\[video\]', or choose .gif"):
-        video.write_video(tmp_path / "a.mp4", squares(3), 10)
-
-
-def test_no_frames_are_told(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="no frames"):
-        video.write_video(tmp_path / "a.gif", iter([]), 10)
-
-
-@pytest.mark.parametrize("suffix", ["gif", "mp4"])
-def test_failure_half_way_leaves_what_was_there(tmp_path: Path, suffix: str) -> None:
-    if suffix == "mp4":
-        pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested")
-    path = tmp_path / f"a.{suffix}"
-    path.write_text("older")
-
-    def broken() -> Iterator[np.ndarray]:
-        yield from squares(3)
-        raise RuntimeError("lost")
-
-    with pytest.raises(RuntimeError, match="lost"):
-        video.write_video(path, broken(), 10)
-    assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]

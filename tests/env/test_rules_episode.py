@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
-from pneuma.config import EnvConfig
+from pneuma.config import make_env_config
 from pneuma.env import state
 from pneuma.env.worlds import Worlds
 
@@ -25,16 +27,17 @@ from .arena import (
 
 
 def told(worlds: Worlds) -> dict[str, float]:
-    """Return what was told of the last step, without what is zero."""
+    """Return what was told to have happened in the last step."""
     row = worlds.events[0, 0]
-    return {name: float(row[name]) for name in row.dtype.names if row[name] and name != "reward"}
+    state_of_things = ("reward", "distance", "present")
+    return {name: float(row[name]) for name in row.dtype.names if row[name] and name not in state_of_things}
 
 
 def reward(worlds: Worlds) -> float:
     return float(worlds.events["reward"][0, 0])
 
 
-def about_to_kill(arena: str, hp: float = 100.0, settings: EnvConfig | None = None) -> Worlds:
+def about_to_kill(arena: str, hp: float = 100.0, settings: Mapping[str, object] | None = None) -> Worlds:
     """Set up a player with so many HP, and a monster that the next blow kills.
 
     It is within reach of the sword, at (0, 60) from its centre, but 47 px from the player's body: it
@@ -126,12 +129,14 @@ def test_the_tick_of_death_is_the_last_one(arena: str) -> None:
     assert player_at(worlds) == (5.0, 0.0)  # one tick's walk, bitten at 35 - 23.5 = 11.5 px
 
 
-def test_with_the_last_player_the_world_stands_still(arena: str) -> None:
-    worlds = stage(arena, (-30.0, 0.0), (-200.0, 0.0))
+def test_the_step_goes_on_to_its_end_without_the_last_player(arena: str) -> None:
+    worlds = stage(arena, (-30.0, 0.0), (-200.0, 0.0), (-300.0, 0.0))
     worlds.players["hp"] = 7  # gone in the first of 8 ticks
     worlds.monsters["knocked"][0, 1], worlds.monsters["knock_y"][0, 1] = 30, 2.0
     play(worlds, STAND)
-    assert monster_at(worlds, 1) == (-200.0, 2.0)
+    assert worlds.ending(0) == "killed"
+    assert monster_at(worlds, 1) == (-200.0, 16.0)  # flies on for 8 ticks
+    assert monster_at(worlds, 2) == (-297.5, 0.0)  # chased him for the one tick that he lived
 
 
 def test_healing_comes_before_the_bites_of_the_same_tick(arena: str) -> None:
@@ -158,7 +163,7 @@ def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
 
 
 def test_the_time_limit_ends_an_episode_after_so_many_steps(arena: str) -> None:
-    worlds = stage(arena, settings=EnvConfig(episode_steps=5))
+    worlds = stage(arena, settings={"episode_steps": 5})
     play(worlds, *[STAND] * 4)
     assert worlds.ending(0) == "running"
     assert worlds.step(np.full((1, 1), STAND)) == 1  # it counts those that ended
@@ -167,12 +172,12 @@ def test_the_time_limit_ends_an_episode_after_so_many_steps(arena: str) -> None:
 
 
 def test_the_time_limit_is_1000_steps_unless_set() -> None:
-    assert EnvConfig().episode_steps == 1000
+    assert make_env_config({}).episode_steps == 1000
     assert Worlds(1).settings["step_limit"][0] == 1000
 
 
 def test_whoever_dies_in_the_last_step_was_killed(arena: str) -> None:
-    worlds = stage(arena, (-30.0, 0.0), settings=EnvConfig(episode_steps=1))
+    worlds = stage(arena, (-30.0, 0.0), settings={"episode_steps": 1})
     worlds.players["hp"] = 7
     play(worlds, STAND)
     assert worlds.ending(0) == "killed"
@@ -183,7 +188,7 @@ def test_whoever_dies_in_the_last_step_was_killed(arena: str) -> None:
 
 @pytest.mark.parametrize(("end_on_clear", "ending"), [(False, "running"), (True, "cleared")])
 def test_the_last_kill_ends_an_episode_only_if_asked(arena: str, end_on_clear: bool, ending: str) -> None:
-    worlds = about_to_kill(arena, settings=EnvConfig(end_on_clear=end_on_clear))
+    worlds = about_to_kill(arena, settings={"end_on_clear": end_on_clear})
     worlds.monsters["hp"][0, 1:] = 0
     worlds.worlds["monsters_left"] = 1
     play(worlds, ATTACK)
@@ -193,14 +198,14 @@ def test_the_last_kill_ends_an_episode_only_if_asked(arena: str, end_on_clear: b
 
 
 def test_killing_one_of_many_does_not_clear_the_level(arena: str) -> None:
-    worlds = about_to_kill(arena, settings=EnvConfig(end_on_clear=True))
+    worlds = about_to_kill(arena, settings={"end_on_clear": True})
     play(worlds, ATTACK)
     assert worlds.worlds["monsters_left"][0] == 3
     assert worlds.ending(0) == "running"
 
 
 def test_a_cleared_level_runs_on_to_the_time_limit(arena: str) -> None:
-    worlds = about_to_kill(arena, settings=EnvConfig(episode_steps=4))
+    worlds = about_to_kill(arena, settings={"episode_steps": 4})
     worlds.monsters["hp"][0, 1:] = 0
     worlds.worlds["monsters_left"] = 1
     play(worlds, *[ATTACK] * 4)

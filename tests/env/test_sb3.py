@@ -9,7 +9,7 @@ import pytest
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from pneuma.config import EnvConfig
+from pneuma.config import make_env_config
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.worlds import Worlds
@@ -25,6 +25,12 @@ def pit_actions(generator: np.random.Generator) -> np.ndarray:
     return actions if generator.random() < 0.5 else np.full(N, ATTACK)
 
 
+def noting(env: PneumaVecEnv) -> PneumaVecEnv:
+    """Let an environment note every episode that ends."""
+    env.keep_finished = True
+    return env
+
+
 # --- As Stable-Baselines3 does it ----------------------------------------------------------------
 
 
@@ -33,7 +39,7 @@ def test_stable_baselines3_finds_nothing_to_complain_of() -> None:
 
 
 def test_it_steps_as_a_dummy_vec_env_of_single_environments(pit: str) -> None:
-    config = EnvConfig(level=pit, episode_steps=20)
+    config = make_env_config({"level": pit, "episode_steps": 20})
     ours = PneumaVecEnv(range(3, 3 + N), config)
     theirs = DummyVecEnv([lambda: PneumaEnv(level=pit, episode_steps=20) for _ in range(N)])
     theirs.seed(3)
@@ -61,7 +67,7 @@ def test_it_steps_as_a_dummy_vec_env_of_single_environments(pit: str) -> None:
 
 
 def test_the_episodes_it_notes_are_those_of_vec_monitor(pit: str) -> None:
-    env = PneumaVecEnv(range(N), EnvConfig(level=pit, episode_steps=20))
+    env = noting(PneumaVecEnv(range(N), make_env_config({"level": pit, "episode_steps": 20})))
     monitor = VecMonitor(env)
     monitor.reset()
     generator = np.random.default_rng(2)
@@ -112,7 +118,7 @@ def test_a_death_is_told_with_the_last_observation_and_begins_anew() -> None:
 
 
 def test_the_time_limit_is_told_as_truncation() -> None:
-    env = PneumaVecEnv([0], EnvConfig(episode_steps=2))
+    env = PneumaVecEnv([0], make_env_config({"episode_steps": 2}))
     env.reset()
     env.step(np.array([RIGHT]))
     *_, dones, infos = env.step(np.array([RIGHT]))
@@ -122,7 +128,7 @@ def test_the_time_limit_is_told_as_truncation() -> None:
 
 
 def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> None:
-    env = PneumaVecEnv([0, 1], EnvConfig(episode_steps=3))
+    env = noting(PneumaVecEnv([0, 1], make_env_config({"episode_steps": 3})))
     env.reset()
     for _ in range(2):
         env.step(np.array([ATTACK, ATTACK]))
@@ -140,8 +146,31 @@ def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> No
     ]  # fmt: skip
 
 
+def test_nothing_is_noted_unless_asked() -> None:
+    env = PneumaVecEnv([0], make_env_config({"episode_steps": 1}))
+    env.reset()
+    env.step(np.array([LEFT]))
+    assert env.finished == []
+
+
+@pytest.mark.parametrize("action", [-1, 5])
+def test_actions_out_of_range_are_refused(action: int) -> None:
+    env = PneumaVecEnv([0, 1])
+    env.reset()
+    with pytest.raises(ValueError, match="outside"):
+        env.step(np.array([0, action]))
+
+
+@pytest.mark.parametrize("start", [-1, 6])
+def test_a_start_that_the_level_does_not_have_is_refused(start: int) -> None:
+    env = PneumaVecEnv([0, 1])
+    env.set_options({"start": start})
+    with pytest.raises(ValueError, match="the level has places 0 to 5"):
+        env.reset()
+
+
 def test_finished_may_be_emptied_and_goes_on_counting() -> None:
-    env = PneumaVecEnv([0], EnvConfig(episode_steps=1))
+    env = noting(PneumaVecEnv([0], make_env_config({"episode_steps": 1})))
     env.reset()
     env.step(np.array([LEFT]))
     env.finished.clear()
@@ -179,7 +208,7 @@ def test_options_reach_the_next_reset_and_only_that() -> None:
 
 
 def test_what_is_handed_out_is_not_overwritten() -> None:
-    env = PneumaVecEnv([0], EnvConfig(episode_steps=3))
+    env = PneumaVecEnv([0], make_env_config({"episode_steps": 3}))
     kept: list[tuple[np.ndarray, np.ndarray]] = []
     env.reset()
     for _ in range(6):

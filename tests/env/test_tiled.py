@@ -240,7 +240,7 @@ def test_the_rules_agree_on_who_passes_a_door(folder: Path, door: int, passes: b
     write_hall(folder, 32, 2)
     worlds = stage(str(folder), players=[(-60.0, -96.0 + 16.0 * door)])
     if door == 1:
-        worlds._arrays.terrain[5, 7] = SOLID
+        worlds._arrays.terrain[0, 5, 7] = SOLID
         worlds._arrays.room[:] = 0
     for _ in range(6):
         worlds.step(np.array([[rules.RIGHT]]))

@@ -21,7 +21,7 @@ MODES = list(AutoresetMode)
 def both(mode: AutoresetMode, **settings: Any) -> tuple[PneumaVectorEnv, SyncVectorEnv]:
     """Return the native vector environment and Gymnasium's, alike."""
     single = [lambda: PneumaEnv(**settings) for _ in range(N)]
-    return PneumaVectorEnv(N, mode, **settings), SyncVectorEnv(single, autoreset_mode=mode)
+    return PneumaVectorEnv(N, autoreset_mode=mode, **settings), SyncVectorEnv(single, autoreset_mode=mode)
 
 
 def assert_same(ours: Any, theirs: Any) -> None:
@@ -58,8 +58,10 @@ def play_both(mode: AutoresetMode, seed: int, **settings: Any) -> tuple[int, int
         terminations += int(told[2].sum())
         truncations += int(told[3].sum())
         if mode == AutoresetMode.DISABLED and over.any():
-            by_hand = ours.reset(options={"reset_mask": over.copy()})
-            assert_same(by_hand, theirs.reset(options={"reset_mask": over.copy()}))
+            by_hand, infos = ours.reset(options={"reset_mask": over.copy()})
+            assert infos["_action_mask"].all()  # Gymnasium's vector has those of the worlds reset only
+            infos["_action_mask"], infos["action_mask"][~over] = over, 0
+            assert_same((by_hand, infos), theirs.reset(options={"reset_mask": over.copy()}))
     return terminations, truncations
 
 
@@ -146,7 +148,7 @@ def test_a_reset_without_a_seed_goes_on_with_the_stream() -> None:
 
 def test_a_masked_reset_with_a_seed_leaves_the_other_worlds_streams_alone() -> None:
     mask = np.array([True, False, False])
-    env = PneumaVectorEnv(3, AutoresetMode.DISABLED)
+    env = PneumaVectorEnv(3, autoreset_mode=AutoresetMode.DISABLED)
     env.reset(seed=1)
     before = env.state.worlds.copy()
     env.reset(seed=50, options={"reset_mask": mask})
@@ -168,7 +170,7 @@ def test_options_choose_one_start_for_all_or_one_for_each() -> None:
 
 
 def test_with_autoreset_disabled_an_ended_world_must_be_reset_by_hand() -> None:
-    env = PneumaVectorEnv(2, AutoresetMode.DISABLED, episode_steps=1)
+    env = PneumaVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, episode_steps=1)
     env.reset(seed=0)
     env.step(np.array([ATTACK, ATTACK]))
     env.reset(options={"reset_mask": np.array([True, False])})

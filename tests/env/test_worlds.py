@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pneuma.config import RULES_VERSION
+from pneuma.config import RULES_VERSION, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds, world_key
 from pneuma.errors import UserError
@@ -19,7 +19,9 @@ from .arena import (
     LEFT,
     RIGHT,
     STATE_ARRAYS,
+    TOLD_ARRAYS,
     UP,
+    begin,
     bits,
     monster_at,
     monster_hp,
@@ -32,14 +34,6 @@ from .arena import (
 
 GOLDEN = {1: "0c620e3fcc451bbdc53959ac8e97100588c678dbe99bc3b65257e41da618fece"}
 """SHA-256 of the golden trace by RULES_VERSION; see `test_the_rules_are_those_of_their_version`."""
-
-
-def begin(count: int, seed: int = 0, players: int = 1) -> Worlds:
-    """Return worlds seeded seed, seed + 1, … at the beginning of an episode."""
-    worlds = Worlds(count, players=players)
-    worlds.seed(range(seed, seed + count))
-    worlds.reset()
-    return worlds
 
 
 class Mixed:
@@ -99,7 +93,7 @@ def test_every_world_is_alone_as_in_company() -> None:
         over = company.worlds["ending"] != 0
         for i, world in enumerate(alone):
             world.step(actions[i : i + 1])
-            for name in (*STATE_ARRAYS, "events", "observations"):
+            for name in (*STATE_ARRAYS, *TOLD_ARRAYS):
                 assert bits(getattr(world, name)) == bits(getattr(company, name)[i : i + 1]), name
             world.reset(over[i : i + 1])
         company.reset(over)
@@ -111,11 +105,12 @@ def test_a_copied_state_goes_on_as_the_original(players: int) -> None:
     mixed = Mixed(worlds, seed=1)
     for _ in range(137):  # into the middle of swings, flights and bites
         worlds.step(mixed.act(worlds))
-    assert (worlds.players["swing"] > 0).any() and (worlds.monsters["bite"] > 0).any()
+    assert (worlds.players["busy"] > 0).any() and (worlds.monsters["bite"] > 0).any()
     assert (worlds.monsters["knocked"] > 0).any()
-    copies = Worlds(8, players=players)
+    copies = Worlds(8, make_env_config({"players": players}))
     for name in STATE_ARRAYS:
         getattr(copies, name)[:] = getattr(worlds, name)
+    copies.observe()
     assert_same_play(worlds, copies, steps=300)
 
 
@@ -130,7 +125,7 @@ def test_the_room_grid_changes_no_bit(players: int) -> None:
 @pytest.mark.parametrize("players", [1, 2])
 def test_leaving_out_monsters_that_nobody_is_near_changes_no_bit(players: int) -> None:
     worlds, others = begin(16, players=players), begin(16, players=players)
-    others.monster_stats["reach"] = 1e9  # now every monster gets its ticks
+    others.monster_stats["reach_squared"] = 1e18  # now every monster gets its ticks
     assert_same_play(worlds, others, steps=1500)
 
 
@@ -181,7 +176,7 @@ def test_a_chosen_start_is_taken_and_draws_no_number() -> None:
 
 
 def test_players_take_start_places_one_after_another() -> None:
-    worlds = Worlds(1, players=3)
+    worlds = Worlds(1, make_env_config({"players": 3}))
     worlds.reset(starts=np.array([4]))
     assert worlds.players["x"][0].tolist() == [-918, -47, 204]  # places 4, 5 and, around, 0
 
@@ -249,9 +244,9 @@ def test_two_players_strike_one_monster_each_once_and_the_last_blow_earns(arena:
 
 
 def test_more_players_than_a_state_can_hold_are_refused() -> None:
-    Worlds(1, players=8)
+    Worlds(1, make_env_config({"players": 8}))
     with pytest.raises((ValueError, UserError)):  # eight bits of `noticed`, eight clocks of `bite`
-        Worlds(1, players=9)
+        Worlds(1, make_env_config({"players": 9}))
 
 
 # --- The golden trace ----------------------------------------------------------------------------

@@ -1,0 +1,349 @@
+"""The oracle: the rules of one world, told slowly and tick by tick, in plain Python, to be read.
+
+The compiled kernel (`pneuma/env/rules.py`) plays the same game in three parts and with shortcuts;
+`test_oracle.py` holds it to this telling, bit for bit. Nothing here is fast, and nothing is left
+out: every monster lives through every tick, every move is checked tile by tile.
+
+A tick goes:
+
+1. Every living player acts, in order. Who gets beyond a deadly coast dies at once.
+2. Every living monster, in order, is struck by the players' swords and flames, in their order; if it
+   lives, it looks for every player and bites those within reach; then it flies or chases.
+3. Every player who was there gets what the tick brought: first what heals, then the bites. Who has
+   no HP left is dead from the next tick on.
+
+An agent step is `settings.ticks` of them with the same actions. Its end may be the episode's.
+
+Inputs are what `Worlds` made of levels, characters and configuration (`oracle_arrays.py` reads them);
+what players see is in `oracle_view.py`. Units: pixels, ticks of 1/60 s, pixels a tick; y points down.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pneuma.env.rules import (
+    ATTACK,
+    CLEARED,
+    DOWN,
+    FLAME,
+    HEAL,
+    KILLED,
+    REWARD_CUSTOM,
+    REWARD_GODOT,
+    REWARD_KILLS,
+    REWARD_PYGAME,
+    REWARD_SIGMOID,
+    REWARD_THESIS,
+    RUNNING,
+    TIME_LIMIT,
+)
+
+from .oracle_parts import (
+    WAYS,
+    Blow,
+    Events,
+    Gain,
+    Ground,
+    Monster,
+    Player,
+    Rulebook,
+    approach,
+    die,
+    flame_blow,
+    gap_squared,
+    knock_back,
+    sword_blow,
+)
+
+# --- The world -------------------------------------------------------------------------------------
+
+
+class Oracle:
+    """One world."""
+
+    def __init__(self, book: Rulebook, key: int) -> None:
+        self.book = book
+        self.key = key
+        self.draws = self.steps = self.level = self.start = 0
+        self.monsters_left = self.players_left = 0
+        self.ending = RUNNING
+        count = len(book.stats)
+        self.players = [Player(stats) for stats in book.stats]
+        self.monsters = [Monster(kind, [0] * count, [0] * count) for kind in book.kinds[0]]
+
+    @property
+    def ground(self) -> Ground:
+        """The tiles of the level that is played."""
+        return self.book.grounds[self.level]
+
+    def seed(self, key: int) -> None:
+        """Begin a random stream; XP that outlives episodes starts again from 0."""
+        self.key, self.draws = key, 0
+        for player in self.players:
+            player.xp = 0.0
+
+    def reset(self, start: int) -> None:
+        """Begin an episode at a start place, or at a random one if `start` is below zero."""
+        book = self.book
+        self.steps, self.ending = 0, RUNNING
+        self.monsters_left, self.players_left = len(self.monsters), len(self.players)
+        self.level = self._draw_below(len(book.starts)) if len(book.starts) > 1 else 0
+        places = book.starts[self.level]
+        self.start = start if start >= 0 else self._draw_below(len(places))
+        for p, player in enumerate(self.players):
+            player.x, player.y = places[(self.start + p) % len(places)]
+            player.hp, player.energy = player.stats.hp, player.stats.energy
+            if not book.settings.keep_xp:
+                player.xp = 0.0
+            player.facing = DOWN
+            player.busy = player.armed = player.attack = player.safe = player.kills = 0
+        for monster, kind in zip(self.monsters, book.kinds[self.level], strict=True):
+            monster.kind = kind
+            monster.x, monster.y, monster.hp = kind.home_x, kind.home_y, kind.hp
+            monster.knocked = monster.safe = 0
+            monster.noticed = set()
+            monster.bite = [0] * len(self.players)
+            monster.struck_by = [0] * len(self.players)
+
+    def step(self, actions: list[int]) -> bool:
+        """Play one agent step; tell whether the episode ended with it. After its end nothing happens."""
+        for player in self.players:
+            player.events = Events()
+        if self.ending != RUNNING:
+            return False
+        for _ in range(self.book.settings.ticks):
+            self._tick(actions)
+        self.steps += 1
+        self._end()
+        return self.ending != RUNNING
+
+    def reward(self) -> None:
+        """Pay those who were there, once they have seen how the step ended."""
+        for player in self.players:
+            events = player.events
+            if events.present or events.died:
+                events.reward = _formula(player)
+
+    # --- Random numbers --------------------------------------------------------------------------
+
+    def _draw(self) -> int:
+        """Return 64 random bits: splitmix64 (Steele, Lea and Flood 2014), from key and counter."""
+        self.draws += 1
+        z = (self.key + self.draws * 0x9E3779B97F4A7C15) % 2**64
+        z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) % 2**64
+        return z ^ (z >> 31)
+
+    def _draw_below(self, bound: int) -> int:
+        """Return a random whole number in [0, bound), from the upper 32 of 64 bits."""
+        return (self._draw() >> 32) * bound >> 32
+
+    # --- The end of a step -----------------------------------------------------------------------
+
+    def _end(self) -> None:
+        """Decide whether the episode is over, and charge the living for an ending."""
+        settings = self.book.settings
+        self.players_left = sum(player.hp > 0.0 for player in self.players)
+        self.monsters_left = sum(monster.hp > 0.0 for monster in self.monsters)
+        if self.players_left == 0:
+            self.ending = KILLED
+        elif self.monsters_left == 0 and settings.end_on_clear:
+            self.ending = CLEARED
+        elif self.steps >= settings.step_limit:
+            self.ending = TIME_LIMIT
+        if self.ending in (CLEARED, TIME_LIMIT):
+            for player in self.players:
+                if player.hp > 0.0:
+                    self._charge(player)
+
+    def _charge(self, player: Player) -> None:
+        """Take the XP that an ending costs; the published code then sets the reward to the XP."""
+        cost = self.book.settings.ending_cost
+        if cost != 0.0:
+            player.xp -= cost
+            player.events.xp_gained -= cost
+            player.events.reward = player.xp
+
+    # --- A tick ----------------------------------------------------------------------------------
+
+    def _tick(self, actions: list[int]) -> None:
+        gains = [Gain() for _ in self.players]
+        blows: dict[int, Blow] = {}
+        for p, player in enumerate(self.players):
+            if player.hp > 0.0:
+                blow = self._act(player, actions[p], gains[p])
+                if blow and player.hp > 0.0:
+                    blows[p] = blow
+        there = [p for p, player in enumerate(self.players) if player.hp > 0.0]
+        for monster in self.monsters:
+            if monster.hp > 0.0:
+                self._live(monster, there, blows, gains)
+        for p in there:
+            self._settle(self.players[p], gains[p])
+
+    # --- A tick: players act ---------------------------------------------------------------------
+
+    def _act(self, player: Player, action: int, gain: Gain) -> Blow | None:
+        """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
+        stats = player.stats
+        blow = None
+        if player.busy == 0:
+            if action == ATTACK:
+                player.busy, player.armed = stats.swing, 1
+                player.attack += 1
+            elif action == FLAME and player.energy >= stats.flame_cost:
+                player.energy -= stats.flame_cost
+                player.busy, player.armed = stats.cast, 0
+                player.attack += 1
+                blow = flame_blow(player)
+            elif action == HEAL and player.energy >= stats.heal_cost:
+                player.energy -= stats.heal_cost
+                player.busy, player.armed = stats.cast, 0
+                gain.spell_heal = stats.heal
+            elif action in WAYS:
+                self._walk(player, action)
+        if player.busy > 0:
+            player.busy -= 1
+            if player.armed:
+                blow = sword_blow(player)
+        player.energy = min(player.energy + stats.energy_gain, stats.energy)
+        if self.book.settings.deadly_coast and self.ground.is_sea(player.x, player.y):
+            player.events.hp_lost += player.hp
+            die(player)  # without XP cost
+        return blow
+
+    def _walk(self, player: Player, way: int) -> None:
+        """Turn a player and take it one tick that way."""
+        player.facing = way
+        player.x, player.y = self.walked(player, way)
+
+    def walked(self, player: Player, way: int) -> tuple[float, float]:
+        """Return where one tick of walking takes a player."""
+        stats = player.stats
+        dx, dy = (part * stats.speed for part in WAYS[way])
+        coast = not self.book.settings.deadly_coast
+        return self.ground.move(player.x, player.y, stats.half_width, stats.half_height, dx, dy, coast)
+
+    # --- A tick: monsters live -------------------------------------------------------------------
+
+    def _live(self, monster: Monster, there: list[int], blows: dict[int, Blow], gains: list[Gain]) -> None:
+        """Let a monster live one tick among the players who are `there`."""
+        monster.safe = max(monster.safe - 1, 0)
+        for p in range(len(self.players)):
+            if p not in there:
+                monster.noticed.discard(p)
+                monster.bite[p] = 0
+        for p in blows:
+            self._strike(monster, p, blows[p], there, gains)
+        if monster.hp <= 0.0:
+            return
+        target = self._sense(monster, there, gains)
+        dx = dy = 0.0
+        if monster.knocked > 0:
+            monster.knocked -= 1
+            dx, dy = monster.knock_x, monster.knock_y
+        elif target is not None:
+            dx = approach(target.x - monster.x, monster.kind)
+            dy = approach(target.y - monster.y, monster.kind)
+        body = monster.kind.half_width, monster.kind.half_height
+        monster.x, monster.y = self.ground.move(monster.x, monster.y, *body, dx, dy, coast=True)
+
+    def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
+        """Strike a monster that a blow meets, unless it is dead or safe or this one has hit it before."""
+        kind = monster.kind
+        meets = (
+            abs(monster.x - blow.x) < blow.half_width + kind.half_width
+            and abs(monster.y - blow.y) < blow.half_height + kind.half_height
+        )
+        if not meets or monster.hp <= 0.0 or monster.safe > 0 or monster.struck_by[p] == blow.number:
+            return
+        monster.struck_by[p] = blow.number
+        monster.safe = kind.safe
+        monster.hp = max(monster.hp - blow.damage, 0.0)
+        gains[p].hits += 1
+        if monster.hp > 0.0:
+            knock_back(monster, blow)
+            return
+        gains[p].kills += 1
+        for q in there:
+            gains[q].deaths += 1
+            # Within the attack circle is who was when the monster last looked, a tick ago.
+            earns = monster.bite[q] > 0 if self.book.settings.credit_near else q == p
+            if earns:
+                gains[q].xp += kind.xp
+                gains[q].kill_heal += kind.heal
+
+    def _sense(self, monster: Monster, there: list[int], gains: list[Gain]) -> Player | None:
+        """Let a monster look for all players, and bite; return the nearest that it notices."""
+        target, nearest = None, math.inf
+        for p in there:
+            player, gain = self.players[p], gains[p]
+            gap = gap_squared(monster, player)
+            if gap > monster.kind.notice_squared:
+                monster.noticed.discard(p)
+            else:
+                gain.notices += p not in monster.noticed
+                monster.noticed.add(p)
+                if gap < nearest:
+                    target, nearest = player, gap
+            if gap > monster.kind.attack_squared:
+                monster.bite[p] = 0
+            elif monster.bite[p] > 1:
+                monster.bite[p] -= 1
+            else:
+                gain.contacts += monster.bite[p] == 0
+                monster.bite[p] = monster.kind.bite_ticks
+                if player.stats.safe == 0 or gain.bitten == 0.0:  # who is safe after a bite gets one a tick
+                    gain.bitten += monster.kind.damage
+        return target
+
+    # --- A tick: what it brought -----------------------------------------------------------------
+
+    def _settle(self, player: Player, gain: Gain) -> None:
+        """Give a player what a tick brought: XP, what heals, then the bites."""
+        stats, events = player.stats, player.events
+        events.present += 1
+        player.xp += gain.xp
+        player.kills += gain.kills
+        events.xp_gained += gain.xp
+        events.hits += gain.hits
+        events.kills += gain.kills
+        events.notices += gain.notices
+        events.contacts += gain.contacts
+        if gain.deaths:
+            events.reward = player.xp
+        events.reward += gain.notices + gain.contacts
+
+        healed = min(player.hp + (gain.spell_heal + gain.kill_heal), stats.hp)
+        events.hp_gained += healed - player.hp
+        player.hp = healed
+        player.safe = max(player.safe - 1, 0)
+        if gain.bitten > 0.0 and player.safe == 0:
+            player.hp = max(healed - gain.bitten, 0.0)
+            player.safe = stats.safe
+            events.hp_lost += healed - player.hp
+            if player.hp <= 0.0:
+                die(player)
+                self._charge(player)
+
+
+# --- Rewards ----------------------------------------------------------------------------------------
+
+
+def _formula(player: Player) -> float:
+    """Return a player's reward for a step; `pneuma/env/reward.py` says the formulas in words."""
+    stats, events = player.stats, player.events
+    if stats.reward == REWARD_THESIS:
+        return player.xp - player.hp / stats.hp
+    if stats.reward == REWARD_PYGAME:
+        return player.xp + player.hp / stats.hp
+    if stats.reward == REWARD_KILLS:
+        return events.xp_gained - events.hp_lost / stats.hp
+    if stats.reward == REWARD_SIGMOID:
+        if events.distance == math.inf:
+            return events.xp_gained + 0.0
+        z = (150.0 - events.distance) / 50.0
+        return events.xp_gained + (0.5 + 0.5 * z / math.sqrt(1.0 + z * z))
+    assert stats.reward in (REWARD_GODOT, REWARD_CUSTOM)
+    return events.reward  # kept event by event, or computed outside

@@ -1,0 +1,138 @@
+"""What a player of the oracle's world sees, and which actions would do anything next.
+
+Layouts, orders and scales are told in `pneuma/env/observation.py`; the numbers are Python floats, which
+the kernel stores as float32.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pneuma.env.rules import (
+    ATTACK,
+    DOWN,
+    FLAME,
+    HEAL,
+    LAYOUT_GODOT,
+    LAYOUT_PYGAME,
+    LAYOUT_THESIS,
+    LEFT,
+    RIGHT,
+    UP,
+)
+
+from .oracle import Oracle
+from .oracle_parts import WAYS, Monster, Player
+
+ROW = {LAYOUT_THESIS: 4, LAYOUT_PYGAME: 5, LAYOUT_GODOT: 5}
+"""Numbers a monster, by layout."""
+
+
+def observe(world: Oracle, player: Player) -> list[float]:
+    """Return what a player sees, and note how far off the nearest living monster is."""
+    settings = world.book.settings
+    about = _about_player(world, player)
+    size = len(about) + settings.perceived * ROW[settings.layout]
+    living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
+    player.events.distance = min(living, default=math.inf)
+    for monster in _perceived(world, player):
+        about += _about_monster(world, player, monster)
+    return about + [0.0] * (size - len(about))
+
+
+def mask(world: Oracle, player: Player) -> list[int]:
+    """Return 1 for every action that would do anything in the next step, and for attack in any case.
+
+    None does while an attack or spell lasts through the step. Walking against a wall that one faces
+    already does nothing, nor does a spell that cannot be paid at any tick of it, nor healing at full HP.
+    """
+    settings, stats = world.book.settings, player.stats
+    allowed = dict.fromkeys((*WAYS, ATTACK), 0)
+    if settings.magic:
+        allowed |= {FLAME: 0, HEAL: 0}
+    if player.busy < settings.ticks:
+        for way in WAYS:
+            gets_on = world.walked(player, way) != (player.x, player.y)
+            allowed[way] = int(player.facing != way or gets_on)
+        if settings.magic:
+            energy = _energy_at_last(player, settings.ticks)
+            allowed[FLAME] = int(energy >= stats.flame_cost)
+            allowed[HEAL] = int(energy >= stats.heal_cost and player.hp < stats.hp)
+    allowed[ATTACK] = 1
+    return [allowed[action] for action in sorted(allowed)]
+
+
+def _energy_at_last(player: Player, ticks: int) -> float:
+    """Return a player's energy when it acts in the last tick of the next step, unless it is spent."""
+    energy = player.energy
+    for _ in range(ticks - 1):
+        energy = min(energy + player.stats.energy_gain, player.stats.energy)
+    return energy
+
+
+# --- Which monsters ----------------------------------------------------------------------------------
+
+
+def _perceived(world: Oracle, player: Player) -> list[Monster]:
+    """Return the monsters in a player's view, in order.
+
+    Of the kinds that are perceived, at most so many, the nearest; ties by index. Nearest first, the
+    dead left out; or in fixed order, the dead among them, as the furthest of all.
+    """
+    settings = world.book.settings
+    monsters = [monster for monster in world.monsters if monster.kind.perceived]
+    living = sorted(
+        (monster for monster in monsters if monster.hp > 0.0),
+        key=lambda monster: _distance(monster, player),
+    )
+    if not settings.fixed_order:
+        return living[: settings.perceived]
+    dead = [monster for monster in monsters if monster.hp <= 0.0]
+    chosen = {id(monster) for monster in (living + dead)[: settings.perceived]}
+    return [monster for monster in monsters if id(monster) in chosen]
+
+
+def _distance(monster: Monster, player: Player) -> float:
+    x, y = monster.x - player.x, monster.y - player.y
+    return math.sqrt(x * x + y * y)
+
+
+# --- In which numbers --------------------------------------------------------------------------------
+
+
+def _about_player(world: Oracle, player: Player) -> list[float]:
+    settings, stats = world.book.settings, player.stats
+    x = (player.x - settings.middle_x) * settings.scale_x
+    y = (player.y - settings.middle_y) * settings.scale_y
+    hp = player.hp * stats.hp_scale
+    if settings.layout == LAYOUT_PYGAME:
+        facing_x = float((player.facing == RIGHT) - (player.facing == LEFT))
+        facing_y = float((player.facing == DOWN) - (player.facing == UP))
+        return [x, y, facing_x, facing_y, hp, player.energy * stats.energy_scale]
+    return [x, y, hp, player.xp * settings.xp_scale]
+
+
+def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[float]:
+    """Return a monster's row of an observation: zeros for a dead one, no direction where the player is."""
+    settings, kind = world.book.settings, monster.kind
+    alive = monster.hp > 0.0
+    length = _distance(monster, player)
+    inverse = 1.0 / length if alive and length > 0.0 else 0.0
+    hp = monster.hp * kind.hp_scale
+    if settings.layout == LAYOUT_GODOT:
+        return [
+            (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0,
+            (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0,
+            hp,
+            (player.x - monster.x) * inverse,
+            (player.y - monster.y) * inverse,
+        ]
+    row = [
+        length * kind.distance_scale if alive else 0.0,
+        (monster.x - player.x) * inverse,
+        (monster.y - player.y) * inverse,
+        hp,
+    ]
+    if settings.layout == LAYOUT_PYGAME:
+        row.append(kind.xp * kind.xp_scale if alive else 0.0)
+    return row

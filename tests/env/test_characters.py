@@ -1,0 +1,312 @@
+"""Characters: the published numbers reach the rules, and a user's own file overrides them or is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.config import make_env_config
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import BAMBOO, write_level
+
+# facts.md section 2, in its own units: points, milliseconds and pixels a tick.
+CLASSES = {  # HP, energy, attack, magic, speed
+    "tank": (150, 70, 10, 5, 5),
+    "mage": (70, 80, 7, 6, 5),
+    "warrior": (100, 60, 12, 4, 5),
+}
+WEAPONS = {  # damage, ticks of 400 ms and the cool-down together at 60 a second
+    "sword": (15, 30),  # 500 ms
+    "lance": (30, 48),  # 800 ms
+    "axe": (20, 42),  # 700 ms
+    "rapier": (8, 27),  # 450 ms
+    "sai": (10, 29),  # 480 ms are 28.8 ticks
+}
+MONSTERS = {  # HP, XP, attack, speed, knock-back, attack radius, notice radius
+    "squid": (1, 10, 2, 3, 20, 100, 200),
+    "raccoon": (1, 25, 5, 2, 10, 100, 180),
+    "spirit": (1, 11, 2, 4, 20, 100, 220),
+    "bamboo": (1, 9, 1, 3, 20, 100, 300),
+}
+ORDER = ("bamboo", "spirit", "raccoon", "squid")  # of the zoo
+
+
+def player_row(**settings: object) -> np.void:
+    """Return the stats of the first player of a world with these settings."""
+    row: np.void = Worlds(1, make_env_config(settings)).player_stats[0]
+    return row
+
+
+def monster_rows(level: str, characters: str) -> dict[str, np.void]:
+    """Return the stats of each kind of monster of the zoo."""
+    worlds = Worlds(1, make_env_config({"level": level, "characters": characters}))
+    return dict(zip(ORDER, worlds.monster_stats[0], strict=True))
+
+
+# --- The published numbers -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_every_number_of_a_class_reaches_the_rules(name: str) -> None:
+    hp, energy, attack, magic, speed = CLASSES[name]
+    row = player_row(classes=name)
+    assert (row["hp"], row["energy"], row["speed"]) == (hp, energy, speed)
+    assert row["damage"] == attack + 15  # with the sword
+    assert row["flame_damage"] == 5 + magic  # a flame's strength is 5
+    assert row["heal"] == 20
+    assert row["safe"] == 18  # 300 ms
+
+
+@pytest.mark.parametrize("name", WEAPONS)
+def test_every_number_of_a_weapon_reaches_the_rules(name: str) -> None:
+    damage, ticks = WEAPONS[name]
+    row = player_row(classes="mage", weapons=name)
+    assert (row["damage"], row["swing"]) == (7 + damage, ticks)  # a mage's attack is 7
+
+
+@pytest.mark.parametrize("name", MONSTERS)
+def test_every_number_of_a_monster_reaches_the_rules(zoo: str, name: str) -> None:
+    hp, xp, attack, speed, knock_back, attack_radius, notice_radius = MONSTERS[name]
+    row = monster_rows(zoo, "pygame")[name]
+    assert (row["hp"], row["xp"], row["damage"], row["speed"]) == (hp, xp, attack, speed)
+    assert row["knock_speed"] == knock_back
+    assert (row["attack_squared"], row["notice_squared"]) == (attack_radius**2, notice_radius**2)
+    assert row["safe"] == 18
+
+
+def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
+    # facts.md section 1: 0.4 s, damage 20, 120 px/s for 0.5 s; 150 px/s, circles of 300 and 40 px, 7 HP
+    # every second, 1 XP and 7 HP for the kill.
+    row = player_row()
+    assert (row["hp"], row["speed"], row["damage"], row["swing"], row["safe"]) == (100, 5, 20, 24, 0)
+    assert (row["half_width"], row["half_height"]) == (23.5, 24)
+    assert (row["knock_speed"], row["knock_ticks"]) == (2, 30)
+    assert row["sword_x"].tolist() == [0, -54, 0, 54] and row["sword_y"].tolist() == [52, 0, -44, 0]
+    bamboo = monster_rows(zoo, "")["bamboo"]
+    assert (bamboo["hp"], bamboo["speed"], bamboo["damage"], bamboo["bite_ticks"]) == (40, 2.5, 7, 60)
+    assert (bamboo["half_width"], bamboo["half_height"], bamboo["stand_off"]) == (12, 25, 30)
+    assert (bamboo["notice_squared"], bamboo["attack_squared"]) == (300**2, 40**2)
+    assert (bamboo["xp"], bamboo["heal"], bamboo["safe"]) == (1, 7, 0)
+    assert bamboo["knock_ticks"] == -1  # as the striker's weapon has it
+
+
+def test_the_other_monsters_are_the_same_beside_either_bamboo(zoo: str) -> None:
+    godot, pygame = monster_rows(zoo, ""), monster_rows(zoo, "pygame")
+    for name in ("spirit", "raccoon", "squid"):
+        for field in ("hp", "xp", "damage", "speed", "notice_squared", "attack_squared", "knock_speed"):
+            assert godot[name][field] == pygame[name][field]
+
+
+def test_each_player_has_its_own_class_and_weapon() -> None:
+    config = make_env_config(
+        {"players": 3, "classes": ["tank", "base", "mage"], "weapons": ["axe", "own", "own"]}
+    )
+    stats = Worlds(1, config).player_stats
+    assert stats["hp"].tolist() == [150, 100, 70]
+    assert stats["damage"].tolist() == [30, 20, 22]  # 10 + 20, blade 20, 7 + 15
+
+
+# --- A file of one's own -------------------------------------------------------------------------
+
+ROGUE = """
+[players.rogue]
+hp = 80
+energy = 50
+attack = 9
+magic = 3
+speed = 360
+body = [40, 44]
+weapon = "club"
+invulnerable = 0.5
+energy_recovery = 1.0
+
+[weapons.club]
+damage = 33
+swing = 1.0
+knock_back = 240
+knock_back_time = 0.25
+box = [60, 50]
+reach = { down = 40, left = 41, up = 42, right = 43 }
+
+[monsters.wolf]
+code = 500
+hp = 12
+speed = 90
+body = [30, 20]
+notice = 150
+attack = 50
+stand_off = 25
+damage = 4
+bite_time = 0.5
+invulnerable = 0.1
+xp = 3
+heal = 2
+"""
+
+
+def write(folder: Path, text: str, name: str = "mine.toml") -> str:
+    """Write a file of characters and return its path."""
+    path = folder / name
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_file_overrides_key_by_key(tmp_path: Path, zoo: str) -> None:
+    file = write(
+        tmp_path, "[players.base]\nhp = 120\n[weapons.blade]\ndamage = 25\n[monsters.bamboo]\nxp = 2\n"
+    )
+    row, usual = player_row(characters=file), player_row()
+    assert (row["hp"], row["damage"]) == (120, 25)
+    changed = {"hp", "damage", "hp_scale"}
+    assert all(
+        np.array_equal(row[name], usual[name]) for name in row.dtype.names or () if name not in changed
+    )
+    bamboo, plain = monster_rows(zoo, file)["bamboo"], monster_rows(zoo, "")["bamboo"]
+    assert bamboo["xp"] == 2
+    changed = {"xp", "xp_scale"}
+    assert all(bamboo[name] == plain[name] for name in bamboo.dtype.names or () if name not in changed)
+
+
+def test_a_file_may_add_a_class_and_a_weapon(tmp_path: Path) -> None:
+    row = player_row(characters=write(tmp_path, ROGUE), classes="rogue")
+    assert (row["hp"], row["energy"], row["speed"], row["safe"]) == (80, 50, 6, 30)
+    assert (row["half_width"], row["half_height"]) == (20, 22)
+    assert (row["damage"], row["swing"]) == (9 + 33, 60)
+    assert (row["knock_speed"], row["knock_ticks"]) == (4, 15)
+    assert row["sword_x"].tolist() == [0, -41, 0, 43] and row["sword_y"].tolist() == [40, 0, -42, 0]
+    assert row["sword_half_width"].tolist() == [25, 30, 25, 30]  # 60 along the way faced, 50 across
+    assert row["energy_gain"] == 1.0 * 3 / 60
+    assert player_row(characters=write(tmp_path, ROGUE), weapons="club")["damage"] == 33  # base adds 0
+
+
+def test_a_file_may_add_a_monster_that_levels_then_know(tmp_path: Path) -> None:
+    file = write(tmp_path, ROGUE)
+    level = write_level(tmp_path / "den", [(0.0, 0.0)], [(200.0, 0.0), (300.0, 0.0)], codes=(500, BAMBOO))
+    worlds = Worlds(1, make_env_config({"level": level, "characters": file}))
+    assert [kind for kind, _, _ in worlds.level.monsters] == ["wolf", "bamboo"]
+    wolf = worlds.monster_stats[0, 0]
+    assert (wolf["home_x"], wolf["home_y"], wolf["hp"], wolf["speed"]) == (200, 0, 12, 1.5)
+    assert (wolf["bite_ticks"], wolf["safe"], wolf["knock_ticks"]) == (30, 6, -1)
+    with pytest.raises(UserError, match="unknown code 500; known are"):
+        Worlds(1, make_env_config({"level": level}))
+
+
+def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:
+    """A run's id follows the file's contents (design section 4): so must its world."""
+    assert player_row(characters=write(tmp_path, "[players.base]\nhp = 120\n"))["hp"] == 120
+    assert player_row(characters=write(tmp_path, "[players.base]\nhp = 130\n"))["hp"] == 130
+
+
+# --- Mistakes in it ------------------------------------------------------------------------------
+
+
+def complaint(file: str, **settings: object) -> str:
+    """Return what is said of a file of characters."""
+    with pytest.raises(UserError) as caught:
+        Worlds(1, make_env_config({"characters": file, **settings}))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("text", "table", "told"),
+    [
+        ("[players.base]\nhpp = 3", "[players.base]", "unknown key 'hpp' (did you mean hp?)"),
+        ("[weapons.axe]\ndammage = 3", "[weapons.axe]", "unknown key 'dammage' (did you mean damage?)"),
+        ("[monsters.squid]\nspeeed = 3", "[monsters.squid]", "unknown key 'speeed' (did you mean speed?)"),
+        ("[spells.flame]\nlenght = 3", "[spells.flame]", "unknown key 'lenght' (did you mean length?)"),
+        ("[player.base]\nhp = 3", "", "unknown table 'player' (did you mean players?)"),
+        ("[players.base]\nhp = 0", "[players.base]", "hp = 0 is not allowed: a number above 0"),
+        ("[players.base]\nhp = -3", "[players.base]", "hp = -3 is not allowed"),
+        ("[players.base]\nhp = nan", "[players.base]", "hp = nan is not allowed"),
+        ("[players.base]\nenergy = inf", "[players.base]", "energy = inf is not allowed"),
+        ("[players.base]\nhp = true", "[players.base]", "hp = True is not allowed"),
+        ('[players.base]\nhp = "full"', "[players.base]", "hp = 'full' is not allowed"),
+        ("[players.base]\nbody = [47]", "[players.base]", "body = [47] is not allowed: 2 of"),
+        ("[players.base]\nbody = [47, 0]", "[players.base]", "body = [47, 0] is not allowed"),
+        ("[players.base]\nweapon = 3", "[players.base]", "weapon = 3 is not allowed"),
+        ("[weapons.axe]\nswing = 0", "[weapons.axe]", "swing = 0 is not allowed"),
+        (
+            "[weapons.axe]\nreach = 50",
+            "[weapons.axe]",
+            "reach = 50 is not allowed: a number for each of down",
+        ),
+        ("[weapons.axe]\nreach = { down = 1 }", "[weapons.axe]", "reach = {'down': 1} is not allowed"),
+        (
+            "[weapons.axe]\nreach = { down = true, left = 1, up = 1, right = 1 }",
+            "[weapons.axe]",
+            "reach = {'down': True",
+        ),
+        ("[monsters.bamboo]\ncode = 3.5", "[monsters.bamboo]", "code = 3.5 is not allowed: a whole number"),
+        ("[monsters.bamboo]\nbite_time = 501", "[monsters.bamboo]", "bite_time = 501 is not allowed"),
+        ("[monsters.bamboo]\nknock_back = 9", "[monsters.bamboo]", "knock_back and knock_back_time go"),
+        ("[players.tankk]\nhp = 3", "[players.tankk]", "lacks the key 'energy'"),
+        ("players = 3", "", "players must hold tables"),
+        ("[players]\nhp = 3", "[players.hp]", "must be a table"),
+        ("hp = 3", "", "unknown table 'hp'"),
+        ("[players.base", "", "not TOML"),
+    ],
+)
+def test_a_mistake_is_one_line_with_file_table_key_and_value(
+    tmp_path: Path, text: str, table: str, told: str
+) -> None:
+    file = write(tmp_path, text)
+    message = complaint(file)
+    assert message.startswith(f"{file}: {table}")
+    assert told in message
+
+
+def test_an_unknown_weapon_of_a_class_is_told_with_its_file(tmp_path: Path) -> None:
+    file = write(tmp_path, '[players.base]\nweapon = "blaed"\n')
+    message = complaint(file)
+    assert "'blaed' (did you mean blade?)" in message
+    assert message.startswith(f"{file}: [players.base] weapon")
+
+
+@pytest.mark.parametrize(
+    ("text", "nearest"), [("[players.tankk]\nhp = 3", "tank"), ("[spells.flame_]\nstrength = 3", "flame")]
+)
+def test_a_misspelt_name_of_a_table_is_told_the_nearest(tmp_path: Path, text: str, nearest: str) -> None:
+    assert f"did you mean {nearest}?" in complaint(write(tmp_path, text))
+
+
+def test_a_spell_that_nobody_can_cast_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path, "[spells.frost]\nstrength = 5\ncost = 5\ncast = 0.4\n")
+    assert complaint(file).startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize("code", [390, 400])
+def test_a_code_that_means_something_else_already_is_refused(tmp_path: Path, code: int) -> None:
+    file = write(tmp_path, f"[monsters.squid]\ncode = {code}\n")  # bamboo's, a start's
+    message = complaint(file)
+    assert message.startswith(f"{file}: [monsters.squid] code = {code}")
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"classes": "tnak"}, "unknown class 'tnak' (did you mean tank?)"),
+        ({"weapons": "swrod"}, "unknown weapon 'swrod' (did you mean sword?)"),
+    ],
+)
+def test_an_unknown_class_or_weapon_is_told_the_nearest(settings: dict[str, object], told: str) -> None:
+    with pytest.raises(UserError) as caught:
+        Worlds(1, make_env_config(settings))
+    assert str(caught.value).startswith(told) and "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_told_and_a_misspelt_variant_the_nearest(tmp_path: Path) -> None:
+    missing = str(tmp_path / "none.toml")
+    assert complaint(missing).startswith(f"characters '{missing}': no such file")
+    assert "did you mean pygame?" in complaint("pygmae")
+
+
+def test_a_file_that_is_no_text_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    assert complaint(str(path)).startswith(f"{path}: not TOML")

@@ -1,0 +1,321 @@
+"""PneumaGodot-v0: the published code's environment with its quirks (facts.md section 1)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from pneuma.config import make_env_config
+from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.single import PneumaEnv
+from pneuma.env.vector import PneumaVectorEnv
+from pneuma.env.worlds import Worlds
+
+from .arena import (
+    ATTACK,
+    GODOT,
+    LEFT,
+    RIGHT,
+    STAND,
+    UP,
+    Place,
+    move_monster,
+    play,
+    player_at,
+    player_hp,
+    stage,
+)
+
+FIRST = (204.0, -105.0)
+
+
+def make(**settings: Any) -> PneumaEnv:
+    env = gymnasium.make(GODOT, **settings).unwrapped
+    assert isinstance(env, PneumaEnv)
+    return env
+
+
+def xp(worlds: Worlds, player: int = 0, world: int = 0) -> float:
+    return float(worlds.players["xp"][world, player])
+
+
+def reward(worlds: Worlds, player: int = 0) -> float:
+    return float(worlds.events["reward"][0, player])
+
+
+def scene(
+    level: str,
+    *monsters: Place,
+    ticks: int = 8,
+    players: tuple[Place, ...] = ((0.0, 0.0),),
+    **settings: object,
+) -> Worlds:
+    """Set up a world by Godot's rules in which monsters stay where they are."""
+    return stage(level, *monsters, players=players, ticks=ticks, still=True, env_id=GODOT, settings=settings)
+
+
+# --- Start ---------------------------------------------------------------------------------------
+
+
+def test_every_episode_begins_at_the_first_place() -> None:
+    worlds = Worlds(40, make_env_config({}, GODOT))
+    worlds.seed(range(40))
+    for _ in range(3):
+        worlds.reset()
+        assert (worlds.players["x"] == FIRST[0]).all() and (worlds.players["y"] == FIRST[1]).all()
+    assert (worlds.worlds["draws"] == 0).all()
+
+
+def test_options_still_choose_another_place() -> None:
+    env = make()
+    env.reset(seed=0, options={"start": 2})
+    assert player_at(env.state) == (-239.0, -798.0)
+    env.reset()
+    assert player_at(env.state) == FIRST
+
+
+def test_six_players_begin_at_the_six_places_in_their_order() -> None:
+    worlds = Worlds(1, make_env_config({"players": 6}, GODOT))
+    worlds.reset()
+    assert worlds.players["x"][0].tolist() == [204, 389, -239, -517, -918, -47]
+    assert worlds.players["y"][0].tolist() == [-105, 348, -798, 897, -35, 201]
+
+
+# --- XP that is never reset ----------------------------------------------------------------------
+
+
+def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
+    env = make()
+    env.reset(seed=0)
+    env.state.players["xp"] = -7.0
+    observation, _ = env.reset()
+    assert xp(env.state) == observation[3] == -7.0
+    env.step(np.int64(ATTACK))
+    assert env.reset()[0][3] == -7.0
+    assert env.reset(seed=0)[0][3] == 0.0
+    assert xp(env.state) == 0.0
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_xp_runs_on_through_autoreset_and_each_death_costs_1(pit: str, mode: AutoresetMode) -> None:
+    env = PneumaVectorEnv(2, GODOT, mode, level=pit)
+    env.reset(seed=0)
+    deaths = np.zeros(2, np.int64)
+    for step in range(200):
+        _, _, terminated, *_ = env.step(np.array([LEFT, RIGHT]) if step % 2 else np.array([RIGHT, LEFT]))
+        deaths += terminated
+        assert env.state.players["xp"][:, 0].tolist() == (-deaths).tolist()
+    assert (deaths > 5).all()
+    env.reset()
+    assert env.state.players["xp"][:, 0].tolist() == (-deaths).tolist()
+    observations, _ = env.reset(seed=0)
+    assert observations[:, 3].tolist() == [0, 0]
+
+
+def test_xp_runs_on_through_the_resets_of_stable_baselines3(pit: str) -> None:
+    env = PneumaVecEnv([1, 2], make_env_config({"level": pit}, GODOT))
+    env.keep_finished = True
+    env.reset()
+    for step in range(200):
+        env.step(np.array([LEFT, RIGHT]) if step % 2 else np.array([RIGHT, LEFT]))
+    deaths = [sum(episode["slot"] == slot for episode in env.finished) for slot in (0, 1)]
+    assert min(deaths) > 5
+    assert env.state.players["xp"][:, 0].tolist() == [-count for count in deaths]
+    assert [episode["xp"] for episode in env.finished if episode["slot"] == 0][:3] == [-1, -2, -3]
+    env.reset()
+    assert xp(env.state) == -deaths[0]
+    env.seed(1)
+    env.reset()
+    assert xp(env.state) == 0
+
+
+def test_a_masked_reset_with_a_seed_clears_the_xp_of_its_worlds_alone() -> None:
+    env = PneumaVectorEnv(2, GODOT, AutoresetMode.DISABLED)
+    env.reset(seed=0)
+    env.state.players["xp"] = 5.0
+    env.reset(seed=9, options={"reset_mask": np.array([False, True])})
+    assert env.state.players["xp"][:, 0].tolist() == [5, 0]
+
+
+# --- Endings -------------------------------------------------------------------------------------
+
+
+def test_death_by_bites_costs_1_xp_and_terminates() -> None:
+    env = make()
+    env.reset(seed=0)
+    env.state.players["hp"], env.state.players["xp"] = 7, 4
+    move_monster(env.state, 0, FIRST[0] - 30, FIRST[1])
+    _, paid, terminated, truncated, info = env.step(np.int64(ATTACK))
+    assert (terminated, truncated) == (True, False)
+    assert (info["ending"], info["xp"], info["hp"]) == ("killed", 3.0, 0.0)
+    assert paid == 3.0  # set to the XP
+
+
+def swim(**settings: object) -> PneumaEnv:
+    """Return an environment whose player stands two ticks' walk off the northern coast, with 4 XP."""
+    env = make(**settings)
+    env.reset(seed=0)
+    # At column 20, x from (20 - 28) x 64 = -512, find where the land ends.
+    level = env.state.level
+    column = int((-480 - level.left) // level.tile)
+    row = int(np.flatnonzero(level.terrain[:, column] != 2)[0])
+    env.state.players["x"], env.state.players["y"] = -480.0, level.top + row * level.tile + 7.0
+    env.state.players["xp"] = 4
+    env.state.monsters["hp"] = 0
+    env.state.monsters["hp"][0, 0] = 40  # far off
+    move_monster(env.state, 0, 0.0, 500.0)
+    return env
+
+
+def test_the_coast_kills_and_costs_no_xp() -> None:
+    env = swim()
+    y = player_at(env.state)[1]
+    _, paid, terminated, truncated, info = env.step(np.int64(UP))
+    assert (terminated, truncated) == (True, False)
+    assert (info["ending"], info["xp"], info["hp"]) == ("killed", 4.0, 0.0)
+    assert paid == 0.0  # nothing happened on the way
+    assert env.state.events["hp_lost"][0, 0] == 100
+    assert player_at(env.state) == (-480.0, y - 10.0)  # its centre is out at sea: 7 px, 5 a tick
+
+
+def test_a_shore_walk_is_safe_until_the_centre_is_out(arena: str) -> None:
+    # The land ends at x = 576: the body may hang over, the centre may not be beyond.
+    worlds = scene(arena, ticks=1, players=((560.0, 0.0),))
+    play(worlds, RIGHT, RIGHT, RIGHT)
+    assert (player_at(worlds), worlds.ending(0)) == ((575.0, 0.0), "running")
+    play(worlds, RIGHT)
+    assert worlds.ending(0) == "killed"
+
+
+def test_whoever_is_bitten_to_death_before_reaching_the_sea_pays(arena: str) -> None:
+    # Facing the sea 5 px off, with 7 HP: the bite falls in the first tick, the sea in the second.
+    worlds = scene(arena, (544.0, 0.0), players=((574.0, 0.0),))
+    worlds.players["hp"] = 7
+    play(worlds, UP)
+    assert (worlds.ending(0), xp(worlds)) == ("killed", -1)
+    worlds = scene(arena, (544.0, 0.0), players=((574.0, 0.0),))
+    worlds.players["hp"] = 7
+    play(worlds, RIGHT)  # out in the first tick, before anything bites
+    assert (worlds.ending(0), xp(worlds)) == ("killed", 0)
+
+
+def test_clearing_the_level_costs_1_xp_and_terminates() -> None:
+    env = make()
+    env.reset(seed=0)
+    env.state.players["facing"], env.state.players["xp"] = RIGHT, 4
+    env.state.monsters["hp"] = 0
+    env.state.monsters["hp"][0, 0] = 20
+    env.state.monsters["bite"][0, 0, 0] = 30
+    env.state.worlds["monsters_left"] = 1
+    move_monster(env.state, 0, FIRST[0] + 54, FIRST[1])
+    _, paid, terminated, truncated, info = env.step(np.int64(ATTACK))
+    assert (terminated, truncated) == (True, False)
+    assert (info["ending"], info["kills"], info["xp"], info["hp"]) == ("cleared", 1, 4.0, 100.0)  # 4 + 1 - 1
+    assert paid == 4.0
+
+
+def test_the_time_limit_terminates_and_costs_1_xp() -> None:
+    env = make(episode_steps=3)
+    env.reset(seed=0)
+    ends = [env.step(np.int64(ATTACK)) for _ in range(3)]
+    assert [(end[2], end[3]) for end in ends] == [(False, False), (False, False), (True, False)]
+    assert [end[1] for end in ends] == [0.0, 0.0, -1.0]
+    assert (ends[2][4]["ending"], ends[2][4]["xp"]) == ("time-limit", -1.0)
+
+
+def test_the_time_limit_is_1000_seconds() -> None:
+    assert Worlds(1, make_env_config({}, GODOT)).settings["step_limit"][0] == 1000 * 60 / 8
+
+
+def test_of_several_players_each_pays_for_its_own_death(arena: str) -> None:
+    worlds = scene(arena, (-30.0, 0.0), players=((0.0, 0.0), (400.0, -400.0)), episode_steps=2)
+    worlds.players["hp"][0, 0] = 7
+    play(worlds, STAND)
+    assert (xp(worlds, 0), xp(worlds, 1)) == (-1, 0)
+    play(worlds, STAND)
+    assert worlds.ending(0) == "time-limit"
+    assert (xp(worlds, 0), xp(worlds, 1)) == (-1, -1)
+
+
+# --- Kills ---------------------------------------------------------------------------------------
+
+
+def strike(arena: str, x: float, y: float, *others: Place) -> Worlds:
+    """Let player 0 with 4 XP and 50 HP, who faces right, kill a monster that has stood there for a tick."""
+    worlds = scene(arena, (x, y), ticks=1, players=((0.0, 0.0), *others))
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, LEFT, RIGHT)
+    worlds.players["xp"], worlds.players["hp"] = 4, 50
+    play(worlds, ATTACK)
+    assert worlds.events["kills"][0, 0] == 1
+    return worlds
+
+
+@pytest.mark.parametrize(
+    ("x", "paid"),
+    [
+        (63.5, True),  # 40 px off the body
+        (64.0, False),
+    ],
+)
+def test_a_kill_earns_only_within_the_attack_circle(arena: str, x: float, paid: bool) -> None:
+    worlds = strike(arena, x, 0.0)
+    assert (xp(worlds), player_hp(worlds)) == ((5, 57) if paid else (4, 50))
+    assert worlds.players["kills"][0, 0] == 1  # it is a kill all the same
+    assert reward(worlds) == xp(worlds)  # set to the XP, whatever it is
+
+
+def test_a_kill_earns_for_everybody_in_the_circle(arena: str) -> None:
+    # The second stands beside the monster, on its other side; the third too far off.
+    worlds = strike(arena, 54.0, 0.0, (110.0, 0.0), (54.0, 200.0))
+    assert worlds.players["xp"][0].tolist() == [5, 5, 4]
+    assert worlds.players["hp"][0].tolist() == [57, 57, 50]
+    assert worlds.players["kills"][0].tolist() == [1, 0, 0]
+    assert worlds.events["reward"][0].tolist() == [5, 5, 4]
+
+
+def test_the_striker_alone_earns_by_the_texts_rules(arena: str) -> None:
+    worlds = stage(arena, (100.0, 0.0), players=((46.0, 0.0), (130.0, 0.0)), still=True)
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, STAND)
+    assert worlds.players["xp"][0].tolist() == [1, 0]
+
+
+def test_the_reward_of_a_chase_is_1_for_each_circle(arena: str) -> None:
+    # 1 for being noticed, 1 for the first contact, and nothing for the bites.
+    worlds = stage(arena, (-320.0, 0.0), env_id=GODOT)
+    paid = []
+    for _ in range(30):
+        play(worlds, STAND)
+        paid.append(reward(worlds))
+    assert paid.count(1.0) == 2 and paid.count(0.0) == 28 and paid[0] == 1.0
+    assert player_hp(worlds) < 100
+
+
+# --- Everything together -------------------------------------------------------------------------
+
+
+def returns(level: str, first: int, second: int) -> tuple[list[float], set[str]]:
+    """Return the returns of episodes of two actions in turn, and how they ended."""
+    env = PneumaVecEnv([0], make_env_config({"level": level}, GODOT))
+    env.keep_finished = True
+    env.reset()
+    step = 0
+    for _ in range(300):
+        _, _, dones, _ = env.step(np.array([(first, second)[step % 2]]))
+        step = 0 if dones[0] else step + 1
+    return [episode["return"] for episode in env.finished], {episode["ending"] for episode in env.finished}
+
+
+def test_who_dies_of_bites_earns_1_less_in_every_episode_and_who_drowns_does_not(pit: str) -> None:
+    """Episodes that are the same to the bit: the published runs' returns sink for this (facts.md 4.3)."""
+    bitten, endings = returns(pit, LEFT, RIGHT)
+    assert endings == {"killed"} and len(bitten) > 5
+    assert np.diff(bitten).tolist() == [-1] * (len(bitten) - 1)
+    drowned, endings = returns(pit, LEFT, LEFT)
+    assert endings == {"killed"} and len(drowned) > 5
+    assert np.diff(drowned).tolist() == [0] * (len(drowned) - 1)

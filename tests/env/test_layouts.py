@@ -1,0 +1,287 @@
+"""Observations in every layout, order and scale, of all monsters or of some."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import OBSERVATIONS, ORDERS, SCALES, make_env_config
+from pneuma.env.observation import feature_names
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import (
+    ATTACK,
+    GODOT,
+    LAND,
+    LEFT,
+    RIGHT,
+    STAND,
+    THESIS,
+    UP,
+    Place,
+    begin,
+    play,
+    stage,
+)
+
+LENGTHS = {"thesis": 60, "pygame": 31, "godot": 74}  # 4 + 14 x 4, 6 + 5 x 5, 4 + 14 x 5
+WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
+
+
+def look(level: str, *monsters: Place, players: tuple[Place, ...] = ((0.0, 0.0),), **settings: Any) -> Worlds:
+    """Set up a world in which nothing moves and observe it."""
+    worlds = stage(level, *monsters, players=players, still=True, settings=settings)
+    play(worlds, STAND)
+    return worlds
+
+
+def seen(worlds: Worlds) -> np.ndarray:
+    return np.asarray(worlds.observations[0, 0])
+
+
+def rows(worlds: Worlds) -> np.ndarray:
+    """Return the monsters' part of what the first player sees, a row each."""
+    head, width = WIDTHS[worlds.config.observation]
+    return seen(worlds)[head:].reshape(-1, width)
+
+
+# --- Names ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", OBSERVATIONS)
+def test_every_number_of_a_layout_has_a_name(layout: str) -> None:
+    worlds = Worlds(1, make_env_config({"observation": layout}))
+    head, width = WIDTHS[layout]
+    names = feature_names(layout, (LENGTHS[layout] - head) // width)
+    assert len(names) == len(set(names)) == LENGTHS[layout]
+    assert worlds.space.shape == worlds.observations.shape[2:] == (LENGTHS[layout],)
+
+
+def test_the_names_are_in_the_order_of_the_numbers() -> None:
+    assert feature_names("pygame", 1) == [
+        "x", "y", "facing_x", "facing_y", "hp", "energy",
+        "monster_0_distance", "monster_0_direction_x", "monster_0_direction_y", "monster_0_hp",
+        "monster_0_xp",
+    ]  # fmt: skip
+    assert feature_names("godot", 1) == [
+        "x", "y", "hp", "xp",
+        "monster_0_x", "monster_0_y", "monster_0_hp", "monster_0_direction_x", "monster_0_direction_y",
+    ]  # fmt: skip
+
+
+# --- The layout of the Godot version -------------------------------------------------------------
+
+
+def test_godot_sees_raw_pixels_and_points_in_fixed_order(arena: str) -> None:
+    worlds = stage(arena, (180.0, -240.0), (-300.0, 0.0), still=True, settings={"observation": "godot"})
+    worlds.players["hp"], worlds.players["xp"], worlds.monsters["hp"][0, 0] = 43, 3, 20
+    worlds.monster_stats["attack_squared"] = 0.0
+    play(worlds, UP)  # to (0, -40)
+    assert seen(worlds)[:4].tolist() == [0, -40, 43, 3]
+    # (180, -240) to (0, -40) is (-180, 200), 269.07 px; (-300, 0) to (0, -40) is (300, -40), 302.65 px.
+    expected = [
+        [180, -240, 20, -180 / 269.0725, 200 / 269.0725],
+        [-300, 0, 40, 300 / 302.6549, -40 / 302.6549],
+    ]
+    assert rows(worlds)[:2] == pytest.approx(np.array(expected), abs=1e-6)
+
+
+def test_the_godot_environment_begins_with_74_published_numbers() -> None:
+    worlds = begin(1, env_id=GODOT)
+    assert seen(worlds)[:4].tolist() == [204, -105, 100, 0]
+    assert rows(worlds).shape == (14, 5)
+    # The first monster is at (-538, -531): (742, 426) to the player, 855.59 px.
+    assert rows(worlds)[0] == pytest.approx([-538, -531, 40, 742 / 855.593, 426 / 855.593], abs=1e-5)
+    assert rows(worlds)[13, :3].tolist() == [560, -141, 40]
+
+
+# --- The layout of the PyGame version ------------------------------------------------------------
+
+
+def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None:
+    worlds = stage(zoo, (-300.0, 400.0), still=True, settings={"observation": "pygame", "magic": True})
+    worlds.players["hp"], worlds.players["energy"] = 43, 15
+    play(worlds, RIGHT)
+    worlds.players["x"], worlds.players["energy"] = 0.0, 15
+    worlds.observe()
+    # The land spans -576 … 576: the map is 1152 px wide and high. Of 100 HP, 60 energy.
+    assert seen(worlds)[:6] == pytest.approx([0.5, 0.5, 1, 0, 0.43, 0.25])
+    # The bamboo is 500 px away along (-0.6, 0.8); the dearest, the raccoon, is worth 25 XP.
+    assert rows(worlds)[0] == pytest.approx([500 / 1152, -0.6, 0.8, 1, 1 / 25])
+
+
+@pytest.mark.parametrize(("way", "facing"), [(0, (0, 1)), (LEFT, (-1, 0)), (UP, (0, -1)), (RIGHT, (1, 0))])
+def test_pygame_sees_the_facing_as_a_direction(arena: str, way: int, facing: tuple[int, int]) -> None:
+    worlds = stage(arena, settings={"observation": "pygame"})
+    play(worlds, way)
+    assert tuple(seen(worlds)[2:4].tolist()) == facing
+
+
+def test_pygame_sees_the_five_nearest() -> None:
+    worlds = Worlds(1, make_env_config({"observation": "pygame"}))
+    worlds.reset(starts=np.array([0]))
+    # From (204, -105): 357.82, 362.11 and 497.21 px, as the thesis's layout sees; the land is 2944 px wide.
+    assert (rows(worlds)[:3, 0] * 2944).tolist() == pytest.approx([357.815, 362.112, 497.213], abs=1e-2)
+    assert rows(worlds).shape == (5, 5)
+    assert (np.diff(rows(worlds)[:, 0]) > 0).all()
+
+
+# --- Scales --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scale", "x", "y", "hp", "xp", "distance", "monster_hp"),
+    [
+        ("unit", -540 / 576, 270 / 576, 0.4, 3 / 4, 500 / 300, 0.5),
+        ("map", 36 / 1152, 846 / 1152, 0.4, 3 / 4, 500 / 1152, 0.5),
+        ("raw", -540, 270, 40, 3, 500, 20),
+    ],
+)
+def test_a_scale_holds_for_every_number(
+    arena: str, scale: str, x: float, y: float, hp: float, xp: float, distance: float, monster_hp: float
+) -> None:
+    worlds = look(arena, (-240.0, -130.0), players=((-540.0, 270.0),), scale=scale)
+    worlds.players["hp"], worlds.players["xp"] = 40, 3
+    worlds.monsters["hp"][0] = [20, 0, 0, 0]
+    worlds.observe()
+    assert seen(worlds)[:4] == pytest.approx([x, y, hp, xp], abs=1e-6)
+    assert rows(worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
+
+
+def test_unit_distances_are_in_each_monsters_own_notice_radii(zoo: str) -> None:
+    worlds = look(zoo, (0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0), magic=True)
+    # Bamboo notices from 300 px, spirit from 220, raccoon from 180, squid from 200.
+    assert rows(worlds)[:, 0].tolist() == pytest.approx([0.3, 0.5, 1.0, 1.5])
+
+
+@pytest.mark.parametrize(("layout", "scale"), list(itertools.product(OBSERVATIONS, ("unit", "map"))))
+def test_scaled_shares_are_of_the_players_own_class(arena: str, layout: str, scale: str) -> None:
+    players = ((0.0, 0.0), (100.0, 0.0))
+    worlds = look(arena, players=players, observation=layout, scale=scale, classes=["tank", "mage"])
+    hp = feature_names(layout, 0).index("hp")
+    assert worlds.observations[0, :, hp].tolist() == [1, 1]
+
+
+# --- Which monsters, and in which order ----------------------------------------------------------
+
+
+def test_nearest_k_sees_no_more_than_k(arena: str) -> None:
+    worlds = look(arena, (-400.0, 0.0), (0.0, 200.0), (-100.0, 0.0), (0.0, -300.0), perceive="nearest:3")
+    assert (rows(worlds)[:, 0] * 300).tolist() == pytest.approx([100, 200, 300])
+    worlds.monsters["hp"][0, 1:3] = 0
+    worlds.observe()
+    assert (rows(worlds)[:, 0] * 300).tolist() == pytest.approx([300, 400, 0])
+
+
+def test_nearest_k_keeps_to_the_nearest_in_fixed_order_too(arena: str) -> None:
+    places = (-400.0, 0.0), (0.0, 200.0), (-100.0, 0.0), (0.0, -300.0)
+    worlds = look(arena, *places, perceive="nearest:2", order="fixed")
+    assert (rows(worlds)[:, 0] * 300).tolist() == pytest.approx([200, 100])
+
+
+def test_more_than_there_are_means_all(arena: str) -> None:
+    assert rows(look(arena, perceive="nearest:99")).shape == (4, 4)
+
+
+@pytest.mark.parametrize(
+    ("perceive", "distances"),
+    [
+        ("kind:spirit", [110]),
+        ("kind:squid,bamboo", [90, 300]),
+        ("kind:raccoon,spirit,squid", [110, 180, 300]),
+    ],
+)
+def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: list[float]) -> None:
+    places = (0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0)  # bamboo, spirit, raccoon, squid
+    worlds = look(zoo, *places, perceive=perceive, scale="raw")
+    assert rows(worlds)[:, 0].tolist() == pytest.approx(distances)
+    worlds = look(zoo, *places, perceive=perceive, scale="raw", order="fixed")
+    assert rows(worlds)[:, 0].tolist() == pytest.approx(sorted(distances))  # they stand in this order
+    assert worlds.space.contains(seen(worlds))
+
+
+def test_a_kind_that_the_level_does_not_have_is_told_the_nearest(zoo: str, arena: str) -> None:
+    with pytest.raises(
+        UserError, match=r"unknown kind of monster on this level 'squidd' \(did you mean squid"
+    ):
+        Worlds(1, make_env_config({"level": zoo, "perceive": "kind:squidd"}))
+    with pytest.raises(UserError, match="unknown kind of monster on this level 'squid'"):
+        Worlds(1, make_env_config({"level": arena, "perceive": "kind:squid"}))
+
+
+@pytest.mark.parametrize("perceive", ["nearest", "nearest:0", "nearest:-1", "nearest:x", "kind:", "some"])
+def test_perceive_of_another_form_is_told_the_forms(perceive: str) -> None:
+    with pytest.raises(UserError, match=f'perceive = "{perceive}" is not allowed: all, nearest:K'):
+        make_env_config({"perceive": perceive})
+
+
+@pytest.mark.parametrize("layout", OBSERVATIONS)
+def test_in_fixed_order_a_dead_monsters_row_is_zeros_and_the_others_stay(zoo: str, layout: str) -> None:
+    worlds = look(zoo, (54.0, 0.0), observation=layout, perceive="all", order="fixed")
+    before = rows(worlds).copy()
+    worlds.monsters["hp"][0, 1] = 0
+    worlds.observe()
+    assert (rows(worlds)[1] == 0).all()
+    assert np.array_equal(rows(worlds)[[0, 2, 3]], before[[0, 2, 3]])
+
+
+@pytest.mark.parametrize("layout", OBSERVATIONS)
+def test_nearest_first_the_dead_make_room(zoo: str, layout: str) -> None:
+    worlds = look(zoo, (54.0, 0.0), observation=layout, perceive="all", order="nearest")
+    before = rows(worlds).copy()
+    worlds.monsters["hp"][0, 0] = 0
+    worlds.observe()
+    assert np.array_equal(rows(worlds)[:3], before[1:])
+    assert (rows(worlds)[3] == 0).all()
+
+
+def test_equal_distances_keep_the_levels_order(arena: str) -> None:
+    worlds = look(arena, (0.0, 200.0), (200.0, 0.0), (0.0, -200.0), (-200.0, 0.0), perceive="nearest:2")
+    assert rows(worlds)[:, 1:3].tolist() == [[0, 1], [1, 0]]
+
+
+# --- Bounds --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("env_id", [THESIS, GODOT])
+@pytest.mark.parametrize(("layout", "scale", "order"), list(itertools.product(OBSERVATIONS, SCALES, ORDERS)))
+def test_no_observation_ever_leaves_its_space(env_id: str, layout: str, scale: str, order: str) -> None:
+    worlds = begin(
+        6, env_id=env_id, observation=layout, scale=scale, order=order, magic=True, players=2,
+        classes=["base", "tank"], start="random", episode_steps=150,
+    )  # fmt: skip
+    for space in worlds.spaces:
+        assert space.dtype == np.float32 and np.isfinite(space.low).all() and np.isfinite(space.high).all()
+    generator = np.random.default_rng(2)
+    stride = generator.integers(7, size=(6, 2))
+    endings = 0
+    for _ in range(400):
+        stride = np.where(generator.random((6, 2)) < 0.1, generator.integers(7, size=(6, 2)), stride)
+        endings += worlds.step(stride)
+        for player, space in enumerate(worlds.spaces):
+            here = worlds.observations[:, player]
+            assert (here >= space.low).all() and (here <= space.high).all()
+        worlds.reset(worlds.worlds["ending"] != 0)
+    assert endings > 5
+
+
+@pytest.mark.parametrize("layout", OBSERVATIONS)
+def test_what_a_costly_ending_leaves_is_inside_the_space(pit: str, layout: str) -> None:
+    settings = {"level": pit, "observation": layout, "ending_cost": 100, "start": "first"}
+    worlds = Worlds(1, make_env_config(settings))
+    worlds.reset()
+    while not worlds.worlds["ending"][0]:
+        play(worlds, ATTACK)
+    assert worlds.players["xp"][0, 0] <= -95
+    assert worlds.spaces[0].contains(seen(worlds))
+
+
+def test_a_player_in_any_corner_is_inside_the_space(arena: str) -> None:
+    for layout, scale, x, y in itertools.product(OBSERVATIONS, SCALES, (-1, 1), (-1, 1)):
+        there = (x * (LAND - 23.5), y * (LAND - 24.0))
+        worlds = look(arena, (-there[0], -there[1]), players=(there,), observation=layout, scale=scale)
+        assert worlds.spaces[0].contains(seen(worlds)), (layout, scale)

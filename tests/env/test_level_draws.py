@@ -1,0 +1,100 @@
+"""Several random levels: each episode draws one, and plays there as a world of that level alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.config import make_env_config
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import TOLD_ARRAYS, begin, bits, play
+
+LEVEL = "random:train:5"
+
+
+def test_levels_are_numbered_from_the_first_on() -> None:
+    worlds = Worlds(1, make_env_config({"level": LEVEL, "random_levels": 3}))
+    assert [level.name for level in worlds.levels] == [f"random:train:{number}" for number in (5, 6, 7)]
+    assert worlds.monster_stats.shape == (3, 14)
+
+
+def test_an_episode_draws_its_level_and_then_its_start() -> None:
+    worlds = Worlds(1, make_env_config({"level": LEVEL, "random_levels": 4}))
+    worlds.worlds["key"] = 0
+    drawn = []
+    for _ in range(2):
+        worlds.reset()
+        drawn.append((int(worlds.worlds["level"][0]), int(worlds.worlds["start"][0])))
+    # The published stream of key 0 begins 0xE220…, 0x6E78…, 0x06C4…, 0xF88B…: as shares of 2**64
+    # 0.883, 0.432, 0.026 and 0.971. Of 4 levels and 6 starts: 3.53, 2.59, 0.11, 5.83.
+    assert drawn == [(3, 2), (0, 5)]
+
+
+def test_a_single_level_draws_no_number() -> None:
+    worlds = begin(3, level=LEVEL)
+    assert worlds.worlds["draws"].tolist() == [1, 1, 1]  # for the start
+
+
+def test_levels_are_drawn_uniformly() -> None:
+    worlds = begin(2000, level=LEVEL, random_levels=4)
+    counts = np.bincount(worlds.worlds["level"], minlength=4)
+    # 500 of each expected; chi-square with 3 degrees of freedom is above 16.3 once in a thousand.
+    assert ((counts - 500) ** 2 / 500).sum() < 16.3
+
+
+def test_a_chosen_start_leaves_the_level_to_chance() -> None:
+    worlds = Worlds(30, make_env_config({"level": LEVEL, "random_levels": 3}))
+    worlds.seed(range(30))
+    worlds.reset(starts=np.full(30, 2))
+    for world, level in enumerate(worlds.worlds["level"].tolist()):
+        assert worlds.players[["x", "y"]][world, 0].tolist() == tuple(worlds.levels[level].starts[2])
+    assert set(worlds.worlds["level"].tolist()) == {0, 1, 2}
+
+
+def test_a_world_plays_as_on_its_level_alone() -> None:
+    company = begin(8, seed=1, level=LEVEL, random_levels=3, scale="raw", players=2)
+    alone = []
+    for world in range(8):
+        level = f"random:train:{5 + int(company.worlds['level'][world])}"
+        alone.append(Worlds(1, make_env_config({"level": level, "scale": "raw", "players": 2})))
+        alone[world].reset(starts=company.worlds["start"][world : world + 1].astype(np.int64))
+    generator = np.random.default_rng(0)
+    for _ in range(300):
+        actions = np.repeat(generator.integers(5, size=(8, 1)), 2, axis=1)
+        company.step(actions)
+        for world, worlds in enumerate(alone):
+            worlds.step(actions[world : world + 1])
+            for name in ("players", "monsters", *TOLD_ARRAYS):
+                here, there = getattr(worlds, name)[0], getattr(company, name)[world]
+                assert bits(here) == bits(there), name
+    assert len(set(company.worlds["level"].tolist())) == 3
+
+
+def test_observations_of_all_levels_share_a_scale_and_a_space() -> None:
+    worlds = begin(12, level=LEVEL, random_levels=4)
+    generator = np.random.default_rng(0)
+    for _ in range(200):
+        play(worlds, int(generator.integers(5)))
+        assert (worlds.observations >= worlds.space.low).all()
+        assert (worlds.observations <= worlds.space.high).all()
+    lands = np.array([level.land for level in worlds.levels])
+    left, right = lands[:, 0].min(), lands[:, 2].max()
+    expected = (worlds.players["x"][:, 0] - (left + right) / 2) * 2 / (right - left)
+    assert worlds.observations[:, 0, 0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("level", "told"),
+    [
+        ("thesis", "random_levels = 3 is not allowed: only random levels come in numbers"),
+        ("random:train", "level 'random:train' is not allowed"),
+        ("random:train:x", "level 'random:train:x' is not allowed"),
+        (f"random:train:{2**64 - 2}", f"level 'random:train:{2**64}' is not allowed"),
+    ],
+)
+def test_several_of_what_is_no_random_level_is_refused(level: str, told: str) -> None:
+    with pytest.raises(UserError) as caught:
+        Worlds(1, make_env_config({"level": level, "random_levels": 3}))
+    assert str(caught.value).startswith(told)

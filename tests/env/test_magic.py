@@ -1,0 +1,256 @@
+"""The rules of magic (thesis section 5.2): flame and heal, paid from energy that comes back.
+
+A base player has magic 4, 60 of energy and recovers 0.6 x 4 / 60 = 0.04 a tick. A flame burns a box of
+320 x 64 px ahead for 5 + 4 = 9 HP and costs 20; healing gives 20 HP and costs 10; both take 24 ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from pneuma.config import make_env_config
+from pneuma.env.worlds import Worlds
+
+from .arena import (
+    ATTACK,
+    DOWN,
+    FLAME,
+    HEAL,
+    LEFT,
+    RIGHT,
+    UP,
+    Place,
+    monster_at,
+    monster_hp,
+    move_monster,
+    play,
+    player_at,
+    player_hp,
+    stage,
+)
+
+WAYS = {DOWN: (0, 1), LEFT: (-1, 0), UP: (0, -1), RIGHT: (1, 0)}
+
+
+def cast(
+    level: str,
+    *monsters: Place,
+    facing: int = RIGHT,
+    ticks: int = 8,
+    settings: Mapping[str, object] | None = None,
+) -> Worlds:
+    """Set up a world with magic in which monsters neither move nor bite."""
+    magic = {"magic": True, **(settings or {})}
+    worlds = stage(level, *monsters, facing=facing, ticks=ticks, still=True, settings=magic)
+    worlds.monster_stats["damage"] = 0.0
+    return worlds
+
+
+def energy(worlds: Worlds) -> float:
+    return float(worlds.players["energy"][0, 0])
+
+
+def masked(worlds: Worlds) -> list[int]:
+    """Return the masks of flame and heal."""
+    worlds.observe()
+    return [int(allowed) for allowed in worlds.masks[0, 0, FLAME:]]
+
+
+# --- Actions -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("magic", "actions"), [(False, 5), (True, 7)])
+def test_there_are_seven_actions_only_with_magic(magic: bool, actions: int) -> None:
+    worlds = Worlds(1, make_env_config({"magic": magic}))
+    assert worlds.action_space.n == actions
+    assert worlds.masks.shape == (1, 1, actions)
+
+
+# --- Flame ---------------------------------------------------------------------------------------
+
+
+def beside(facing: int, along: float, across: float) -> Place:
+    """Return the place so far ahead of a player, and so far to the side."""
+    x, y = WAYS[facing]
+    return x * along + y * across, y * along + x * across
+
+
+@pytest.mark.parametrize("facing", WAYS)
+def test_a_flame_burns_the_320_x_64_px_ahead_and_nothing_else(arena: str, facing: int) -> None:
+    # A body is 24 x 50 px: half of it along the way faced, and half across.
+    along, across = (12.0, 25.0) if facing in (LEFT, RIGHT) else (25.0, 12.0)
+    for inside, burnt in ((0.001, 31), (0.0, 40)):
+        for place in (
+            beside(facing, 320 + along - inside, 0.0),
+            beside(facing, -along + inside, 0.0),
+            beside(facing, 160.0, 32 + across - inside),
+            beside(facing, 160.0, -32 - across + inside),
+        ):
+            worlds = cast(arena, place, facing=facing)
+            play(worlds, FLAME)
+            assert monster_hp(worlds) == burnt, place
+
+
+def test_a_flame_burns_every_monster_once_and_knocks_nobody_back(arena: str) -> None:
+    worlds = cast(arena, (40.0, 0.0), (200.0, 20.0), (310.0, -20.0), (-100.0, 0.0))
+    play(worlds, FLAME, FLAME, FLAME)
+    assert [monster_hp(worlds, m) for m in range(4)] == [31, 31, 31, 40]
+    assert monster_at(worlds, 1) == (200.0, 20.0)
+    assert worlds.monsters["knocked"][0].tolist() == [0] * 4
+
+
+def test_a_flame_burns_in_the_tick_in_which_it_is_cast(arena: str) -> None:
+    worlds = cast(arena, ticks=1)
+    play(worlds, FLAME)
+    move_monster(worlds, 0, 100.0, 0.0)
+    play(worlds, RIGHT)
+    assert monster_hp(worlds) == 40
+
+
+@pytest.mark.parametrize(
+    ("name", "hp"),
+    [("base", 31), ("tank", 30), ("mage", 29), ("warrior", 31)],  # 40 - 5 - magic of 4, 5, 6, 4
+)
+def test_a_flame_is_as_strong_as_its_casters_magic(arena: str, name: str, hp: float) -> None:
+    worlds = cast(arena, (100.0, 0.0), settings={"classes": name})
+    play(worlds, FLAME)
+    assert monster_hp(worlds) == hp
+
+
+def test_a_flame_tells_hits_and_pays_for_kills(arena: str) -> None:
+    worlds = cast(arena, (100.0, 0.0), (200.0, 0.0))
+    worlds.monsters["hp"][0, 0] = 9
+    play(worlds, FLAME)
+    assert (worlds.events["hits"][0, 0], worlds.events["kills"][0, 0]) == (2, 1)
+    assert (worlds.players["xp"][0, 0], worlds.players["kills"][0, 0]) == (1, 1)
+    assert worlds.worlds["monsters_left"][0] == 3
+
+
+def test_a_sword_hits_whom_a_flame_has_burnt(arena: str) -> None:
+    worlds = cast(arena, (54.0, 0.0))
+    play(worlds, FLAME, *[RIGHT] * 2)
+    assert player_at(worlds) == (0.0, 0.0)
+    play(worlds, ATTACK)
+    assert monster_hp(worlds) == 40 - 9 - 20
+
+
+# --- Heal ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("before", "after"), [(50, 70), (80, 100), (95, 100)])
+def test_healing_gives_20_hp_up_to_full(arena: str, before: float, after: float) -> None:
+    worlds = cast(arena)
+    worlds.players["hp"] = before
+    play(worlds, HEAL)
+    assert player_hp(worlds) == after
+    assert worlds.events["hp_gained"][0, 0] == after - before
+    play(worlds, HEAL, HEAL)  # still the same spell
+    assert player_hp(worlds) == after
+
+
+def test_healing_comes_before_the_bites_of_its_tick(arena: str) -> None:
+    worlds = stage(arena, (-30.0, 0.0), settings={"magic": True}, ticks=1)
+    worlds.players["hp"] = 5
+    play(worlds, HEAL)  # 5 + 20 - 7
+    assert player_hp(worlds) == 18
+    assert (worlds.events["hp_gained"][0, 0], worlds.events["hp_lost"][0, 0]) == (20, 7)
+
+
+# --- Energy --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("spell", "cost"), [(FLAME, 20), (HEAL, 10)])
+def test_a_spell_costs_energy_and_takes_24_ticks(arena: str, spell: int, cost: float) -> None:
+    worlds = cast(arena, ticks=1)
+    worlds.players["hp"] = 10
+    play(worlds, spell)
+    assert energy(worlds) == pytest.approx(60 - cost + 0.04)
+    play(worlds, *[spell] * 23)
+    assert energy(worlds) == pytest.approx(60 - cost + 24 * 0.04)
+    play(worlds, RIGHT)
+    assert player_at(worlds) == (5.0, 0.0)
+
+
+@pytest.mark.parametrize(("spell", "left"), [(FLAME, 19.5), (HEAL, 9.5)])
+def test_a_spell_that_cannot_be_paid_does_nothing(arena: str, spell: int, left: float) -> None:
+    worlds = cast(arena, (100.0, 0.0))
+    worlds.players["energy"], worlds.players["hp"] = left, 50
+    play(worlds, spell)
+    assert energy(worlds) == pytest.approx(left + 8 * 0.04)  # below the cost throughout
+    assert (monster_hp(worlds), player_hp(worlds)) == (40, 50)
+    assert worlds.players["busy"][0, 0] == 0
+    play(worlds, RIGHT)
+    assert player_at(worlds) == (40.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "full", "gained"),
+    [("base", 60, 0.04), ("tank", 70, 0.05), ("mage", 80, 0.06), ("warrior", 60, 0.04)],
+)
+def test_energy_comes_back_by_magic_up_to_full(arena: str, name: str, full: float, gained: float) -> None:
+    worlds = cast(arena, settings={"classes": name})  # 0.6 a second for each point of magic
+    assert energy(worlds) == full
+    worlds.players["energy"] = 10
+    play(worlds, RIGHT, LEFT)
+    assert energy(worlds) == pytest.approx(10 + 16 * gained)
+    worlds.players["energy"] = full - 0.1
+    play(worlds, RIGHT)
+    assert energy(worlds) == full
+
+
+def test_an_episode_begins_with_full_energy(arena: str) -> None:
+    worlds = cast(arena)
+    play(worlds, FLAME)
+    worlds.reset()
+    assert energy(worlds) == 60
+
+
+# --- Masks ---------------------------------------------------------------------------------------
+
+
+def test_masks_tell_which_spells_can_be_paid_and_help(arena: str) -> None:
+    worlds = cast(arena)
+    assert masked(worlds) == [1, 0]  # nothing to heal
+    worlds.players["hp"] = 99
+    assert masked(worlds) == [1, 1]
+    worlds.players["energy"] = 15
+    assert masked(worlds) == [0, 1]
+    worlds.players["energy"] = 5
+    assert masked(worlds) == [0, 0]
+
+
+def test_no_spell_is_allowed_while_another_lasts(arena: str) -> None:
+    worlds = cast(arena)
+    worlds.players["hp"] = 10
+    told = []
+    for action in (HEAL, RIGHT, RIGHT):
+        play(worlds, action)
+        told.append(masked(worlds))
+    assert told == [[0, 0], [0, 0], [1, 1]]
+
+
+@pytest.mark.parametrize(("spell", "cost"), [(FLAME, 20), (HEAL, 10)])
+def test_a_spell_that_energy_suffices_for_during_the_step_is_allowed(
+    arena: str, spell: int, cost: float
+) -> None:
+    # 0.1 short, at 0.04 a tick: the spell is tried at every tick and cast in the fourth.
+    worlds = cast(arena)
+    worlds.players["hp"], worlds.players["energy"] = 50, cost - 0.1
+    allowed = masked(worlds)[spell - FLAME]
+    play(worlds, spell)
+    assert worlds.players["busy"][0, 0] == 24 - 5
+    assert allowed == 1
+
+
+def test_every_number_of_a_mask_is_0_or_1() -> None:
+    worlds = Worlds(20, make_env_config({"magic": True, "players": 2}))
+    worlds.seed(range(20))
+    worlds.reset()
+    generator = np.random.default_rng(0)
+    for _ in range(100):
+        worlds.step(generator.integers(7, size=(20, 2)))
+        assert np.isin(worlds.masks, (0, 1)).all()
+        assert worlds.masks[..., ATTACK].all()

@@ -1,0 +1,222 @@
+"""Action masks: 0 exactly where an action would do nothing in the next step."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from pneuma.env.parallel import PneumaParallelEnv
+from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.single import PneumaEnv
+from pneuma.env.vector import PneumaVectorEnv
+from pneuma.env.worlds import Worlds
+
+from .arena import (
+    ATTACK,
+    DOWN,
+    GODOT,
+    LAND,
+    LEFT,
+    RIGHT,
+    THESIS,
+    UP,
+    Place,
+    begin,
+    bits,
+    play,
+    stage,
+)
+
+FREE = [1, 1, 1, 1, 1]
+EDGE_X, EDGE_Y = LAND - 23.5, LAND - 24.0  # where a body is flush with the coast
+
+
+def mask(worlds: Worlds, player: int = 0) -> list[int]:
+    """Return a player's mask in the first world as it is now."""
+    worlds.observe()
+    return [int(allowed) for allowed in worlds.masks[0, player]]
+
+
+# --- Walls ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("way", "place"),
+    [
+        (LEFT, (-EDGE_X, 0.0)),
+        (RIGHT, (EDGE_X, 0.0)),
+        (UP, (0.0, -EDGE_Y)),
+        (DOWN, (0.0, EDGE_Y)),
+        (RIGHT, (232.5, 30.0)),  # the obstacle's left edge is at 256
+    ],
+)
+def test_walking_on_into_a_wall_already_faced_is_masked(arena: str, way: int, place: Place) -> None:
+    worlds = stage(arena, players=[place], facing=way)
+    assert mask(worlds) == [action != way for action in range(5)]
+    worlds.players["facing"] = (way + 1) % 4
+    assert mask(worlds) == FREE  # it would turn
+
+
+def test_a_wall_one_pixel_off_leaves_something_to_walk(arena: str) -> None:
+    assert mask(stage(arena, players=[(EDGE_X - 1, 0.0)], facing=RIGHT)) == FREE
+
+
+def test_in_a_corner_only_the_faced_wall_is_masked(arena: str) -> None:
+    worlds = stage(arena, players=[(EDGE_X, EDGE_Y)], facing=DOWN)
+    assert mask(worlds) == [0, 1, 1, 1, 1]
+
+
+def test_a_deadly_coast_stops_nobody(arena: str) -> None:
+    assert mask(stage(arena, players=[(EDGE_X, 0.0)], facing=RIGHT, settings={"coast": "deadly"})) == FREE
+
+
+# --- Attacks -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("weapon", "masked"),
+    [
+        ("blade", 2),  # 24 ticks: 16 and 8 are left after one step and two, none after three
+        ("sword", 2),  # 30: 22, 14, then 6 of the next 8
+        ("lance", 5),  # 48: 40, 32, 24, 16, 8
+        ("sai", 2),  # 29: 21, 13, 5
+    ],
+)
+def test_all_but_attack_is_masked_while_an_attack_lasts_through_the_step(
+    arena: str, weapon: str, masked: int
+) -> None:
+    worlds = stage(arena, settings={"weapons": weapon})
+    told: list[list[int]] = []
+    for _ in range(masked + 1):
+        play(worlds, ATTACK if not told else RIGHT)
+        told.append(mask(worlds))
+    assert told == [[0, 0, 0, 0, 1]] * masked + [FREE]
+
+
+def test_each_player_has_its_own_mask(arena: str) -> None:
+    worlds = stage(arena, players=[(EDGE_X, 0.0), (0.0, 0.0), (100.0, 100.0)], facing=RIGHT)
+    worlds.players["busy"][0, 1] = 16
+    assert [mask(worlds, player) for player in range(3)] == [[1, 1, 1, 0, 1], [0, 0, 0, 0, 1], FREE]
+
+
+def test_an_idle_slot_may_only_attack(pit: str) -> None:
+    env = PneumaVectorEnv(2, level=pit, players=2, autoreset_mode="SameStep")
+    env.reset(seed=0, options={"start": 0})
+    env.state.players["hp"][0, 0] = 7
+    env.step(np.array([LEFT, LEFT]))
+    *_, infos = env.step(np.array([LEFT, LEFT]))
+    assert infos["action_mask"].tolist() == [[0, 0, 0, 0, 1], FREE]
+
+
+# --- Any state: what is masked does nothing, what is not does something --------------------------
+
+
+def wander(worlds: Worlds, generator: np.random.Generator, stride: np.ndarray) -> np.ndarray:
+    """Return new actions: mostly the same again, so that walls are met."""
+    anew = generator.random(stride.shape) < 0.2
+    return np.where(anew, generator.integers(int(worlds.action_space.n), size=stride.shape), stride)
+
+
+@pytest.mark.parametrize("env_id", [THESIS, GODOT])
+def test_a_masked_action_leaves_the_player_where_it_is(env_id: str) -> None:
+    """Law over random play: x, y and facing stay; nor is anybody struck, burnt or healed anew."""
+    worlds = begin(60, env_id=env_id, magic=True, players=2, classes=["base", "mage"], start="random")
+    generator = np.random.default_rng(3)
+    stride = generator.integers(7, size=(60, 2))
+    met = np.zeros(7, np.int64)
+    for _ in range(400):
+        stride = wander(worlds, generator, stride)
+        allowed = np.take_along_axis(worlds.masks, stride[..., None], -1)[..., 0]
+        before = worlds.players.copy()
+        worlds.step(stride)
+        masked = (allowed == 0) & worlds.present & (worlds.players["hp"] > 0)
+        for name in ("x", "y", "facing"):
+            assert (worlds.players[name] == before[name])[masked].all()
+        met += np.bincount(stride[masked], minlength=7)
+        worlds.reset(worlds.worlds["ending"] != 0)
+    assert (met[[DOWN, LEFT, UP, RIGHT, 5, 6]] > 20).all() and met[ATTACK] == 0
+
+
+def test_all_masked_walks_do_the_same_and_allowed_ones_do_not() -> None:
+    """From any state, of the four ways those that are masked lead to one state, each other to its own."""
+    worlds = begin(40)
+    generator = np.random.default_rng(4)
+    stride = generator.integers(5, size=(40, 1))
+    compared = walled = 0
+    for step in range(120):
+        stride = wander(worlds, generator, stride)
+        if step % 4 == 0:
+            masks, facing = worlds.masks[:, 0], worlds.players["facing"][:, 0]
+            after = []
+            for action in range(4):
+                ahead = copy.deepcopy(worlds)
+                play(ahead, action)
+                after.append(ahead.players[["x", "y", "facing"]][:, 0])
+            for world in np.flatnonzero(worlds.players["hp"][:, 0] > 0):
+                ends = {after[action][world].tobytes() for action in range(4) if masks[world, action]}
+                assert len(ends) == masks[world, :4].sum()
+                if 0 < masks[world, :4].sum() < 4:  # against a wall
+                    assert masks[world, facing[world]] == 0
+                    walled += 1
+                compared += 1
+        worlds.step(stride)
+    assert compared > 1000 and walled > 20
+
+
+# --- Where they are handed out -------------------------------------------------------------------
+
+
+def test_every_face_hands_out_the_same_masks(arena: str) -> None:
+    worlds = begin(1, 7, level=arena)
+    single, vector = PneumaEnv(level=arena), PneumaVectorEnv(1, level=arena)
+    parallel, learner = PneumaParallelEnv(players=1, level=arena), PneumaVecEnv([7], worlds.config)
+    told = [single.reset(seed=7)[1]["action_mask"], vector.reset(seed=7)[1]["action_mask"][0]]
+    told += [parallel.reset(seed=7)[1]["player_0"]["action_mask"]]
+    learner.reset()
+    told += [learner.env_method("action_masks")[0]]
+    changes = set()
+    for action in [RIGHT] * 16 + [ATTACK] * 3 + [UP] * 16:
+        for allowed in told:
+            assert allowed.tolist() == worlds.masks[0, 0].tolist()
+        changes.add(tuple(told[0].tolist()))
+        play(worlds, action)
+        told = [single.step(np.int64(action))[-1]["action_mask"]]
+        told += [vector.step(np.array([action]))[-1]["action_mask"][0]]
+        told += [parallel.step({"player_0": np.int64(action)})[-1]["player_0"]["action_mask"]]
+        learner.step(np.array([action]))
+        told += [learner.env_method("action_masks", indices=[0])[0]]
+    assert len(changes) == 4  # free, walled in to the right, attacking, walled in above
+
+
+def test_masks_are_part_of_every_info(pit: str) -> None:
+    vector = PneumaVectorEnv(3, level=pit, autoreset_mode="SameStep", episode_steps=18)
+    vector.reset(seed=0)
+    ended = 0
+    for _ in range(100):
+        _, _, terminated, truncated, infos = vector.step(np.full(3, ATTACK))
+        assert infos["_action_mask"].tolist() == [True] * 3
+        assert np.array_equal(infos["action_mask"], vector.state.masks[:, 0])
+        if (over := terminated | truncated).any():
+            assert infos["final_info"]["_action_mask"].tolist() == over.tolist()
+            ended += int(over.sum())
+    assert ended > 5
+
+
+def test_masks_handed_out_are_not_overwritten(arena: str) -> None:
+    env = PneumaEnv(level=arena)
+    first = env.reset(seed=0)[1]["action_mask"]
+    second = env.step(np.int64(ATTACK))[-1]["action_mask"]
+    kept = bits(first.copy(), second.copy())
+    env.step(np.int64(RIGHT))
+    env.reset()
+    assert bits(first, second) == kept
+    assert first.dtype == np.int8 and first.shape == (5,)
+
+
+def test_gymnasium_samples_allowed_actions_by_them(arena: str) -> None:
+    env = PneumaEnv(level=arena)
+    env.reset(seed=0)
+    info = env.step(np.int64(ATTACK))[-1]
+    assert {int(env.action_space.sample(info["action_mask"])) for _ in range(20)} == {ATTACK}

@@ -1,0 +1,346 @@
+"""The kernel against the oracle: whatever is played, both tell the same, bit for bit.
+
+`oracle.py` tells the rules tick by tick in plain Python. `Pair` plays it beside the kernel and compares
+all state, events, observations and masks after every step and reset. Levels, characters,
+configurations and ways to play are Hypothesis's (`oracle_cases.py`); below that come cases set up by
+hand, each with what must have happened in it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from pneuma.config import make_env_config
+from pneuma.env.players import Hunter
+from pneuma.env.rules import (
+    ATTACK,
+    CLEARED,
+    DOWN,
+    FLAME,
+    HEAL,
+    KILLED,
+    LEFT,
+    RIGHT,
+    RUNNING,
+    TIME_LIMIT,
+    UP,
+)
+from pneuma.env.worlds import Worlds
+
+from .oracle_arrays import Pair
+from .oracle_cases import STEPS_OF_A_MOOD, Case, Map, cases, choose_actions, hunt, make_worlds
+
+FEW = settings(
+    max_examples=300,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+MANY = settings(FEW, max_examples=8000)
+
+# --- Whatever is played ------------------------------------------------------------------------------
+
+
+def check_cases(many: settings, folder: Path) -> Counter[str]:
+    """Play so many cases, and return how often what happened."""
+    happened: Counter[str] = Counter()
+    folders = itertools.count()
+
+    @many
+    @given(cases())
+    def check(case: Case) -> None:
+        play(case, make_worlds(case, folder / str(next(folders))), happened)
+
+    check()
+    return happened
+
+
+def play(case: Case, worlds: Worlds, happened: Counter[str]) -> None:
+    """Play a case; ended worlds begin anew after a step or two, and at times all of them do."""
+    pair = Pair(worlds, case.seed)
+    for step in range(len(case.breaks) * STEPS_OF_A_MOOD):
+        pair.step(choose_actions(case, pair.oracles, step))
+        count_events(pair, happened)
+        over = np.flatnonzero(worlds.worlds["ending"] != RUNNING)
+        pause = case.breaks[step // STEPS_OF_A_MOOD]
+        if pause >= 250 and step % STEPS_OF_A_MOOD == 0:
+            start = pause % len(worlds.level.starts)
+            pair.reset(range(case.count), start, seed=pause if pause % 2 else None)
+        else:
+            pair.reset([index for index in over if (pause + step + index) % 3])
+
+
+def count_events(pair: Pair, happened: Counter[str]) -> None:
+    worlds = pair.worlds
+    for name in ("hits", "kills", "notices", "contacts"):
+        happened[name] += int(worlds.events[name].sum())
+    for world in pair.oracles:
+        for player in world.players:
+            drowned = bool(player.events.died) and world.ground.is_sea(player.x, player.y)
+            happened["drowned"] += drowned
+            happened["bitten to death"] += player.events.died - drowned
+            happened["healed"] += player.events.hp_gained > 0
+        happened[f"ending {world.ending}"] += world.steps > 0
+
+
+def test_the_kernel_plays_as_the_oracle_tells(tmp_path: Path) -> None:
+    happened = check_cases(FEW, tmp_path)
+    usual = ("hits", "kills", "notices", "contacts", "healed", "drowned", "bitten to death")
+    for name in (*usual, *(f"ending {ending}" for ending in (KILLED, CLEARED, TIME_LIMIT))):
+        assert happened[name] > 50, happened
+
+
+@pytest.mark.slow
+def test_the_kernel_plays_as_the_oracle_tells_in_many_more_cases(tmp_path: Path) -> None:
+    check_cases(MANY, tmp_path)
+
+
+# --- The shipped and the random levels ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("env_id", "chosen"),
+    [
+        ("pneuma/Pneuma-v0", {}),
+        ("pneuma/PneumaGodot-v0", {}),
+        ("pneuma/Pneuma-v0", {"players": 2, "classes": ["mage", "tank"], "observation": "pygame"}),
+    ],
+)
+def test_the_hunter_on_the_shipped_level(env_id: str, chosen: dict[str, object]) -> None:
+    worlds = Worlds(2, make_env_config(chosen, env_id))
+    pair, hunter = Pair(worlds, seed=5), Hunter(worlds)
+    for _ in range(300):
+        pair.step(hunter.act(worlds))
+        pair.reset(np.flatnonzero(worlds.worlds["ending"]))
+    assert worlds.players["xp"].max() >= 2
+
+
+def test_random_levels_are_drawn_before_starts() -> None:
+    worlds = Worlds(3, make_env_config({"level": "random:train:3", "random_levels": 4, "players": 2}))
+    pair, played = Pair(worlds, seed=1), set()
+    for _ in range(12):
+        played |= set(worlds.worlds["level"].tolist())
+        for _ in range(20):
+            pair.step(np.array([[hunt(o, player, ATTACK) for player in o.players] for o in pair.oracles]))
+        pair.reset(range(3))
+    assert played == {0, 1, 2, 3}
+    assert worlds.worlds["draws"].tolist() == [26, 26, 26]  # a level and a start for each of 13 episodes
+
+
+# --- Cases set up by hand ----------------------------------------------------------------------------
+
+HERE = (512.0, 512.0)
+FAR = (832.0, 832.0)
+QUIET = "[monsters.bamboo]\nspeed = 0\n"
+"""Bamboos that stay where they are."""
+
+
+def set_up(folder: Path, *monsters: tuple[float, float], characters: str = QUIET, **chosen: object) -> Pair:
+    """Set up a world of 16 x 16 tiles of 64 px, the outermost of them coast.
+
+    Players start at `HERE` and, the second, at `FAR`; bamboos stand at the places given.
+    """
+    level = Map(starts=(HERE, FAR), monsters=tuple(("bamboo", *place) for place in monsters))
+    given = {"reward": "godot", "start": "first", "ending_cost": 1.0, **chosen}
+    case = Case(given, level, characters, count=1, seed=0, moods=b"", breaks=b"")
+    return Pair(make_worlds(case, folder / "case"))
+
+
+def act(pair: Pair, *actions: int) -> None:
+    pair.step(np.array([actions]))
+
+
+def told(pair: Pair, name: str) -> list[float]:
+    """Return a field of the players or their events in the first world."""
+    events = name in (pair.worlds.events.dtype.names or ())
+    return (pair.worlds.events if events else pair.worlds.players)[name][0].tolist()
+
+
+@pytest.mark.parametrize(("kill_credit", "xp"), [("striker", [0, 1]), ("near", [1, 1])])
+def test_two_players_kill_one_monster_in_one_tick(tmp_path: Path, kill_credit: str, xp: list[float]) -> None:
+    pair = set_up(tmp_path, (512.0, 564.0), players=2, kill_credit=kill_credit)
+    pair.worlds.players["x"][0], pair.worlds.players["y"][0] = 512.0, (514.0, 510.0)
+    pair.worlds.monsters["noticed"], pair.worlds.monsters["bite"][..., :2] = 3, 30  # both are near it
+    pair.take_over()
+    act(pair, ATTACK, ATTACK)
+    assert (told(pair, "hits"), told(pair, "kills"), told(pair, "xp")) == ([1, 1], [0, 1], xp)
+
+
+def test_when_one_dies_in_a_step_the_others_live_on_without_him(tmp_path: Path) -> None:
+    # The first is bitten to death in tick 1; the bamboo then turns to the second, who walks up to it.
+    pair = set_up(tmp_path, (560.0, 512.0), players=2, characters="")
+    pair.worlds.players["hp"][0] = 7, 100
+    pair.worlds.players["x"][0, 1], pair.worlds.players["y"][0, 1] = 800.0, 512.0
+    pair.take_over()
+    act(pair, UP, LEFT)
+    assert (told(pair, "died"), told(pair, "present"), told(pair, "hp")) == ([1, 0], [1, 8], [0, 100])
+    assert told(pair, "xp") == [-1, 0]
+    assert told(pair, "y") == [507, 512]  # the one tick that he lived
+    assert pair.worlds.monsters["x"][0, 0] > 560
+    for _ in range(5):
+        act(pair, UP, LEFT)
+    assert told(pair, "hp") == [0, 93]
+    assert (told(pair, "present"), told(pair, "y")) == ([0, 8], [507, 512])
+
+
+@pytest.mark.parametrize(("hp", "left"), [(7.0, 20.0), (95.0, 93.0)])
+def test_a_spell_heals_before_the_bite_of_its_tick(tmp_path: Path, hp: float, left: float) -> None:
+    pair = set_up(tmp_path, (550.0, 512.0), magic=True)
+    pair.worlds.players["hp"] = hp
+    pair.take_over()
+    act(pair, HEAL)  # 7 + 20 - 7; 95 + 5 - 7
+    assert (told(pair, "hp"), told(pair, "contacts")) == ([left], [1])
+
+
+def test_a_kill_heals_before_the_lethal_bite_of_its_tick(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, (512.0, 570.0), (472.0, 512.0))
+    pair.worlds.players["hp"], pair.worlds.monsters["hp"][0, 0] = 5, 1
+    pair.take_over()
+    act(pair, ATTACK)  # 5 + 7 - 7
+    assert (told(pair, "hp"), told(pair, "hp_gained"), told(pair, "hp_lost")) == ([5], [7], [7])
+
+
+def test_death_at_sea_costs_nothing_and_ends_the_episode(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, FAR, coast="deadly", players=2)
+    pair.worlds.players["x"][0] = 74.0, 69.0  # the land begins at 64
+    pair.take_over()
+    act(pair, LEFT, LEFT)  # 69, 64, 59; 64, 59
+    assert (told(pair, "x"), told(pair, "present"), told(pair, "xp")) == ([59, 59], [2, 1], [0, 0])
+    assert (told(pair, "hp_lost"), pair.worlds.ending(0)) == ([100, 100], "killed")
+
+
+def test_who_is_safe_loses_to_one_bite_a_tick_and_then_to_none(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, (550.0, 512.0), (474.0, 512.0), classes="warrior")
+    act(pair, RIGHT)  # away from the second, whose first bite came with that of the first
+    assert (told(pair, "hp"), told(pair, "contacts"), told(pair, "safe")) == ([93], [2], [18 - 7])
+    act(pair, LEFT)
+    act(pair, LEFT)
+    assert told(pair, "hp") == [93]
+
+
+def test_eight_players_fill_every_bit(tmp_path: Path) -> None:
+    tough = "[monsters.bamboo]\nhp = 5000\n"
+    pair = set_up(tmp_path, HERE, players=8, classes="tank", characters=tough)
+    players = pair.worlds.players
+    players["x"], players["y"], players["facing"] = 458.0, 512.0 + 3 * np.arange(8), RIGHT
+    pair.take_over()
+    act(pair, *[ATTACK] * 8)
+    assert pair.worlds.monsters["noticed"][0, 0] == 255
+    assert pair.worlds.monsters["struck_by"][0, 0].tolist() == [1] * 8
+    for step in range(40):
+        act(pair, *[(step // 4 + p) % 5 for p in range(8)])
+
+
+# --- Cases in which kernel and oracle once told different things -------------------------------------
+
+
+def test_bitten_to_death_one_tick_before_the_sea_is_no_death_at_sea(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, (110.0, 512.0), coast="deadly")
+    pair.worlds.players["x"], pair.worlds.players["hp"] = 70.0, 7
+    pair.take_over()
+    act(pair, LEFT)  # bitten at 65; the next tick would have taken him to 60, beyond the land
+    assert (told(pair, "x"), told(pair, "present"), told(pair, "xp")) == ([65], [1], [-1])
+    assert told(pair, "reward") == [-1]
+
+
+def test_a_bite_that_was_not_to_be_does_not_save_from_the_sea(tmp_path: Path) -> None:
+    # Were the second player not bitten to death in tick 1, his sword would send the first monster flying
+    # in tick 2, and it would bite the first player to death in tick 3, a tick before he drowns.
+    strong = "[weapons.blade]\nknock_back = 3000\n"
+    monsters = (163.5, 512.0), (257.5, 512.0)
+    pair = set_up(tmp_path, *monsters, characters=QUIET + strong, coast="deadly", players=2)
+    players = pair.worlds.players[0]
+    players["x"], players["y"], players["facing"], players["hp"] = (80.0, 227.5), 512.0, LEFT, 7
+    players["busy"][1] = 1
+    pair.take_over()
+    act(pair, LEFT, ATTACK)
+    assert (told(pair, "present"), told(pair, "died"), told(pair, "xp")) == ([3, 1], [1, 1], [0, -1])
+
+
+def test_the_dead_begin_no_further_attack(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, (550.0, 512.0))
+    pair.worlds.players["hp"] = 7
+    pair.worlds.players["busy"] = 3  # an attack would begin in tick 4
+    pair.take_over()
+    act(pair, ATTACK)
+    assert (told(pair, "present"), told(pair, "attack")) == ([1], [0])
+
+
+def test_a_bite_clock_of_the_dead_stops_whether_or_not_somebody_is_near(tmp_path: Path) -> None:
+    # Attack circle beyond the notice circle: the bamboo is not reminded of the dead by having noticed him.
+    wide = "[monsters.bamboo]\nspeed = 0\nnotice = 10\nattack = 100\n"
+    pair = set_up(tmp_path, (512.0, 674.0), characters=wide, players=2)
+    pair.worlds.players["hp"][0, 0] = 7
+    pair.take_over()
+    act(pair, DOWN, ATTACK)  # within 100 px of its body in tick 8, the last
+    assert (told(pair, "present"), told(pair, "died")) == ([8, 8], [1, 0])
+    act(pair, DOWN, ATTACK)
+    assert pair.worlds.monsters["bite"][0, 0, 0] == 0
+
+
+def test_who_waits_to_bite_forgets_a_lone_player_who_dies(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, (482.0, 512.0), (542.0, 512.0))
+    pair.worlds.players["hp"] = 7
+    pair.worlds.monsters["noticed"], pair.worlds.monsters["bite"][0, :, 0] = 1, (30, 3)
+    pair.take_over()
+    act(pair, ATTACK)  # bitten by the second in tick 3
+    assert (told(pair, "present"), told(pair, "died")) == ([3], [1])
+    assert pair.worlds.monsters["bite"][0, :, 0].tolist() == [0, 0]
+
+
+def test_healing_to_full_hp_is_exact_when_nobody_is_near(tmp_path: Path) -> None:
+    quiet = "[players.base]\nhp = 3.9\n[monsters.bamboo]\nnotice = 10\n"
+    pair = set_up(tmp_path, FAR, characters=quiet, magic=True)
+    pair.worlds.players["hp"] = 0.119
+    pair.take_over()
+    act(pair, HEAL)  # 0.119 + (3.9 - 0.119) is 3.8999999999999995
+    assert told(pair, "hp") == [3.9]
+
+
+def test_a_monster_amid_a_box_without_reach_flies_the_way_faced(tmp_path: Path) -> None:
+    # Its flight is too short to be flown: with a longer one, the NaN of 0 / 0 once ended the process.
+    short = "reach = {down = 0, left = 0, up = 0, right = 0}\n"
+    still = "knock_back = 120\nknock_back_time = 0\n"
+    pair = set_up(tmp_path, HERE, characters=f"[weapons.blade]\n{short}{QUIET}{still}")
+    act(pair, ATTACK)
+    assert (pair.worlds.monsters["knock_x"][0, 0], pair.worlds.monsters["knock_y"][0, 0]) == (0.0, 2.0)
+
+
+@pytest.mark.parametrize("order", ["nearest", "fixed"])
+def test_the_nearest_are_seen_in_either_order(tmp_path: Path, order: str) -> None:
+    near, far, nearer = (512.0, 712.0), (200.0, 200.0), (612.0, 512.0)
+    chosen = {"observation": "godot", "perceive": "nearest:2", "order": order}
+    pair = set_up(tmp_path, near, far, nearer, **chosen)
+    seen = pair.worlds.observations[0, 0, 4:].reshape(2, 5)[:, :2].tolist()
+    assert seen == [[*near], [*nearer]] if order == "fixed" else [[*nearer], [*near]]
+
+
+def test_an_ended_world_stays_as_it_is_when_another_begins_anew(tmp_path: Path) -> None:
+    level = Map(starts=(HERE,), monsters=(("bamboo", 550.0, 512.0),))
+    case = Case({}, level, "[players.base]\nhp = 7\n", count=2, seed=0, moods=b"", breaks=b"")
+    pair = Pair(make_worlds(case, tmp_path / "case"))
+    pair.step(np.array([[ATTACK], [ATTACK]]))
+    assert pair.worlds.worlds["ending"].tolist() == [KILLED, KILLED]
+    pair.step(np.array([[ATTACK], [ATTACK]]))
+    pair.reset([1])
+    assert pair.worlds.observations[0].any()
+
+
+@pytest.mark.parametrize(("spell", "place", "cost"), [(FLAME, 5, 20.0), (HEAL, 6, 10.0)])
+def test_a_mask_allows_a_spell_that_can_be_paid_during_the_step(
+    tmp_path: Path, spell: int, place: int, cost: float
+) -> None:
+    pair = set_up(tmp_path, FAR, magic=True)
+    pair.worlds.players["hp"], pair.worlds.players["energy"] = 50, cost - 0.1  # 0.04 a tick come back
+    pair.take_over()
+    allowed = int(pair.worlds.masks[0, 0, place])
+    act(pair, spell)
+    assert told(pair, "busy") == [24 - 5]
+    assert allowed == 1

@@ -1,0 +1,261 @@
+"""Rewards: every formula by hand on situations set up for it, and one for each player."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from pneuma.config import REWARDS
+from pneuma.env.worlds import Worlds
+
+from .arena import (
+    ATTACK,
+    GODOT,
+    LEFT,
+    RIGHT,
+    STAND,
+    UP,
+    Place,
+    begin,
+    move_monster,
+    play,
+    stage,
+)
+
+
+def rewards(worlds: Worlds) -> list[float]:
+    """Return the rewards of the first world's players for the last step."""
+    return [float(reward) for reward in worlds.events["reward"][0]]
+
+
+def fight(arena: str, reward: str | Sequence[str], *monsters: Place, **settings: object) -> Worlds:
+    """Set up a player with 3 XP and 50 HP, facing right, and monsters that stay where they are."""
+    worlds = stage(arena, *monsters, still=True, settings={"reward": reward, **settings})
+    worlds.players["xp"], worlds.players["hp"] = 3, 50
+    return worlds
+
+
+def fly(worlds: Worlds, index: int, x: float, y: float, speed: float) -> None:
+    """Put a monster somewhere and let it fly along x, so many pixels a tick, for the next 30."""
+    move_monster(worlds, index, x, y)
+    monster = worlds.monsters[0, index]
+    monster["knocked"], monster["knock_x"], monster["knock_y"] = 30, speed, 0.0
+
+
+# --- Levels: XP and HP as they are ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("reward", "quiet", "bitten", "killing"),
+    [
+        ("thesis", 3 - 0.5, 3 - 0.43, 4 - 0.57),
+        ("pygame", 3 + 0.5, 3 + 0.43, 4 + 0.57),
+    ],
+)
+def test_xp_and_the_share_of_hp_at_every_step(
+    arena: str, reward: str, quiet: float, bitten: float, killing: float
+) -> None:
+    worlds = fight(arena, reward)
+    play(worlds, UP)
+    assert rewards(worlds) == [quiet]
+
+    worlds = fight(arena, reward, (-30.0, 0.0))
+    play(worlds, STAND)  # a bite of 7
+    assert rewards(worlds) == [bitten]
+
+    worlds = fight(arena, reward, (54.0, 60.0))
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, ATTACK)  # 1 XP and 7 HP
+    assert rewards(worlds) == [killing]
+    play(worlds, STAND)
+    assert rewards(worlds) == [killing]
+
+
+def test_shares_are_of_the_players_own_full_hp(arena: str) -> None:
+    worlds = fight(arena, "pygame", classes="tank")
+    play(worlds, UP)
+    assert rewards(worlds) == [3 + 50 / 150]
+
+
+# --- Gains: what the step brought ----------------------------------------------------------------
+
+
+def test_kills_is_xp_gained_less_the_share_of_hp_lost(arena: str) -> None:
+    worlds = fight(arena, "kills", (54.0, 60.0), (-30.0, 0.0))
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, ATTACK)  # 1 XP, and 7 HP lost; those gained do not count
+    assert rewards(worlds) == [1 - 0.07]
+    play(worlds, STAND)
+    assert rewards(worlds) == [0.0]
+
+
+def test_kills_counts_what_a_class_has(arena: str) -> None:
+    worlds = fight(arena, "kills", (-30.0, 0.0), classes="mage")
+    play(worlds, STAND)
+    assert rewards(worlds) == [-7 / 70]
+
+
+def test_kills_takes_no_more_hp_than_there_were(arena: str) -> None:
+    worlds = fight(arena, "kills", (-30.0, 0.0))
+    worlds.players["hp"] = 5
+    play(worlds, STAND)
+    assert rewards(worlds) == [-0.05]
+
+
+@pytest.mark.parametrize(
+    ("distance", "closeness"),
+    [
+        (150.0, 0.5),
+        (100.0, 0.5 + 0.5 / math.sqrt(2)),  # z = 1
+        (200.0, 0.5 - 0.5 / math.sqrt(2)),
+        (25.0, 0.5 + 2.5 / 2 / math.sqrt(7.25)),  # z = 2.5
+        (250.0, 0.5 - 2 / 2 / math.sqrt(5)),  # z = -2
+    ],
+)
+def test_distance_sigmoid_pays_for_being_near(arena: str, distance: float, closeness: float) -> None:
+    worlds = fight(arena, "distance-sigmoid", (0.0, -distance), (400.0, 400.0))
+    play(worlds, STAND)
+    assert rewards(worlds) == [pytest.approx(closeness, abs=1e-12)]
+
+
+def test_distance_sigmoid_is_by_the_nearest_living_monster_after_the_step(arena: str) -> None:
+    worlds = fight(arena, "distance-sigmoid", (-190.0, 0.0), (0.0, -100.0))
+    worlds.monsters["hp"][0, 1] = 0
+    play(worlds, LEFT)  # 40 px: now 150 px from the first
+    assert rewards(worlds) == [pytest.approx(0.5, abs=1e-12)]
+
+
+def test_distance_sigmoid_adds_xp_gained_and_is_zero_without_monsters(arena: str) -> None:
+    worlds = fight(arena, "distance-sigmoid", (54.0, 60.0), (0.0, -150.0))
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, ATTACK)
+    assert rewards(worlds) == [pytest.approx(1.5, abs=1e-12)]
+    worlds.monsters["hp"] = 0
+    play(worlds, STAND)
+    assert rewards(worlds) == [0.0]
+
+
+def test_distance_sigmoid_looks_at_monsters_that_are_not_perceived(zoo: str) -> None:
+    settings = {"reward": "distance-sigmoid", "perceive": "kind:squid"}
+    worlds = stage(zoo, (0.0, -150.0), still=True, settings=settings)
+    play(worlds, STAND)
+    assert rewards(worlds) == [pytest.approx(0.5, abs=1e-12)]
+
+
+# --- Godot: event by event -----------------------------------------------------------------------
+
+
+def test_godot_adds_1_for_every_circle_entered(arena: str) -> None:
+    # Two notice circles at once, then an attack circle in the same step; staying in them pays nothing.
+    worlds = fight(arena, "godot", (-200.0, 0.0))
+    fly(worlds, 1, -73.5, 0.0, 2.0)  # at -63.5, 40 px off the body, in tick 6
+    play(worlds, STAND)
+    assert (worlds.events["notices"][0, 0], worlds.events["contacts"][0, 0]) == (2, 1)
+    assert rewards(worlds) == [3.0]
+    play(worlds, STAND)
+    assert rewards(worlds) == [0.0]
+
+
+def test_godot_pays_a_circle_again_when_it_is_entered_again(arena: str) -> None:
+    worlds = stage(arena, still=True, ticks=1, settings={"reward": "godot"})
+    paid = []
+    for x in (-100.0, -60.0, -100.0, -60.0, -400.0, -60.0):
+        move_monster(worlds, 0, x, 0.0)
+        play(worlds, STAND)
+        paid += rewards(worlds)
+    assert paid == [1, 1, 0, 1, 0, 2]
+
+
+def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
+    # Tick 1: both monsters notice, +2. Tick 4: the first has flown from 96.5 to 90.5, 36.5 px from the
+    # sword's centre, within 37.5, and dies: the reward is set to 3 + 1 XP. Tick 6: the other comes
+    # within 40 px, +1.
+    worlds = fight(arena, "godot")
+    fly(worlds, 0, 96.5, 0.0, -2.0)
+    fly(worlds, 1, -73.5, 0.0, 2.0)
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, ATTACK)
+    event = worlds.events[0, 0]
+    assert (event["notices"], event["kills"], event["contacts"]) == (2, 1, 1)
+    assert rewards(worlds) == [5.0]
+
+
+def test_godot_sets_it_anew_at_a_second_kill(arena: str) -> None:
+    worlds = fight(arena, "godot", (54.0, 60.0))
+    fly(worlds, 1, 96.5, 0.0, -2.0)
+    worlds.monsters["hp"][0, :2] = 20
+    play(worlds, ATTACK)  # 4 at once, +1 for the second's notice, then 5
+    assert rewards(worlds) == [5.0]
+
+
+@pytest.mark.parametrize(("cost", "paid"), [(0.0, 2.0), (1.0, 2.0), (2.0, 1.0)])
+def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost: float, paid: float) -> None:
+    # A notice and a contact, +2, and the death by the bite: the reward is set to 3 XP less the cost.
+    worlds = fight(arena, "godot", (-30.0, 0.0), ending_cost=cost)
+    worlds.players["hp"] = 7
+    play(worlds, STAND)
+    assert worlds.ending(0) == "killed"
+    assert rewards(worlds) == [paid]
+    assert worlds.players["xp"][0, 0] == 3 - cost
+    assert worlds.events["xp_gained"][0, 0] == -cost
+
+
+def test_godot_pays_a_kill_by_anybody_to_everybody(arena: str) -> None:
+    players = [(0.0, 0.0), (-400.0, 0.0)]
+    worlds = stage(arena, (54.0, 60.0), players=players, still=True, settings={"reward": "godot"})
+    worlds.players["xp"][0] = [3, 10]
+    worlds.monsters["hp"][0, 0] = 20
+    play(worlds, ATTACK)
+    assert worlds.events["kills"][0].tolist() == [1, 0]
+    assert rewards(worlds) == [4.0, 10.0]  # set to each one's own XP
+
+
+def test_the_godot_environment_rewards_by_event() -> None:
+    # At the first start, (204, -105), nobody is within 300 px: (560, -141) is 332.5 px off the body. One
+    # step, 40 px, to the right it is 292.5 px off.
+    worlds = begin(1, env_id=GODOT)
+    worlds.step(np.array([[RIGHT]]))
+    assert rewards(worlds) == [1.0]
+
+
+# --- What every formula leaves out ---------------------------------------------------------------
+
+
+def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
+    names = ["thesis", "pygame", "kills", "distance-sigmoid", "godot"]
+    players = [(0.0, -300.0 + 150 * p) for p in range(5)]
+    worlds = stage(arena, still=True, players=players, settings={"reward": names})
+    worlds.players["xp"], worlds.players["hp"] = 2, 25
+    for monster in range(1, 4):
+        worlds.monsters["hp"][0, monster] = 0
+    move_monster(worlds, 0, -150.0, 150.0)  # 150 px from player 3
+    worlds.monster_stats["attack_squared"] = 0.0
+    play(worlds, STAND)
+    # Players 1 to 4 are within 300 px of the monster: entering its circle pays by Godot's formula alone.
+    assert rewards(worlds) == [2 - 0.25, 2 + 0.25, 0.0, pytest.approx(0.5), 1.0]
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+def test_the_dead_are_rewarded_once_more_and_then_no_longer(arena: str, reward: str) -> None:
+    players = [(0.0, 0.0), (400.0, -400.0)]
+    worlds = stage(arena, (-30.0, 0.0), players=players, settings={"reward": reward})
+    worlds.players["hp"][0, 0], worlds.players["xp"] = 7, 3
+    play(worlds, STAND)
+    last = {"thesis": 3.0, "pygame": 3.0, "godot": 2.0, "kills": -0.07}
+    if reward in last:
+        assert rewards(worlds)[0] == last[reward]
+    for _ in range(3):
+        play(worlds, STAND)
+        assert rewards(worlds)[0] == 0.0
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+def test_an_ended_world_pays_nothing(arena: str, reward: str) -> None:
+    worlds = stage(arena, (-200.0, 0.0), settings={"reward": reward, "episode_steps": 1})
+    play(worlds, STAND)
+    assert worlds.ending(0) == "time-limit"
+    play(worlds, STAND)
+    assert rewards(worlds) == [0.0]

@@ -1,0 +1,293 @@
+"""Worlds saved and put back, elsewhere and in other processes; copies that go their own way."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from pneuma.config import make_env_config
+from pneuma.env.parallel import PneumaParallelEnv
+from pneuma.env.players import Hunter
+from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.single import PneumaEnv
+from pneuma.env.vector import PneumaVectorEnv
+from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.errors import UserError
+
+from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits
+
+CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
+    "thesis": (THESIS, {}),
+    "three players": (
+        THESIS,
+        {
+            "players": 3,
+            "classes": ["tank", "mage", "warrior"],
+            "weapons": ["lance", "own", "sai"],
+            "magic": True,
+        },
+    ),
+    "random levels": (THESIS, {"level": "random:train:3", "random_levels": 4}),
+    "godot": (GODOT, {"players": 2, "start": "random"}),
+}
+both_copies = pytest.mark.parametrize(
+    "duplicate", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))], ids=["deepcopy", "pickle"]
+)
+each_config = pytest.mark.parametrize("name", CONFIGS)
+
+
+def config_of(name: str) -> Any:
+    env_id, settings = CONFIGS[name]
+    return make_env_config(settings, env_id)
+
+
+def played(name: str, count: int, steps: int = 150) -> Worlds:
+    """Return worlds in the middle of their episodes: players hunt, every second one strays."""
+    env_id, settings = CONFIGS[name]
+    worlds = begin(count, seed=60, env_id=env_id, **settings)
+    hunter, generator = Hunter(worlds), np.random.default_rng(1)
+    for _ in range(steps):
+        actions = hunter.act(worlds)
+        actions[::2] = generator.integers(5, size=actions[::2].shape)
+        worlds.step(actions)
+        worlds.reset(worlds.worlds["ending"] != 0)
+    return worlds
+
+
+def plan(worlds: Worlds, steps: int, seed: int = 5) -> np.ndarray:
+    """Return actions for one world, (steps, players)."""
+    generator = np.random.default_rng(seed)
+    kinds = int(worlds.action_space.n)
+    return np.repeat(generator.integers(kinds, size=(steps, worlds.players.shape[1])), 2, axis=0)[:steps]
+
+
+def go_on(worlds: Worlds, world: int, actions: np.ndarray) -> list[bytes]:
+    """Play one world on, the others standing, and return every bit of it and of what it tells."""
+    told: list[bytes] = []
+    for row in actions:
+        every = np.full(worlds.players.shape, 4, np.int64)
+        every[world] = row
+        worlds.step(every)
+        told += bits(*(getattr(worlds, name)[world] for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))
+        worlds.reset(worlds.worlds["ending"] != 0)
+    return told
+
+
+# --- One world -----------------------------------------------------------------------------------
+
+
+@each_config
+def test_a_world_goes_on_the_same_in_another_slot(name: str) -> None:
+    worlds = played(name, 5)
+    actions = plan(worlds, 200)
+    saved = [worlds.save(world) for world in range(5)]
+    told = go_on(worlds, 1, actions)
+    for slot in (4, 0):
+        worlds.restore(slot, saved[1])
+        assert go_on(worlds, slot, actions) == told
+
+
+@each_config
+def test_a_world_goes_on_the_same_in_another_batch(name: str) -> None:
+    worlds, other = played(name, 3), played(name, 7, steps=31)
+    saved = worlds.save(2)
+    actions = plan(worlds, 200)
+    told = go_on(worlds, 2, actions)
+    other.restore(6, saved)
+    assert go_on(other, 6, actions) == told
+    fresh = Worlds(1, config_of(name))  # never reset
+    fresh.restore(0, saved)
+    assert go_on(fresh, 0, actions) == told
+
+
+ELSEWHERE = """
+import pickle, sys
+from tests.env.test_saving import Worlds, config_of, go_on
+name, saved, actions = pickle.load(open(sys.argv[1], "rb"))
+worlds = Worlds(2, config_of(name))
+worlds.seed([8, 9])
+worlds.reset()
+worlds.restore(1, saved)
+pickle.dump(go_on(worlds, 1, actions), open(sys.argv[2], "wb"))
+"""
+
+
+@pytest.mark.parametrize("name", ["three players", "godot"])
+def test_a_world_goes_on_the_same_in_another_process(tmp_path: Path, name: str) -> None:
+    worlds = played(name, 2)
+    actions = plan(worlds, 200)
+    (tmp_path / "saved").write_bytes(pickle.dumps((name, worlds.save(0), actions)))
+    told = go_on(worlds, 0, actions)
+    command = [sys.executable, "-c", ELSEWHERE, str(tmp_path / "saved"), str(tmp_path / "told")]
+    subprocess.run(command, check=True, cwd=Path(__file__).parents[2])
+    assert pickle.loads((tmp_path / "told").read_bytes()) == told
+
+
+@each_config
+def test_a_world_that_is_put_back_is_seen_as_before(name: str) -> None:
+    worlds, other = played(name, 3), played(name, 3, steps=31)
+    saved, seen, masks = worlds.save(1), worlds.observations[1].copy(), worlds.masks[1].copy()
+    other.restore(0, saved)
+    other.observe()
+    assert np.array_equal(other.observations[0], seen) and np.array_equal(other.masks[0], masks)
+
+
+def test_a_world_with_a_dead_player_is_seen_as_before_wherever_it_is_put() -> None:
+    worlds = begin(2, players=2)
+    worlds.players["hp"][0, 0] = 1
+    worlds.monsters["x"][0, 0], worlds.monsters["y"][0, 0] = (
+        worlds.players["x"][0, 0],
+        worlds.players["y"][0, 0],
+    )
+    for _ in range(2):  # it dies in the first step
+        worlds.step(np.full((2, 2), 4))
+    assert worlds.players["hp"][0, 0] == 0
+    seen = worlds.observations[0].copy()
+    worlds.restore(1, worlds.save(0))  # where everybody was alive
+    worlds.observe()
+    assert np.array_equal(worlds.observations[1], seen)
+
+
+def test_what_is_saved_stays_as_it_was_and_can_be_put_back_again() -> None:
+    worlds = played("thesis", 2)
+    saved = worlds.save(0)
+    kept = bits(saved.worlds, saved.players, saved.monsters)
+    actions = plan(worlds, 100)
+    tolds = []
+    for _ in range(3):
+        worlds.restore(0, saved)
+        tolds.append(go_on(worlds, 0, actions))
+    assert tolds[0] == tolds[1] == tolds[2]
+    assert bits(saved.worlds, saved.players, saved.monsters) == kept
+
+
+def test_putting_one_world_back_leaves_the_others_alone() -> None:
+    worlds = played("three players", 4)
+    before = [getattr(worlds, name)[[0, 2, 3]].copy() for name in STATE_ARRAYS]
+    worlds.restore(1, worlds.save(2))
+    assert bits(*(getattr(worlds, name)[[0, 2, 3]] for name in STATE_ARRAYS)) == bits(*before)
+
+
+def test_a_saved_world_is_a_small_plain_thing() -> None:
+    saved = played("thesis", 1).save(0)
+    assert isinstance(saved, Snapshot)
+    assert len(pickle.dumps(saved)) < 10_000
+
+
+def test_a_world_of_another_shape_is_refused(arena: str, pit: str) -> None:
+    one, two = begin(1, level=arena), begin(1, level=arena, players=2)
+    for worlds, saved in ((one, two.save(0)), (two, one.save(0)), (one, begin(1, level=pit).save(0))):
+        before = state_bits(worlds)
+        with pytest.raises((ValueError, UserError)):
+            worlds.restore(0, saved)
+        assert state_bits(worlds) == before
+
+
+# --- Copies of everything ------------------------------------------------------------------------
+
+
+@both_copies
+@each_config
+def test_copied_worlds_go_on_alike_and_apart(name: str, duplicate: Callable[[Worlds], Worlds]) -> None:
+    worlds = played(name, 4)
+    copied = duplicate(worlds)
+    before = state_bits(worlds)
+    assert state_bits(copied) == before
+    actions = plan(worlds, 150)
+    told = go_on(copied, 2, actions)
+    assert state_bits(worlds) == before  # the original has not moved
+    assert go_on(worlds, 2, actions) == told
+    assert copied.player_stats is copied._arrays.player_stats
+    copied.monster_stats["damage"] = 0.0
+    assert worlds.monster_stats["damage"].all()
+
+
+Play = Callable[[Any, np.ndarray], bytes]
+
+
+def play_single(env: PneumaEnv, actions: np.ndarray) -> bytes:
+    observation, reward, terminated, truncated, _ = env.step(actions[0])
+    if terminated or truncated:
+        observation, _ = env.reset()
+    return observation.tobytes() + repr((reward, terminated, truncated)).encode()
+
+
+def play_vector(env: PneumaVectorEnv, actions: np.ndarray) -> bytes:
+    return b"".join(np.asarray(part).tobytes() for part in env.step(actions)[:4])
+
+
+def play_learner(env: PneumaVecEnv, actions: np.ndarray) -> bytes:
+    *told, infos = env.step(actions)
+    return b"".join(np.asarray(part).tobytes() for part in told) + repr(infos).encode()
+
+
+def play_parallel(env: PneumaParallelEnv, actions: np.ndarray) -> bytes:
+    if not env.agents:
+        return repr(env.reset()).encode()
+    told = env.step({agent: actions[int(agent[-1])] for agent in env.agents})
+    return repr(told).encode()
+
+
+FACES: dict[str, tuple[Callable[[str], Any], Play]] = {
+    "single": (lambda level: PneumaEnv(level=level, episode_steps=30), play_single),
+    "godot": (lambda level: PneumaEnv(GODOT, level=level, episode_steps=30), play_single),
+    "vector": (lambda level: PneumaVectorEnv(3, level=level, episode_steps=30), play_vector),
+    "slots": (lambda level: PneumaVectorEnv(3, players=3, level=level, episode_steps=30), play_vector),
+    "learner": (
+        lambda level: PneumaVecEnv([1, 2, 3], make_env_config({"level": level, "episode_steps": 30})),
+        play_learner,
+    ),
+    "parallel": (lambda level: PneumaParallelEnv(players=3, level=level, episode_steps=30), play_parallel),
+}
+
+
+@both_copies
+@pytest.mark.parametrize("face", FACES)
+def test_copied_environments_go_on_alike_and_apart(
+    pit: str, face: str, duplicate: Callable[[Any], Any]
+) -> None:
+    make, play = FACES[face]
+    env = make(pit)
+    if isinstance(env, PneumaVecEnv):
+        env.reset()
+    else:
+        env.reset(seed=3)
+    generator = np.random.default_rng(0)
+    first, later = generator.integers(5, size=(25, 3)), generator.integers(5, size=(80, 3))
+    for actions in first:
+        play(env, actions)
+    copied = duplicate(env)
+    told = [play(copied, actions) for actions in later]
+    assert [play(env, actions) for actions in later] == told
+
+
+@both_copies
+def test_an_environment_that_has_drawn_can_be_copied(arena: str, duplicate: Callable[[Any], Any]) -> None:
+    env = gymnasium.make(THESIS, level=arena, render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = np.asarray(env.render())
+    copied = duplicate(env)
+    assert np.array_equal(np.asarray(copied.render()), frame)
+    copied.step(3)
+    assert not np.array_equal(np.asarray(copied.render()), frame)
+    assert np.array_equal(np.asarray(env.render()), frame)
+
+
+@both_copies
+def test_the_spaces_of_a_copy_sample_on_alike(duplicate: Callable[[Any], Any]) -> None:
+    single, parallel = PneumaEnv(), PneumaParallelEnv(players=2)
+    single.action_space.seed(4)
+    parallel.action_space("player_1").seed(4)
+    again, also = duplicate(single), duplicate(parallel)
+    for _ in range(20):
+        assert again.action_space.sample() == single.action_space.sample()
+        assert also.action_space("player_1").sample() == parallel.action_space("player_1").sample()
