@@ -40,6 +40,8 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
     def __init__(self, slip: float = 0.0, noise: float = 0.0, render_mode: str | None = None) -> None:
         if not 0 <= slip <= 1 or not 0 <= noise < float("inf"):
             raise UserError(f"slip = {slip}, noise = {noise}: a probability, and a number of at least 0")
+        if render_mode is not None:
+            raise UserError(f"render_mode = {render_mode!r} is not allowed: there is nothing to draw")
         self.observation_space = spaces.Discrete(3)
         self.action_space = spaces.Discrete(2)
         self.slip, self.noise, self.render_mode = slip, noise, render_mode
@@ -57,6 +59,8 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
         """Go somewhere; see `gymnasium.Env.step`."""
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is outside {self.action_space}")
+        if self._place == HOME:
+            raise gymnasium.error.ResetNeeded("the day is over: call reset first")
         slipped = bool(self.slip) and self.np_random.random() < self.slip
         home = (action == GO_HOME) != slipped
         there = LETTERS if self._place == POST_OFFICE and not home else HOME

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import numpy as np
@@ -41,6 +40,8 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         self.agents: list[str] = []
         self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
         self._actions = np.zeros((1, players), np.int64)
+        count = int(self.worlds.action_space.n)
+        self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
         self._keyed = False
         self._set_up_rendering(render_mode)
 
@@ -49,15 +50,13 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         """The worlds that `render` shows."""
         return self.worlds
 
-    @functools.cache  # noqa: B019 (PettingZoo's own form; environments are few)
     def observation_space(self, agent: str) -> spaces.Box:
         """Return what a player observes."""
         return self.worlds.spaces[self._index[agent]]
 
-    @functools.cache  # noqa: B019
     def action_space(self, agent: str) -> spaces.Discrete:
         """Return what a player can do; each has a space of its own to seed."""
-        return spaces.Discrete(int(self.worlds.action_space.n))
+        return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

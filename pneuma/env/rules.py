@@ -463,8 +463,6 @@ def _note_first_death(s: State, w: int) -> bool:
                 if tick + 1 < s.events[w, p].present:
                     first = tick
                     who = p
-                else:
-                    s.events[w, p].died = 0  # of bites, a tick before he would have reached the sea
                 break
     if who < 0:
         return False
@@ -673,21 +671,27 @@ def _settle(s: State, w: int, p: int, met: bool) -> None:
             hp = min(player.hp + s.path[tick, p].healed, s.player_stats[p].hp)
             event.hp_gained += hp - player.hp
             player.hp = hp
-    if event.died:  # at sea, which costs no XP
+    at_sea = event.died and player.hp > 0.0  # else the bites were first
+    if at_sea:
         event.hp_lost += player.hp
         player.hp = 0.0
     if player.hp <= 0.0:
-        spot = s.path[max(event.present - 1, 0) if not event.died else event.present, p]
-        player.x = spot.x
-        player.y = spot.y
-        player.facing = spot.facing
-        player.energy = spot.energy
-        player.attack = spot.attack
-        player.busy = 0
-        player.armed = 0
-        if not event.died:
-            event.died = 1
+        _die(player, event, s.path[event.present if at_sea else event.present - 1, p])
+        if not at_sea:
             _charge(player, event, s.settings[0].ending_cost)
+
+
+@part
+def _die(player: Array, event: Array, spot: Array) -> None:
+    """Leave a player as he was at the tick of his death."""
+    event.died = 1
+    player.x = spot.x
+    player.y = spot.y
+    player.facing = spot.facing
+    player.energy = spot.energy
+    player.attack = spot.attack
+    player.busy = 0
+    player.armed = 0
 
 
 @part

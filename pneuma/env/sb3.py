@@ -31,7 +31,7 @@ class PneumaVecEnv(VecEnv):
         self.state.seed(seeds)
         self.slots = Slots(self.state)
         self.render_mode = None
-        super().__init__(self.slots.count, self.state.space, self.state.action_space)
+        super().__init__(self.slots.count, self.state.slot_space, self.state.action_space)
         self.keep_finished = False
         self.finished: list[dict[str, Any]] = []
         """With `keep_finished`, every episode that has ended since someone last emptied the list."""

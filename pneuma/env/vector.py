@@ -53,9 +53,9 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self.state = Worlds(num_envs // config.players, config)
         self.slots = Slots(self.state)
         self._set_up_rendering(render_mode)
-        self.single_observation_space = self.state.space
+        self.single_observation_space = self.state.slot_space
         self.single_action_space = self.state.action_space
-        self.observation_space = batch_space(self.state.space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
         self._over = np.zeros(len(self.state), np.bool_)

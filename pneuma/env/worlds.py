@@ -142,6 +142,12 @@ class Worlds:
         """What player 0 observes."""
         return self.spaces[0]
 
+    @property
+    def slot_space(self) -> spaces.Box:
+        """What any of the players may observe."""
+        low = np.min([space.low for space in self.spaces], axis=0)
+        return spaces.Box(low, np.max([space.high for space in self.spaces], axis=0), dtype=np.float32)
+
     def _settings(self, config: EnvConfig) -> np.ndarray:
         settings = np.zeros(1, state.SETTINGS)
         row = settings[0]
@@ -222,7 +228,14 @@ class Worlds:
 
         The world goes on as the saved one would have. Its observation is that of the next step;
         `observe` writes it at once.
+
+        Raises:
+            ValueError: for a state of other numbers of players or monsters.
         """
+        for name in ("players", "monsters"):
+            own, other = getattr(self, name).shape[1], getattr(snapshot, name).shape[1]
+            if own != other:
+                raise ValueError(f"a state of {other} {name} does not fit a world of {own}")
         self.worlds[world] = snapshot.worlds[0]
         self.players[world] = snapshot.players[0]
         self.monsters[world] = snapshot.monsters[0]

@@ -80,7 +80,7 @@ def test_a_day_that_has_ended_can_only_be_begun_anew() -> None:
     env = make()
     env.reset(seed=0)
     env.step(np.int64(GO_HOME))
-    with pytest.raises(ValueError, match="reset"):
+    with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(np.int64(GO_ON))
     env.reset()
     env.step(np.int64(GO_ON))

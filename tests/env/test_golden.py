@@ -1,0 +1,92 @@
+"""Golden traces: the rules are those that RULES_VERSION stands for, to the last bit."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from pneuma.config import RULES_VERSION
+from pneuma.env.worlds import Worlds
+
+from .arena import ATTACK, FLAME, GODOT, HEAL, begin
+
+GOLDEN = {
+    1: {
+        "text": "0c620e3fcc451bbdc53959ac8e97100588c678dbe99bc3b65257e41da618fece",
+        "everything": "023ad8b3ccaa4b44b3a9a3051052dd62efe721ab9431f0896a1242d227aa5748",
+    }
+}
+"""SHA-256 of the golden traces by RULES_VERSION; see `test_the_rules_are_those_of_their_version`."""
+
+HAPPENINGS = ("kills", "hits", "notices", "contacts", "hp_lost", "hp_gained", "died")
+
+
+def held_actions(world: int, steps: int) -> list[int]:
+    """Return a fixed sequence of actions: ways held for some steps, many blows between them."""
+    actions: list[int] = []
+    turn = world
+    while len(actions) < steps:
+        turn = (turn * 1103515245 + 12345) % 2**31
+        way, length = (turn >> 16) % 4, (turn >> 20) % 6
+        actions += [way] * length + [ATTACK] * (3 * ((turn >> 24) % 3))
+    return actions[:steps]
+
+
+def with_spells(actions: list[int]) -> list[int]:
+    """Return actions in which now and then the first of some blows is a spell."""
+    spells = {5: FLAME, 11: HEAL}
+    return [
+        spells.get(step % 13, action) if action == ATTACK else action for step, action in enumerate(actions)
+    ]
+
+
+def trace(worlds: Worlds, actions: np.ndarray, masks: bool) -> tuple[str, dict[str, float]]:
+    """Return the SHA-256 of observations and rewards, and masks, of some steps, and what happened in them."""
+    digest = hashlib.sha256()
+    happened = dict.fromkeys((*HAPPENINGS, "endings"), 0.0)
+    for row in actions:
+        digest.update(worlds.observations.astype("<f4").tobytes())
+        if masks:
+            digest.update(worlds.masks.tobytes())
+        ended = worlds.step(np.ascontiguousarray(row))
+        digest.update(worlds.events["reward"].astype("<f8").tobytes())
+        for name in HAPPENINGS:
+            happened[name] += float(worlds.events[name].sum())
+        happened["endings"] += ended
+        if ended:
+            worlds.reset(worlds.worlds["ending"] != 0)
+    digest.update(worlds.observations.astype("<f4").tobytes())
+    return digest.hexdigest(), happened
+
+
+def trace_text() -> tuple[str, dict[str, float]]:
+    """Play 300 steps of 8 worlds of Pneuma-v0."""
+    actions = np.array([held_actions(world, 300) for world in range(8)]).T[:, :, None]  # (steps, 8, 1)
+    return trace(begin(8, seed=2), actions, masks=False)
+
+
+def trace_everything() -> tuple[str, dict[str, float]]:
+    """Play 300 steps of 4 worlds of PneumaGodot-v0 with whatever else there is."""
+    worlds = begin(
+        4, seed=2, env_id=GODOT, level="random:train:0", random_levels=2, players=3, start="random",
+        classes=["tank", "mage", "warrior"], weapons=["axe", "own", "lance"], magic=True,
+        reward=["godot", "kills", "distance-sigmoid"], observation="pygame", episode_steps=120,
+    )  # fmt: skip
+    actions = np.array([with_spells(held_actions(slot, 300)) for slot in range(12)])
+    return trace(worlds, np.ascontiguousarray(actions.T).reshape(300, 4, 3), masks=True)
+
+
+@pytest.mark.parametrize("name", ["text", "everything"])
+def test_the_rules_are_those_of_their_version(name: str) -> None:
+    """Compare 300 steps of some worlds with the trace that is recorded for RULES_VERSION.
+
+    If this fails because the same seed and actions now give another world, raise RULES_VERSION in
+    pneuma/config.py and record the new hash under it; never replace the hash of an old version. Runs
+    are stored under the version: without raising it, old results would be taken for new ones.
+    """
+    digest, happened = {"text": trace_text, "everything": trace_everything}[name]()
+    expected = (*HAPPENINGS, "endings") if name == "everything" else ("kills", "hits", "hp_lost", "endings")
+    assert min(happened[what] for what in expected) > 0, happened  # the trace passes through what it guards
+    assert GOLDEN[RULES_VERSION][name] == digest
