@@ -667,7 +667,7 @@ def _settle(s: State, w: int, p: int, met: bool) -> None:
             _settle_tick(s, player, event, tick, p)
     else:
         player.safe = max(player.safe - event.present, 0)
-        for tick in range(event.present):
+        for tick in range(event.present if s.settings[0].magic else 0):
             hp = min(player.hp + s.path[tick, p].healed, s.player_stats[p].hp)
             event.hp_gained += hp - player.hp
             player.hp = hp
@@ -853,30 +853,44 @@ def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
             length = math.sqrt(x * x + y * y)
             nearest = min(nearest, length)
         if s.monster_stats[level, m].perceived and (fixed or length < math.inf):
-            _insert(s.scratch, count, m, length, length)
+            _insert(s.scratch, count, m, length)
             count += 1
     if tell:
         s.events[w, p].distance = nearest
     count = min(count, s.settings[0].perceived)
     if fixed:
-        for i in range(count):
-            _insert(s.scratch, i, s.scratch[i].order, s.scratch[i].distance, float(s.scratch[i].order))
+        _sort_by_index(s.scratch, count)
     return count
 
 
 @part
-def _insert(scratch: Array, count: int, order: int, distance: float, key: float) -> None:
-    """Insert into the first `count` of `scratch`, sorted by key, behind equals.
+def _insert(scratch: Array, count: int, order: int, distance: float) -> None:
+    """Insert into the first `count` of `scratch`, nearest first, behind equals.
 
     An insertion sort: for 14 items it is several times faster than numpy.argsort.
     """
     i = count
-    while i > 0 and scratch[i - 1].key > key:
-        scratch[i] = scratch[i - 1]
+    while i > 0 and scratch[i - 1].distance > distance:
+        scratch[i].order = scratch[i - 1].order
+        scratch[i].distance = scratch[i - 1].distance
         i -= 1
     scratch[i].order = order
     scratch[i].distance = distance
-    scratch[i].key = key
+
+
+@part
+def _sort_by_index(scratch: Array, count: int) -> None:
+    """Sort the first `count` of `scratch` by index."""
+    for last in range(1, count):
+        order = scratch[last].order
+        distance = scratch[last].distance
+        i = last
+        while i > 0 and scratch[i - 1].order > order:
+            scratch[i].order = scratch[i - 1].order
+            scratch[i].distance = scratch[i - 1].distance
+            i -= 1
+        scratch[i].order = order
+        scratch[i].distance = distance
 
 
 @part

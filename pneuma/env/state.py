@@ -183,7 +183,7 @@ LEDGER = _record(
 )
 """What one tick of a step brings a player."""
 
-SCRATCH = _record(("order", "i8"), ("distance", "f8"), ("key", "f8"))
+SCRATCH = _record(("order", "i8"), ("distance", "f8"))
 
 
 class State(NamedTuple):

@@ -58,6 +58,7 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
+        self._every = np.ones(num_envs, np.bool_)
         self._over = np.zeros(len(self.state), np.bool_)
 
     def reset(

@@ -43,6 +43,13 @@ def test_the_random_player_chooses_every_action_equally_often() -> None:
     assert ((counts - 1000) ** 2 / 1000).sum() < 18.5
 
 
+def test_the_random_player_knows_the_spells_where_there_are_any() -> None:
+    worlds = Worlds(7000, make_env_config({"magic": True}))
+    counts = np.bincount(RandomPlayer(np.random.default_rng(0)).act(worlds)[:, 0], minlength=7)
+    # 1000 of each expected; chi-square with 6 degrees of freedom is above 22.5 once in a thousand.
+    assert len(counts) == 7 and ((counts - 1000) ** 2 / 1000).sum() < 22.5
+
+
 def test_the_random_player_is_as_random_as_its_generator() -> None:
     worlds = Worlds(4, make_env_config({"players": 2}))
     one, same, other = (RandomPlayer(np.random.default_rng(seed)) for seed in (3, 3, 4))

@@ -24,11 +24,8 @@ SIDE = 20 * 16  # the arena's 20 tiles, 16 px each
 
 
 @pytest.fixture
-def pygame(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+def pygame() -> Iterator[ModuleType]:
     """Return pygame without a screen or a sound card."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setenv("SDL_AUDIODRIVER", "dummy")
-    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     module = pytest.importorskip("pygame", reason="pygame-ce is not installed: the window is not tested")
     yield module
     module.display.quit()

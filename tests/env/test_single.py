@@ -8,19 +8,21 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
+from pneuma.config import ENVIRONMENTS
 from pneuma.env.single import PneumaEnv
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, DOWN, RIGHT
+from .arena import ATTACK, DOWN, RIGHT, THESIS
 
 STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
 
 
-def make(**settings: Any) -> PneumaEnv:
+def make(env_id: str = THESIS, **settings: Any) -> PneumaEnv:
     """Return the environment as `gymnasium.make` makes it, without its wrappers."""
-    env = gymnasium.make("pneuma/Pneuma-v0", **settings).unwrapped
+    env = gymnasium.make(env_id, **settings).unwrapped
     assert isinstance(env, PneumaEnv)
     return env
 
@@ -45,8 +47,26 @@ def threatened(env: PneumaEnv, hp: float) -> None:
 # --- The contract --------------------------------------------------------------------------------
 
 
-def test_gymnasium_finds_nothing_to_complain_of() -> None:
-    check_env(make())  # its warnings would be errors here
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"magic": True, "observation": "pygame", "reward": "kills", "classes": "mage"},
+        {"observation": "godot", "coast": "deadly", "ending_cost": 2, "characters": "pygame"},
+        {
+            "level": "random:test:0",
+            "random_levels": 3,
+            "scale": "map",
+            "perceive": "nearest:3",
+            "order": "fixed",
+        },
+    ],
+    ids=["usual", "pygame", "godot", "random levels"],
+)
+def test_the_checkers_find_nothing_to_complain_of(env_id: str, settings: dict[str, Any]) -> None:
+    for check in (check_env, check_for_sb3):
+        check(make(env_id, **settings))  # its warnings would be errors here
 
 
 def test_the_wrapped_environment_plays_a_whole_episode() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from pneuma.env import rules
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 
@@ -186,6 +187,34 @@ def test_actions_out_of_range_are_refused(actions: list[int]) -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match="outside"):
         env.step(np.array(actions))
+
+
+def test_actions_of_any_layout_are_taken_and_compile_nothing_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that is compiled for another layout of an array costs seconds in the middle of a run."""
+    kernel = rules.step_worlds
+    layouts = set()
+
+    def listen(handle: np.ndarray, actions: np.ndarray, only_observe: bool) -> int:
+        layouts.add((actions.dtype, actions.ndim, actions.flags.c_contiguous))
+        return int(kernel(handle, actions, only_observe))
+
+    monkeypatch.setattr(rules, "step_worlds", listen)
+    one, other = PneumaVectorEnv(4), PneumaVectorEnv(4)
+    one.reset(seed=0)
+    other.reset(seed=0)
+    table = np.random.default_rng(0).integers(5, size=(4, 30))
+    for step in range(30):
+        expected = one.step(table[:, step].tolist())[0]
+        column = table.astype((np.int64, np.int32, np.uint8)[step % 3])[:, step]
+        assert np.array_equal(other.step(column)[0], expected)
+    assert layouts == {(np.dtype(np.int64), 2, True)}
+
+
+def test_actions_that_are_no_whole_numbers_are_refused() -> None:
+    env = PneumaVectorEnv(2)
+    env.reset(seed=0)
+    with pytest.raises((TypeError, ValueError)):
+        env.step(np.array([0.5, 1.0]))
 
 
 def test_what_is_handed_out_is_not_overwritten() -> None:
