@@ -117,8 +117,8 @@ def play(
     """Play with the keyboard: arrows or WASD walk, space attacks, escape leaves."""
     from pneuma.env.show import play as play_world
 
-    for kills, total in play_world(_worlds(name, set_, seed), name, camera):
-        print(f"killed {kills} monsters; return {total:.1f}")
+    for kills, steps in play_world(_worlds(name, set_, seed), name, camera):
+        print(f"killed {kills} monsters in {steps} steps")
 
 
 def _worlds(name: str, settings: list[str] | None, seed: int) -> Any:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pneuma.config import ACTION_NAMES
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
@@ -21,7 +20,7 @@ class RandomPlayer:
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
-        return self.generator.integers(len(ACTION_NAMES), size=worlds.players.shape)
+        return self.generator.integers(int(worlds.action_space.n), size=worlds.players.shape)
 
 
 class Hunter:

@@ -42,20 +42,19 @@ def smooth(worlds: Worlds) -> None:
     worlds.settings["step_limit"] *= FRAMES_PER_STEP
 
 
-def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, float]]:
+def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
     """Let a person play player 0 with the keyboard until the window closes.
 
-    Arrows or W, A, S, D walk, space attacks, escape leaves. The other players stand still.
+    Arrows or W, A, S, D walk, space attacks, escape leaves. The other players stand and strike.
 
     Returns:
-        Kills and reward of every episode.
+        Kills and length, in steps of 8 ticks, of every episode that ended.
     """
     smooth(worlds)
     renderer = Renderer(worlds, camera)
     window = Window(renderer.size, title)
     keys = {**dict(zip(ACTION_NAMES, ACTION_NAMES, strict=True)), "attack": "space"}
-    scores: list[tuple[int, float]] = []
-    total = 0.0
+    scores: list[tuple[int, int]] = []
     while not window.closed:
         window.show(renderer.frame(0), FRAMES_PER_SECOND)
         held = window.keys()
@@ -64,13 +63,11 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
         chosen = [name for name in ("attack", *ACTION_NAMES[:4]) if keys[name] in held]
         if not chosen:
             continue  # the world waits for its player
-        actions = np.zeros(worlds.players.shape, np.int64)
+        actions = np.full(worlds.players.shape, ACTION_NAMES.index("attack"))
         actions[0, 0] = ACTION_NAMES.index(chosen[0])
-        ended = worlds.step(actions)
-        total += float(worlds.events["reward"][0, 0])
-        if ended:
-            scores.append((int(worlds.players["kills"][0, 0]), total))
-            total = 0.0
+        if worlds.step(actions):
+            steps = -(-int(worlds.worlds["steps"][0]) // FRAMES_PER_STEP)
+            scores.append((int(worlds.players["kills"][0, 0]), steps))
             worlds.reset()
     window.close()
     return scores

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from pneuma.config import ENVIRONMENTS, make_env_config
+from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP
 from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.showing import ShowsWorld
@@ -121,7 +122,8 @@ class PneumaMOEnv(PneumaEnv):
         least = -MOST_XP if config.xp_scope == "forever" else -config.ending_cost
         circles = float(self.state.monsters.shape[1] * 8)
         low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
-        high = np.array([most, 1.0, worth, 1.0, circles, circles], np.float32)
+        bites = float(TICKS_PER_STEP)  # who is healed in between may lose all HP at every tick
+        high = np.array([most, 1.0, worth, bites, circles, circles], np.float32)
         self.reward_space = spaces.Box(low, high, dtype=np.float32)
         self.reward_dim = len(PARTS)
 

@@ -108,7 +108,10 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
-        actions = np.asarray(actions, np.int64).reshape(self.num_envs)
+        actions = np.asarray(actions)
+        if not np.issubdtype(actions.dtype, np.integer):
+            raise ValueError(f"actions {actions} are outside {self.action_space}: not whole numbers")
+        actions = np.ascontiguousarray(actions, np.int64).reshape(self.num_envs)
         if actions.min() < 0 or actions.max() >= self.single_action_space.n:  # type: ignore[attr-defined]
             raise ValueError(f"actions {actions} are outside {self.action_space}")
         waiting = self._over

@@ -174,7 +174,7 @@ class Worlds:
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
         for world in np.flatnonzero(self._every if mask is None else mask):
-            self.worlds["key"][world] = world_key(seeds[int(world)])
+            self.worlds["key"][world] = world_key(int(seeds[int(world)]))
             self.worlds["draws"][world] = 0
             self.players["xp"][world] = 0.0
 

@@ -43,7 +43,7 @@ FEW = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
-MANY = settings(FEW, max_examples=8000)
+MANY = settings(FEW, max_examples=4000)
 
 # --- Whatever is played ------------------------------------------------------------------------------
 
@@ -188,6 +188,14 @@ def test_when_one_dies_in_a_step_the_others_live_on_without_him(tmp_path: Path) 
         act(pair, UP, LEFT)
     assert told(pair, "hp") == [0, 93]
     assert (told(pair, "present"), told(pair, "y")) == ([0, 8], [507, 512])
+
+
+def test_of_two_players_equally_near_the_first_is_chased(tmp_path: Path) -> None:
+    pair = set_up(tmp_path, (512.0, 512.0), players=2, characters="")
+    pair.worlds.players["x"][0], pair.worlds.players["y"][0] = (612.0, 412.0), 512.0
+    pair.take_over()
+    act(pair, ATTACK, ATTACK)
+    assert pair.worlds.monsters["x"][0, 0] == 512 + 8 * 2.5
 
 
 @pytest.mark.parametrize(("hp", "left"), [(7.0, 20.0), (95.0, 93.0)])

@@ -18,7 +18,7 @@ from pneuma.env.single import PneumaEnv, PneumaMOEnv
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, GODOT, STAND, THESIS, move_monster, play, stage
+from .arena import ATTACK, GODOT, HEAL, STAND, THESIS, move_monster, play, stage
 
 _NUMBERS = itertools.count()
 
@@ -225,6 +225,22 @@ def test_no_reward_ever_leaves_the_space(name: str, policy: str, pit: str) -> No
             endings.add(info["ending"])
             env.reset()
     assert "killed" in endings
+
+
+def test_who_is_healed_between_two_bites_may_lose_more_than_full_hp(tmp_path: Path, arena: str) -> None:
+    """99 HP in the first tick; 20 come back in the fourth, and all 21 go in the sixth: 120 of 100."""
+    file = tmp_path / "fierce.toml"
+    file.write_text("[monsters.bamboo]\ndamage = 99\n")
+    env = make(MO_ENVIRONMENTS[0], level=arena, characters=str(file), magic=True)
+    env.reset(seed=0)
+    env.state.players["busy"] = 3
+    monsters = env.state.monsters
+    monsters["x"][0, :2], monsters["y"][0, :2] = [-30.0, -73.5], 0.0
+    monsters["knocked"][0, 1], monsters["knock_x"][0, 1] = 30, 2.0  # within reach in the sixth tick
+    _, reward, terminated, *_ = env.step(np.int64(HEAL))
+    assert terminated
+    assert reward[PARTS.index("hp_lost")] == pytest.approx(1.2)
+    assert env.reward_space.contains(reward)
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,39 @@ def test_healing_comes_before_the_bites_of_the_same_tick(arena: str) -> None:
     assert (worlds.ending(0), player_hp(worlds)) == ("running", 7)
 
 
+def test_all_bites_of_a_tick_are_settled_together(arena: str) -> None:
+    worlds = stage(arena, (-30.0, 0.0), (-30.0, 10.0), (-30.0, -10.0))
+    worlds.players["hp"] = 10
+    play(worlds, STAND)  # 3 x 7
+    assert (worlds.ending(0), player_hp(worlds)) == ("killed", 0)
+    assert worlds.events["hp_lost"][0, 0] == 10
+    assert worlds.events["contacts"][0, 0] == 3
+
+
+def test_a_kill_in_the_tick_of_death_counts(arena: str) -> None:
+    worlds = about_to_kill(arena, hp=7)
+    for index, y in enumerate((0.0, 10.0), start=1):
+        worlds.monsters["x"][0, index], worlds.monsters["y"][0, index] = -30.0, y
+    play(worlds, ATTACK)  # 7 + 7 - 2 x 7
+    assert worlds.ending(0) == "killed"
+    assert (worlds.players["xp"][0, 0], worlds.players["kills"][0, 0]) == (1, 1)
+    assert (worlds.events["hp_gained"][0, 0], worlds.events["hp_lost"][0, 0]) == (7, 14)
+    assert reward(worlds) == 1.0  # 1 XP - 0 / 100
+
+
+@pytest.mark.parametrize(("tick", "hit"), [(1, True), (2, False)])
+def test_the_sword_of_the_dead_strikes_no_more(arena: str, tick: int, hit: bool) -> None:
+    # The bite kills in the first tick. Another monster flies into the sword's reach, 37.5 px off (54, 0).
+    worlds = stage(arena, (-30.0, 0.0), still=True)
+    worlds.players["hp"] = 7
+    flier = worlds.monsters[0, 1]
+    flier["x"], flier["y"], flier["hp"] = 54 + 36.5 + 2 * (tick - 1), 0.0, 20
+    flier["knocked"], flier["knock_x"], flier["knock_y"] = 30, -2.0, 0.0
+    play(worlds, ATTACK)
+    assert (monster_hp(worlds, 1) == 0) is hit
+    assert worlds.ending(0) == ("running" if hit else "killed")  # a kill heals 7 HP in time
+
+
 def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
     worlds = stage(arena, (-30.0, 0.0))
     worlds.players["hp"] = 7

@@ -204,6 +204,9 @@ def test_slots_live_through_what_agents_do(env_id: str, pit: str) -> None:
             for agent in their:
                 slot = int(agent[-1])
                 assert np.array_equal(observations[slot], their[agent])
+            assert slots.observation_space.contains(observations)  # zeros of idle slots among them
+            for agent in their:
+                slot = int(agent[-1])
                 assert rewards[slot] == their_rewards[agent]
                 assert (terminated[slot], truncated[slot]) == (ends[agent], cuts[agent])
                 assert np.array_equal(infos["action_mask"][slot], their_infos[agent]["action_mask"])
