@@ -232,7 +232,7 @@ def _step_world(s: State, w: int, actions: Array) -> bool:
     count = _gather_active(s, w)
     for p in range(s.players.shape[1]):
         if s.players[w, p].hp > 0.0:
-            _walk_path(s, w, p, actions[w, p])
+            _walk_path(s, w, p, actions[w, p], count > 0)
     if count > 0:
         _live_through(s, w, count)
     world.players_left = 0
@@ -306,8 +306,11 @@ def _gap(x: float, y: float, player_x: float, player_y: float, stats: Array) -> 
 
 
 @part
-def _walk_path(s: State, w: int, p: int, action: int) -> None:
-    """Take a living player through all ticks of a step, and note where it is and what it strikes."""
+def _walk_path(s: State, w: int, p: int, action: int, noted: bool) -> None:
+    """Take a living player through all ticks of a step, and note where it is and what it strikes.
+
+    Where no monster may stir, nobody reads the notes, and none but spells are taken.
+    """
     player = s.players[w, p]
     stats = s.player_stats[p]
     settings = s.settings[0]
@@ -323,14 +326,17 @@ def _walk_path(s: State, w: int, p: int, action: int) -> None:
             _act(s, w, player, stats, spot, action)
         if player.busy > 0:
             player.busy -= 1
-            if player.armed:
+            if player.armed and noted:
                 _raise_sword(player, stats, spot)
-        player.energy = min(player.energy + stats.energy_gain, stats.energy)
-        spot.x = player.x
-        spot.y = player.y
-        spot.facing = player.facing
-        spot.energy = player.energy
-        if settings.deadly_coast and _at_sea(s, s.worlds[w].level, player):
+        if settings.magic:  # else nobody ever spends any
+            player.energy = min(player.energy + stats.energy_gain, stats.energy)
+        at_sea = settings.deadly_coast and _at_sea(s, s.worlds[w].level, player)
+        if noted or at_sea:
+            spot.x = player.x
+            spot.y = player.y
+            spot.facing = player.facing
+            spot.energy = player.energy
+        if at_sea:
             event.died = 1
             event.present = tick
             break
@@ -747,16 +753,23 @@ def _moved(
     dx: float, dy: float, coast_blocks: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Return where a body gets by moving, x first, among the tiles that block."""
-    settings = s.settings[0]
-    column = int((x - settings.left) * settings.cells_per_pixel)
-    row = int((y - settings.top) * settings.cells_per_pixel)
-    if s.room[level, row, column]:  # nothing near enough to meet
+    if _has_room(s, level, x, y):
         return x + dx, y + dy
+    settings = s.settings[0]
     if dx != 0.0:
         x = _slide_x(s.terrain, level, settings, x, y, half_width, half_height, dx, coast_blocks)
     if dy != 0.0:
         y = _slide_y(s.terrain, level, settings, x, y, half_width, half_height, dy, coast_blocks)
     return x, y
+
+
+@part
+def _has_room(s: State, level: int, x: float, y: float) -> bool:
+    """Tell whether a body whose centre is here is too far from all tiles to meet one within a tick."""
+    settings = s.settings[0]
+    column = int((x - settings.left) * settings.cells_per_pixel)
+    row = int((y - settings.top) * settings.cells_per_pixel)
+    return s.room[level, row, column] != 0
 
 
 @kernel
@@ -983,7 +996,9 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     stats = s.player_stats[p]
     free = player.busy < s.settings[0].ticks
     for a in range(4):
-        s.masks[w, p, a] = free and (player.facing != a or _may_walk(s, w, player, stats, a))
+        s.masks[w, p, a] = free
+    if free and not _has_room(s, s.worlds[w].level, player.x, player.y):
+        s.masks[w, p, player.facing] = _may_walk(s, w, player, stats, player.facing)
     s.masks[w, p, ATTACK] = 1
     if s.masks.shape[2] > HEAL:
         energy = player.energy

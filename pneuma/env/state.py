@@ -45,16 +45,16 @@ PLAYER = _record(
     ("safe", "i4"),  # ticks in which bites do nothing
     ("kills", "i4"),
 )
-MONSTER = _record(
+MONSTER = _record(  # what every step looks at comes first: it shares a line of cache
     ("x", "f8"),
     ("y", "f8"),
     ("hp", "f8"),
-    ("knock_x", "f8"),  # pixels a tick
-    ("knock_y", "f8"),
     ("knocked", "i4"),  # ticks that the knock-back still lasts
     ("safe", "i4"),  # ticks in which blows do nothing
     ("noticed", "u1"),  # bit p: player p is inside the notice circle
     ("bite", "i2", (MAX_PLAYERS,)),  # ticks to the next bite of player p; 0: out of reach
+    ("knock_x", "f8"),  # pixels a tick
+    ("knock_y", "f8"),
     ("struck_by", "i4", (MAX_PLAYERS,)),  # the last attack of player p that hit it
 )
 
