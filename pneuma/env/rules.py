@@ -238,7 +238,7 @@ def _step_world(s: State, w: int, actions: Array) -> bool:
     world.players_left = 0
     for p in range(s.players.shape[1]):
         if s.events[w, p].present > 0 or s.events[w, p].died:
-            _settle(s, w, p, count > 0)
+            _settle(s, w, p, count > 0 and s.ledger[0, p].written != 0)
         world.players_left += s.players[w, p].hp > 0.0
     world.steps += 1
     if world.players_left == 0:
@@ -438,8 +438,8 @@ def _live_through(s: State, w: int, count: int) -> None:
 
 @part
 def _empty_ledger(s: State) -> None:
-    for tick in range(s.ledger.shape[0]):
-        for p in range(s.ledger.shape[1]):
+    for p in range(s.ledger.shape[1]):
+        for tick in range(s.ledger.shape[0] if s.ledger[0, p].written else 0):
             line = s.ledger[tick, p]
             line.xp = 0.0
             line.healed = 0.0
@@ -449,6 +449,7 @@ def _empty_ledger(s: State) -> None:
             line.notices = 0
             line.contacts = 0
             line.pays = 0
+        s.ledger[0, p].written = 0
 
 
 @part
@@ -463,7 +464,7 @@ def _note_first_death(s: State, w: int) -> bool:
         player = s.players[w, p]
         hp = player.hp
         safe = player.safe
-        for tick in range(min(s.events[w, p].present, first)):
+        for tick in range(min(s.events[w, p].present, first) if s.ledger[0, p].written else 0):
             hp, safe = _hp_after(s, tick, p, hp, safe)
             if hp <= 0.0:
                 if tick + 1 < s.events[w, p].present:
@@ -533,6 +534,7 @@ def _live_step(s: State, w: int, m: int) -> None:
             elif not monster.noticed & np.uint8(1 << p):
                 monster.noticed |= np.uint8(1 << p)
                 s.ledger[tick, p].notices += 1
+                s.ledger[0, p].written = 1
             if gap <= notice and gap < nearest:
                 nearest = gap
                 target = p
@@ -542,6 +544,7 @@ def _live_step(s: State, w: int, m: int) -> None:
                 monster.bite[p] -= 1
             else:
                 _bite(monster, kind, p, s.ledger[tick, p], stats)
+                s.ledger[0, p].written = 1
         dx = 0.0
         dy = 0.0
         if monster.knocked > 0:
@@ -622,6 +625,7 @@ def _suffer(s: State, w: int, m: int, tick: int, p: int, x: float, y: float) -> 
     kind = s.monster_stats[s.worlds[w].level, m]
     _take_blow(monster, kind, s.path[tick, p], x, y)
     s.ledger[tick, p].hits += 1
+    s.ledger[0, p].written = 1
     if monster.hp <= 0.0:
         _pay(s, w, monster, kind, tick, p)
 
@@ -630,11 +634,13 @@ def _suffer(s: State, w: int, m: int, tick: int, p: int, x: float, y: float) -> 
 def _pay(s: State, w: int, monster: Array, kind: Array, tick: int, striker: int) -> None:
     """Credit a kill: to the one who landed the last blow, or to all within the attack circle."""
     s.ledger[tick, striker].kills += 1
+    s.ledger[0, striker].written = 1
     for p in range(s.players.shape[1]):
         if tick >= s.events[w, p].present:
             continue
         line = s.ledger[tick, p]
         line.pays += 1
+        s.ledger[0, p].written = 1
         if (monster.bite[p] > 0) if s.settings[0].credit_near else (p == striker):
             line.xp += kind.xp
             line.healed += kind.heal
@@ -997,7 +1003,8 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     free = player.busy < s.settings[0].ticks
     for a in range(4):
         s.masks[w, p, a] = free
-    if free and not _has_room(s, s.worlds[w].level, player.x, player.y):
+    hemmed_in = stats.speed == 0.0 or not _has_room(s, s.worlds[w].level, player.x, player.y)
+    if free and hemmed_in:
         s.masks[w, p, player.facing] = _may_walk(s, w, player, stats, player.facing)
     s.masks[w, p, ATTACK] = 1
     if s.masks.shape[2] > HEAL:

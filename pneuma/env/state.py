@@ -180,6 +180,7 @@ LEDGER = _record(
     ("notices", "i4"),
     ("contacts", "i4"),
     ("pays", "i4"),  # kills of this tick, anybody's
+    ("written", "i4"),  # at the first tick: whether anything is written for the player at any
 )
 """What one tick of a step brings a player."""
 
