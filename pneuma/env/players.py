@@ -9,7 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from pneuma.env import rules
+from pneuma.env.characters import TICKS_PER_STEP
+from pneuma.env.paths import Plan, Ways
 from pneuma.env.worlds import Worlds
+
+FARTHEST = 1e6
+"""Beyond every way that can be walked: monsters that cannot be reached come last."""
 
 
 class RandomPlayer:
@@ -24,34 +29,106 @@ class RandomPlayer:
 
 
 class Hunter:
-    """Walks to the nearest living monster and strikes whenever the sword would meet one.
+    """Walks to the living monster nearest on foot and strikes whenever the sword would meet one.
 
-    It lines up on one axis, steps back from a monster that is too close for the sword, and goes
-    across for a few steps when something is in the way.
+    From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it lines up on one
+    axis, steps back from a monster that is too close for the sword, and goes across for a few steps
+    when something is in the way. It knows the whole state, not only what a player observes.
     """
 
     SIDE_STEPS = 4
     BACK_STEPS = 2
+    NEAR_PIXELS = 128.0
+    """On foot; nearer monsters are walked to straight on."""
 
     def __init__(self, worlds: Worlds) -> None:
         self._left_off = np.full((2, *worlds.players.shape), np.nan)  # where the last walk began
         self._detour = np.zeros(worlds.players.shape, np.int64)  # steps left of a way round
         self._way = np.zeros(worlds.players.shape, np.int64)
+        self._seen = np.full((2, *worlds.monsters.shape), np.nan)  # where awake monsters last were
+        self._plans: dict[tuple[int, int], Plan] = {}
+        bodies = {(float(row["half_width"]), float(row["half_height"])) for row in worlds.player_stats}
+        sea = worlds.config.coast == "deadly"
+        self._ways = {body: Ways(worlds.levels, *body, sea) for body in bodies}
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
         if not worlds.monsters.shape[1]:
             return np.full(worlds.players.shape, rules.ATTACK)
+        self._begin_again(worlds.worlds["steps"] == 0)
         x, y = _offsets(worlds)
         alive = worlds.monsters["hp"][:, None, :] > 0
-        nearest = np.where(alive, np.hypot(x, y), np.inf).argmin(axis=-1)[..., None]
-        walk = self._walk(
-            worlds, np.take_along_axis(x, nearest, -1)[..., 0], np.take_along_axis(y, nearest, -1)[..., 0]
-        )
-        strike = (_meets_sword(worlds, x, y) & alive).any(axis=-1)
+        straight, on_foot = np.hypot(x, y), self._lengths(worlds)
+        order = np.where(np.isfinite(on_foot), on_foot, FARTHEST + straight)
+        nearest = np.where(alive, order, np.inf).argmin(axis=-1)[..., None]
+        dx, dy, length = (np.take_along_axis(each, nearest, -1)[..., 0] for each in (x, y, on_foot))
+        strike = (self._meets_sword(worlds, x, y) & alive).any(axis=-1)
+        idle = strike | (worlds.players["busy"] > 0)
+        far = (length * worlds.level.tile > self.NEAR_PIXELS) & np.isfinite(length) | self._under_way(worlds)
+        far &= ~idle & alive.any(axis=-1) & (worlds.players["hp"] > 0)
+        far &= (worlds.worlds["ending"] == 0)[:, None]
+        walk = self._walk(worlds, dx, dy)
         here = np.stack([worlds.players["x"], worlds.players["y"]])
-        self._left_off = np.where(strike | (worlds.players["busy"] > 0), np.nan, here)
-        return np.where(strike, rules.ATTACK, walk)
+        self._left_off = np.where(idle, np.nan, here)
+        for world, player in np.argwhere(far).tolist():
+            action = self._follow(worlds, world, player, int(nearest[world, player, 0]))
+            if action is not None:
+                walk[world, player] = action
+                self._left_off[:, world, player], self._detour[world, player] = np.nan, 0
+        if worlds.config.coast == "deadly":
+            self._keep_ashore(worlds, walk, ~idle)
+        return np.where(strike | ~alive.any(axis=-1), rules.ATTACK, walk)
+
+    def _keep_ashore(self, worlds: Worlds, walk: np.ndarray, may_walk: np.ndarray) -> None:
+        """Let players strike where they stand whose next step would drown them."""
+        for world, player in np.argwhere(may_walk).tolist():
+            row, level = worlds.players[world, player], int(worlds.worlds["level"][world])
+            place, way = (float(row["x"]), float(row["y"])), int(walk[world, player])
+            if self._ways_of(worlds, player).step(level, place, way, _reach(worlds, player)) is None:
+                walk[world, player] = rules.ATTACK
+
+    def _begin_again(self, fresh: np.ndarray) -> None:
+        """Forget what concerns the worlds whose episodes have only just begun, (N,)."""
+        if fresh.any():
+            self._left_off[:, fresh], self._seen[:, fresh], self._detour[fresh] = np.nan, np.nan, 0
+            self._plans = {key: plan for key, plan in self._plans.items() if not fresh[key[0]]}
+
+    def _lengths(self, worlds: Worlds) -> np.ndarray:
+        """Return how many tiles every player has to walk to every monster, (N, P, M)."""
+        level = worlds.worlds["level"].astype(np.int64)
+        monsters, players = worlds.monsters, worlds.players
+        return np.stack(
+            [
+                self._ways_of(worlds, p).lengths(
+                    level, monsters["x"], monsters["y"], players["x"][:, p], players["y"][:, p]
+                )
+                for p in range(players.shape[1])
+            ],
+            axis=1,
+        )
+
+    def _under_way(self, worlds: Worlds) -> np.ndarray:
+        """Return who is in the middle of a plan, which is walked to its end, (N, P)."""
+        flags = np.zeros(worlds.players.shape, bool)
+        x, y = worlds.players["x"], worlds.players["y"]
+        for key, plan in self._plans.items():
+            flags[key] = (x[key], y[key]) in plan
+        return flags
+
+    def _ways_of(self, worlds: Worlds, player: int) -> Ways:
+        stats = worlds.player_stats[player]
+        return self._ways[float(stats["half_width"]), float(stats["half_height"])]
+
+    def _follow(self, worlds: Worlds, world: int, player: int, monster: int) -> int | None:
+        """Return the next step of the plan, of a new one where the last is at its end."""
+        row, prey = worlds.players[world, player], worlds.monsters[world, monster]
+        place = float(row["x"]), float(row["y"])
+        plan = self._plans.get((world, player), {})
+        if place not in plan:
+            level, goal = int(worlds.worlds["level"][world]), (float(prey["x"]), float(prey["y"]))
+            ways, reach = self._ways_of(worlds, player), _reach(worlds, player)
+            plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
+        return plan.get(place)
 
     def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
         """Return the way to walk to a monster at (dx, dy), or for a while some other way."""
@@ -70,6 +147,33 @@ class Hunter:
         self._way = np.where(again, (self._way + 2) % 4, np.where(stopped, across, self._way))
         return np.where(self._detour > 0, self._way, straight)
 
+    def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Tell which monsters a swing begun now would meet, the way the player faces: (N, P, M).
+
+        One that is awake comes closer meanwhile, on each axis on which nothing holds it up.
+        """
+        facing = worlds.players["facing"]
+        player = np.arange(facing.shape[1])
+        stats = _kinds(worlds)
+        monsters = worlds.monsters
+        awake = monsters["noticed"] > 0
+        meets = np.ones(x.shape, bool)
+        for i, (offset, axis, side) in enumerate(((x, "x", "width"), (y, "y", "height"))):
+            centre = worlds.player_stats[f"sword_{axis}"][player, facing][..., None]  # (N, P, 1)
+            half = worlds.player_stats[f"sword_half_{side}"][player, facing][..., None]
+            comes = awake & (monsters[axis] != self._seen[i])
+            after = np.where(comes[:, None, :], _come_closer(worlds, offset), offset)
+            low, high = np.minimum(offset, after), np.maximum(offset, after)
+            body = stats[f"half_{side}"]
+            meets &= (low - body < centre + half) & (high + body > centre - half)
+            self._seen[i] = np.where(awake, monsters[axis], np.nan)
+        return meets
+
+
+def _reach(worlds: Worlds, player: int) -> float:
+    """Return how far a player walks in one step."""
+    return float(worlds.player_stats["speed"][player]) * TICKS_PER_STEP
+
 
 def _kinds(worlds: Worlds) -> np.ndarray:
     """Return the stats of every monster on its world's level, (N, 1, M)."""
@@ -80,23 +184,6 @@ def _offsets(worlds: Worlds) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y from every player to every monster, each (N, P, M)."""
     monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
     return monsters["x"] - players["x"], monsters["y"] - players["y"]
-
-
-def _meets_sword(worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Tell which monsters a swing begun now would meet, the way the player faces: (N, P, M)."""
-    facing = worlds.players["facing"]
-    player = np.arange(facing.shape[1])
-    stats = _kinds(worlds)
-    awake = worlds.monsters["noticed"][:, None, :] > 0
-    meets = np.ones(x.shape, bool)
-    for offset, axis, side in ((x, "sword_x", "width"), (y, "sword_y", "height")):
-        centre = worlds.player_stats[axis][player, facing][..., None]  # (N, P, 1)
-        half = worlds.player_stats[f"sword_half_{side}"][player, facing][..., None]
-        after = np.where(awake, _come_closer(worlds, offset), offset)
-        low, high = np.minimum(offset, after), np.maximum(offset, after)
-        body = stats[f"half_{side}"]
-        meets &= (low - body < centre + half) & (high + body > centre - half)
-    return meets
 
 
 def _come_closer(worlds: Worlds, offset: np.ndarray) -> np.ndarray:

@@ -110,6 +110,34 @@ def test_the_hunter_gets_round_an_obstacle(arena: str) -> None:
     assert monster_hp(worlds, 0) == 0
 
 
+@pytest.mark.parametrize("level", ["random:test:0", "random:test:4", "random:train:8"])
+def test_the_hunter_finds_its_way_on_random_islands(level: str) -> None:
+    """Straight on it kills less than half of them."""
+    worlds = Worlds(6, make_env_config({"level": level}))
+    worlds.seed(range(6))
+    worlds.reset(starts=np.arange(6))
+    play_out(worlds, Hunter(worlds))
+    assert worlds.players["kills"].mean() > 0.95 * 14
+
+
+def test_the_hunter_does_not_drown() -> None:
+    worlds = Worlds(6, make_env_config({"level": "random:test:3", "coast": "deadly"}))
+    worlds.seed(range(6))
+    worlds.reset(starts=np.arange(6))
+    play_out(worlds, Hunter(worlds))
+    assert (worlds.players["hp"] > 0).all()
+
+
+def test_the_hunter_walks_around_a_monster_that_waits_behind_a_tree(tmp_path: Path) -> None:
+    """Awake and held up by the tree, it never comes into reach: striking at it would go on for ever."""
+    level = write_level(tmp_path / "tree", [(-32.0, 32.0)], [(100.0, 32.0)], [(10, 10)])
+    worlds = begin(1, level=level)
+    hunter = Hunter(worlds)
+    for _ in range(150):
+        worlds.step(hunter.act(worlds))
+    assert monster_hp(worlds) == 0
+
+
 def test_every_world_is_hunted_as_if_it_were_alone() -> None:
     company = Worlds(6)
     company.seed(range(6))

@@ -1,0 +1,213 @@
+"""Ways over a level: how far it is on foot to anywhere, and the steps that bring a body nearer.
+
+A step takes a body a fixed way along one axis, or flush to what stops it, so that it cannot stand
+just anywhere, and a gap that is one tile wide can be missed. Distances are therefore walked over
+tiles, and the few steps that follow are searched among the places that steps really lead to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from heapq import heappop, heappush
+
+import numpy as np
+
+from pneuma.env import rules
+from pneuma.env.level import Level, walkable_regions
+
+NOWHERE = math.inf
+MOST_PLACES = 4000
+"""How many places a search looks at before it gives up."""
+
+Place = tuple[float, float]
+Plan = dict[Place, int]
+"""The action to take at each place along the way."""
+
+
+class Ways:
+    """Ways of one body over levels of one shape, found when first asked for and then kept.
+
+    A cell is the upper left tile of a block of tiles that the body fits into; `lengths` and the
+    fields behind it count from cell to cell. All grids have a rim of closed tiles.
+    """
+
+    def __init__(self, levels: Sequence[Level], half_width: float, half_height: float, sea: bool) -> None:
+        """Prepare for some levels.
+
+        Args:
+            levels: of equal shape and place, as those of a `Worlds` are.
+            half_width: half the body's width.
+            half_height: and its height.
+            sea: whether the coast drowns instead of stopping.
+        """
+        level = levels[0]
+        self._halves = (half_width, half_height)
+        self._tile = level.tile
+        self._abreast = math.ceil(2 * max(half_width, half_height) / level.tile)
+        rim = self._abreast
+        self._corner = (level.left - rim * level.tile, level.top - rim * level.tile)
+        terrains = [np.pad(each.terrain, rim, constant_values=rules.SOLID) for each in levels]
+        self._shape = terrains[0].shape
+        self._fits = [self._room(terrain == rules.OPEN) for terrain in terrains]
+        stops = [terrain != rules.OPEN if not sea else terrain == rules.SOLID for terrain in terrains]
+        self._stops = [(grid.tolist(), grid.T.tolist()) for grid in stops]
+        drowns = [(terrain == rules.COAST) & sea for terrain in terrains]
+        self._drowns = [grid.tolist() if grid.any() else None for grid in drowns]
+        self._numbers = np.full((len(levels), self._fits[0].size), -1)  # of the field to each tile
+        self._lists: list[list[float]] = []
+        self._fields = np.empty((64, self._fits[0].size))
+
+    def lengths(
+        self, level: np.ndarray, to_x: np.ndarray, to_y: np.ndarray, x: np.ndarray, y: np.ndarray
+    ) -> np.ndarray:
+        """Return how many tiles a body has to walk to each of M places, infinite where none leads.
+
+        Args:
+            level: (N,) indices of levels.
+            to_x: (N, M) where to.
+            to_y: (N, M).
+            x: (N,) where the body is.
+            y: (N,).
+        """
+        goals = self._tiles(to_x, to_y, 0.0)
+        numbers = self._numbers[level[:, None], goals]
+        for world, monster in np.argwhere(numbers < 0).tolist():
+            numbers[world, monster] = self._number(int(level[world]), int(goals[world, monster]))
+        here = self._tiles(x, y, (1 - self._abreast) / 2)
+        return np.asarray(self._fields[numbers, here[:, None]])
+
+    def plan(self, level: int, place: Place, goal: Place, reach: float) -> Plan:
+        """Return steps that bring a body two tiles nearer to a goal, empty if there are none.
+
+        Args:
+            level: index of the level.
+            place: where the body is.
+            goal: where it is going.
+            reach: how far one step goes.
+        """
+        tile = int(self._tiles(np.array(goal[0]), np.array(goal[1]), 0.0))
+        field = self._lists[self._number(level, tile)]
+        first = self._length(field, *place)
+        enough = max(first - 2 * self._tile, self._tile)
+        came: dict[Place, tuple[Place, int]] = {place: (place, -1)}
+        best, nearest = place, first
+        queue = [(first, first, 0, 0, place)]  # A*: first by the whole way, then by what is left of it
+        while queue and nearest > enough and len(came) < MOST_PLACES:
+            _, length, _, steps, here = heappop(queue)
+            if length < nearest:
+                best, nearest = here, length
+            for action in range(4):
+                there = self.step(level, here, action, reach)
+                if there is not None and there not in came:
+                    came[there] = (here, action)
+                    left = self._length(field, *there)
+                    heappush(queue, (left + (steps + 1) * reach, left, len(came), steps + 1, there))
+        return dict(_trace(came, best))
+
+    def step(self, level: int, place: Place, action: int, reach: float) -> Place | None:
+        """Return where a step leads, as the rules have it; None into the sea."""
+        axis = 0 if action in (rules.LEFT, rules.RIGHT) else 1
+        way = reach if action in (rules.RIGHT, rules.DOWN) else -reach
+        end = self._slide(level, place, axis, way)
+        there = (end, place[1]) if axis == 0 else (place[0], end)
+        return None if self._drowns[level] and self._meets_sea(level, place, there) else there
+
+    # --- Distances -------------------------------------------------------------------------------
+
+    def _room(self, free: np.ndarray) -> np.ndarray:
+        """Return which cells the body fits into, in the shape of the grid."""
+        fits = walkable_regions(free, self._abreast) > 0
+        return np.pad(fits, (0, self._abreast - 1))
+
+    def _tiles(self, x: np.ndarray, y: np.ndarray, shift: float) -> np.ndarray:
+        """Return the index of the tile at each place moved by `shift` tiles."""
+        column = np.floor((x - self._corner[0]) / self._tile + shift).astype(np.int64)
+        row = np.floor((y - self._corner[1]) / self._tile + shift).astype(np.int64)
+        return np.asarray(row * self._shape[1] + column)
+
+    def _number(self, level: int, tile: int) -> int:
+        """Return the number of the field of distances to a tile, which is walked if it is new."""
+        if self._numbers[level, tile] < 0:
+            number = len(self._lists)
+            self._lists.append(self._walk_from(level, tile))
+            if number == len(self._fields):
+                self._fields = np.concatenate([self._fields, np.empty_like(self._fields)])
+            self._fields[number] = self._lists[-1]
+            self._numbers[level, tile] = number
+        return int(self._numbers[level, tile])
+
+    def _walk_from(self, level: int, tile: int) -> list[float]:
+        """Return how many tiles every cell is away from the cells that cover a tile."""
+        width = self._shape[1]
+        open_cells = self._fits[level].ravel().tolist()
+        cover = [tile - i * width - j for i in range(self._abreast) for j in range(self._abreast)]
+        ring = [cell for cell in cover if open_cells[cell]]
+        field = [NOWHERE] * len(open_cells)
+        length = 0
+        while ring:
+            following = []
+            for cell in ring:
+                field[cell] = length
+            for cell in ring:
+                for near in (cell + width, cell - 1, cell - width, cell + 1):
+                    if open_cells[near] and field[near] == NOWHERE:
+                        field[near] = length + 1
+                        following.append(near)
+            ring, length = following, length + 1
+        return field
+
+    def _length(self, field: list[float], x: float, y: float) -> float:
+        """Return how many pixels it is from a place to a field's goal, by the best cell at hand."""
+        tile, width, abreast = self._tile, self._shape[1], self._abreast
+        across, down = (x - self._corner[0]) / tile, (y - self._corner[1]) / tile
+        best = NOWHERE
+        for row in _cells(down, self._halves[1] / tile, abreast):
+            for column in _cells(across, self._halves[0] / tile, abreast):
+                aside = abs(across - column - abreast / 2) + abs(down - row - abreast / 2)
+                best = min(best, field[row * width + column] + aside)
+        return best * tile
+
+    # --- Steps -----------------------------------------------------------------------------------
+
+    def _slide(self, level: int, place: Place, axis: int, way: float) -> float:
+        """Return the coordinate after moving along an axis up to the first tile that stops a body."""
+        tile, corner = self._tile, self._corner
+        lines = self._stops[level][1 - axis]  # lines of tiles that lie across the way
+        half, other = self._halves[axis], self._halves[1 - axis]
+        first = math.floor((place[1 - axis] - other - corner[1 - axis]) / tile)
+        last = math.ceil((place[1 - axis] + other - corner[1 - axis]) / tile)
+        start = place[axis] - corner[axis]
+        if way > 0:
+            for line in range(math.ceil((start + half) / tile), math.ceil((start + way + half) / tile)):
+                if True in lines[line][first:last]:
+                    return max(place[axis], corner[axis] + line * tile - half)
+        else:
+            end = math.floor((start + way - half) / tile)
+            for line in range(math.floor((start - half) / tile) - 1, end - 1, -1):
+                if True in lines[line][first:last]:
+                    return min(place[axis], corner[axis] + (line + 1) * tile + half)
+        return place[axis] + way
+
+    def _meets_sea(self, level: int, place: Place, there: Place) -> bool:
+        """Tell whether a body's centre comes to a tile of the coast on a straight way."""
+        (left, right), (top, bottom) = (
+            sorted(int((point[axis] - self._corner[axis]) / self._tile) for point in (place, there))
+            for axis in (0, 1)
+        )
+        sea = self._drowns[level] or []
+        return any(True in line[left : right + 1] for line in sea[top : bottom + 1])
+
+
+def _cells(middle: float, half: float, abreast: int) -> range:
+    """Return which lines of cells a body is in, by its middle and half its size in tiles."""
+    first, last = math.floor(middle - half), math.ceil(middle + half) - abreast
+    return range(min(first, last), max(first, last) + 1)
+
+
+def _trace(came: dict[Place, tuple[Place, int]], end: Place) -> Iterator[tuple[Place, int]]:
+    """Yield the places on the way to an end, the last but one first, and what to do at each."""
+    place, action = came[end]
+    while action >= 0:
+        yield place, action
+        place, action = came[place]
