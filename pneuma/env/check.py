@@ -1,8 +1,9 @@
 """Conformance: does an environment keep the promises of the libraries it meets?
 
 Runs the checkers of Gymnasium, Stable-Baselines3 and PettingZoo, and Pneuma's own: same seed same
-bits over whole episodes, faces that agree, observations inside their space, states that can be put
-back. Meant for levels, character files and rewards of a user's own as well.
+bits over whole episodes, observations inside their space, and what `agreement.py` has on faces that
+agree and states that can be put back. Meant for levels, character files and rewards of a user's own
+as well.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -20,11 +23,22 @@ import numpy as np
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import MAILMAN, MO_ENVIRONMENTS
+from pneuma.env.agreement import check_faces, check_restore
+from pneuma.env.blame import blame_reward
 from pneuma.env.single import PneumaMOEnv
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 
 STEPS = 400
+MOST_STEPS = 20_000
+"""Of the plays that should hold two whole episodes."""
+
+MAILMAN_SETTINGS = ("slip", "noise")
+
+UNSEEN = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "XDG_RUNTIME_DIR": tempfile.gettempdir()}
+"""Checkers ask for every render mode, and import pygame: without a window, a sound card or a complaint."""
+
+Settings = Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -36,40 +50,92 @@ class Verdict:
     problem: str = ""
 
 
-def check_environment(env_id: str, settings: Mapping[str, object]) -> Iterator[Verdict]:
+def check_environment(env_id: str, settings: Settings) -> Iterator[Verdict]:
     """Run every check that applies to an environment, and yield a verdict for each.
+
+    Worlds of several players have no single environment: the faces for several are checked.
 
     Raises:
         UserError: when the environment cannot be made at all.
     """
-    _make(env_id, settings).close()
-    yield _verdict(env_id, "Gymnasium", lambda: _check_gymnasium(env_id, settings))
-    yield _verdict(env_id, "same seed, same bits", lambda: _check_seeds(env_id, settings))
+    rewards, players = _check_settings(env_id, settings)
+    for name, check in _checks(env_id, players):
+        yield _verdict(env_id, name, partial(check, env_id, settings), rewards)
+
+
+def _check_settings(env_id: str, settings: Settings) -> tuple[tuple[str, ...], int]:
+    """Make the environment once; return its rewards' names and its number of players."""
+    if env_id == MAILMAN:
+        for key, value in settings.items():
+            if key not in MAILMAN_SETTINGS:
+                raise unknown_name(f"key of {MAILMAN}", key, MAILMAN_SETTINGS)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise UserError(f"{key} = {value!r} is not allowed: a number")
+        _make(env_id, settings).close()
+        return (), 1
+    config = make_env_config(settings, _world_id(env_id))
+    if config.players > 1 and env_id in MO_ENVIRONMENTS:
+        raise UserError(f"players = {config.players} is not allowed: {env_id} has one player")
+    try:
+        Worlds(1, config)
+    except UserError as error:
+        raise blame_reward(error, config.reward) or error from None
+    return config.reward, config.players
+
+
+def _checks(env_id: str, players: int) -> Iterator[tuple[str, Callable[[str, Settings], None]]]:
+    """Yield name and function of every check that applies."""
+    if players == 1:
+        yield "Gymnasium", _check_gymnasium
+        yield "same seed, same bits", _check_seeds
     if env_id == MAILMAN:
         return
-    world_id = ENVIRONMENTS[MO_ENVIRONMENTS.index(env_id)] if env_id in MO_ENVIRONMENTS else env_id
-    yield _verdict(env_id, "observations inside", lambda: _check_bounds(world_id, settings))
-    yield _verdict(env_id, "saved and put back", lambda: _check_restore(world_id, settings))
+    yield "observations inside", _check_bounds
+    yield "saved and put back", lambda name, settings: check_restore(_world_id(name), settings)
     if env_id in MO_ENVIRONMENTS:
         return
-    yield _verdict(env_id, "single = vector", lambda: _check_vector(env_id, settings))
-    yield _verdict(env_id, "Stable-Baselines3", lambda: _check_sb3(env_id, settings))
-    yield _verdict(env_id, "PettingZoo", lambda: _check_pettingzoo(env_id, settings))
+    yield "faces agree", check_faces
+    if players == 1:
+        yield "Stable-Baselines3", _check_sb3
+    yield "PettingZoo", _check_pettingzoo
 
 
-def _verdict(env_id: str, name: str, check: Callable[[], None]) -> Verdict:
+def _world_id(env_id: str) -> str:
+    """Return the environment that has the same world, with a reward that is one number."""
+    return ENVIRONMENTS[MO_ENVIRONMENTS.index(env_id)] if env_id in MO_ENVIRONMENTS else env_id
+
+
+def _verdict(env_id: str, name: str, check: Callable[[], None], rewards: tuple[str, ...]) -> Verdict:
     """Run a check; whatever it raises, a warning among it, is its problem."""
-    os.environ.setdefault("XDG_RUNTIME_DIR", "/tmp")  # PettingZoo's tests import pygame
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+    with _unseen(), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("error")
         try:
             check()
-        except (Exception, Warning) as problem:
+        except Exception as error:
+            problem = blame_reward(error, rewards) or error
             return Verdict(env_id, name, " ".join(str(problem).split()) or type(problem).__name__)
     return Verdict(env_id, name)
 
 
-def _check_gymnasium(env_id: str, settings: Mapping[str, object]) -> None:
+@contextlib.contextmanager
+def _unseen() -> Iterator[None]:
+    """Let nothing appear on the screen, unless the user has said where."""
+    before = {name: os.environ.get(name) for name in UNSEEN}
+    os.environ.update({name: value for name, value in UNSEEN.items() if before[name] is None})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+
+
+def _make(env_id: str, settings: Settings) -> Any:
+    """Make an environment without Gymnasium's wrappers."""
+    return gymnasium.make(env_id, disable_env_checker=True, **dict(settings)).unwrapped  # type: ignore[arg-type]
+
+
+def _check_gymnasium(env_id: str, settings: Settings) -> None:
     from gymnasium.utils.env_checker import check_env
 
     env = _make(env_id, settings)
@@ -77,11 +143,6 @@ def _check_gymnasium(env_id: str, settings: Mapping[str, object]) -> None:
         _check_vector_reward(env)
         env._reward = lambda: 0.0  # type: ignore[method-assign]  # Gymnasium's checker knows no vectors
     check_env(env, skip_render_check=env_id == MAILMAN)
-
-
-def _make(env_id: str, settings: Mapping[str, object]) -> Any:
-    """Make an environment without Gymnasium's wrappers."""
-    return gymnasium.make(env_id, disable_env_checker=True, **dict(settings)).unwrapped  # type: ignore[arg-type]
 
 
 def _check_vector_reward(env: PneumaMOEnv) -> None:
@@ -95,28 +156,32 @@ def _check_vector_reward(env: PneumaMOEnv) -> None:
             env.reset()
 
 
-def _play(env_id: str, settings: Mapping[str, object], seed: int) -> list[Any]:
-    """Return everything that a random player sees in some episodes from a seed."""
-    env = _make(env_id, settings)
-    actions = np.random.default_rng(seed)
-    seen: list[Any] = [env.reset(seed=seed)[0]]
-    for _ in range(STEPS):
-        observation, reward, terminated, truncated, _ = env.step(actions.integers(env.action_space.n))
-        seen += [observation, np.asarray(reward), terminated, truncated]
-        if terminated or truncated:
-            seen.append(env.reset()[0])
-    env.close()
-    return seen
-
-
-def _check_seeds(env_id: str, settings: Mapping[str, object]) -> None:
+def _check_seeds(env_id: str, settings: Settings) -> None:
     first, again = _play(env_id, settings, 1), _play(env_id, settings, 1)
     if len(first) != len(again) or not all(np.array_equal(a, b) for a, b in zip(first, again, strict=True)):
         raise UserError("two plays of one seed differ")
 
 
-def _check_bounds(env_id: str, settings: Mapping[str, object]) -> None:
-    worlds = Worlds(8, make_env_config(settings, env_id))
+def _play(env_id: str, settings: Settings, seed: int) -> list[Any]:
+    """Return everything that a random player sees in two episodes from a seed."""
+    env = _make(env_id, settings)
+    actions = np.random.default_rng(seed).integers(env.action_space.n, size=MOST_STEPS)
+    seen: list[Any] = [env.reset(seed=seed)[0]]
+    episodes = 0
+    for action in actions:
+        observation, reward, terminated, truncated, _ = env.step(action)
+        seen += [observation, np.asarray(reward), terminated, truncated]
+        if terminated or truncated:
+            episodes += 1
+            if episodes == 2:
+                break
+            seen.append(env.reset()[0])
+    env.close()
+    return seen
+
+
+def _check_bounds(env_id: str, settings: Settings) -> None:
+    worlds = Worlds(8, make_env_config(settings, _world_id(env_id)))
     worlds.seed(range(8))
     worlds.reset()
     actions = np.random.default_rng(0)
@@ -128,73 +193,34 @@ def _check_bounds(env_id: str, settings: Mapping[str, object]) -> None:
         worlds.reset(worlds.worlds["ending"] != 0)
 
 
-def _check_restore(env_id: str, settings: Mapping[str, object]) -> None:
-    worlds = Worlds(2, make_env_config(settings, env_id))
-    worlds.seed([3, 4])
-    worlds.reset()
-    actions = np.random.default_rng(0).integers(5, size=(2, 60, *worlds.players.shape[1:]))
-    for step in range(60):
-        worlds.step(np.stack([actions[0, step], actions[0, step]]))
-    worlds.restore(1, worlds.save(0))
-    for step in range(60):
-        worlds.step(np.stack([actions[1, step], actions[1, step]]))
-    if worlds.observations[0].tobytes() != worlds.observations[1].tobytes():
-        raise UserError("a world that was put back went another way")
-
-
-def _check_vector(env_id: str, settings: Mapping[str, object]) -> None:
-    from gymnasium.vector import AutoresetMode
-
-    from pneuma.env.vector import PneumaVectorEnv
-
-    vector = PneumaVectorEnv(2, env_id, AutoresetMode.DISABLED, **dict(settings))  # type: ignore[arg-type]
-    singles = [_make(env_id, settings) for _ in range(2)]
-    start, _ = vector.reset(seed=5)
-    seen = [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)]
-    if not np.array_equal(start, np.stack(seen)):
-        raise UserError("the first observations differ")
-    actions = np.random.default_rng(0)
-    for _ in range(60):
-        chosen = actions.integers(5, size=2)
-        batch = vector.step(chosen)
-        alone = [env.step(action) for env, action in zip(singles, chosen, strict=True)]
-        if not np.array_equal(batch[0], np.stack([step[0] for step in alone])):
-            raise UserError("observations differ")
-        if not np.array_equal(batch[1], np.array([step[1] for step in alone])):
-            raise UserError("rewards differ")
-        if (batch[2] | batch[3]).any():
-            return
-
-
-def _check_sb3(env_id: str, settings: Mapping[str, object]) -> None:
+def _check_sb3(env_id: str, settings: Settings) -> None:
     from stable_baselines3.common.env_checker import check_env
 
-    from pneuma.env.sb3 import PneumaVecEnv
-
-    check_env(_make(env_id, settings), warn=env_id != "pneuma/PneumaGodot-v0")
-    envs = PneumaVecEnv([1, 2], make_env_config({"episode_steps": 5, **settings}, env_id))
-    envs.reset()
-    for _ in range(5):
-        _, _, dones, infos = envs.step(np.zeros(2, np.int64))
-    if not all("terminal_observation" in info for done, info in zip(dones, infos, strict=True) if done):
-        raise UserError("an ended world has no terminal observation")
+    check_env(_make(env_id, settings))
 
 
-def _check_pettingzoo(env_id: str, settings: Mapping[str, object]) -> None:
+def _check_pettingzoo(env_id: str, settings: Settings) -> None:
     from pneuma.env.parallel import parallel_env
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PettingZoo's tests import deprecated games
         from pettingzoo.test import parallel_api_test
-    parallel_api_test(parallel_env(**{"env_id": env_id, "players": 3, **settings}), num_cycles=STEPS)
+    several = {"players": 3, **settings}
+    parallel_api_test(parallel_env(env_id=env_id, **several), num_cycles=STEPS)
     plays = []
     for _ in range(2):
-        env = parallel_env(**{"env_id": env_id, "players": 3, **settings})
+        env = parallel_env(env_id=env_id, **several)
         generator = np.random.default_rng(0)
-        seen: list[Any] = [env.reset(seed=9)[0]]
+        seen: list[Any] = [_flat(env.reset(seed=9)[0])]
         while env.agents:
-            actions = {agent: np.int64(generator.integers(5)) for agent in env.agents}
-            seen.append(env.step(actions)[:4])
-        plays.append(repr(seen))
+            count = int(env.action_space(env.agents[0]).n)
+            told = env.step({agent: generator.integers(count) for agent in env.agents})
+            seen += [_flat(each) for each in told[:4]]
+        plays.append(seen)
     if plays[0] != plays[1]:
         raise UserError("two plays of one seed differ")
+
+
+def _flat(told: Mapping[str, object]) -> dict[str, bytes]:
+    """Return what each player was told, bit by bit."""
+    return {agent: np.asarray(value).tobytes() for agent, value in told.items()}
