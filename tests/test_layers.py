@@ -31,7 +31,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.worker": ("pneuma.engines.base",),  # runs in the worker's own process
     "pneuma.analysis": ("pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables"),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
-    "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.show"),
+    "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.cli": ("pneuma",),
 }

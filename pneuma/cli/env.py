@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
+import json as json_module
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, Settings, print_json, read_settings_options
+from pneuma.cli.options import Json, Results, print_json, read_settings_options, say
 from pneuma.errors import UserError, unknown_name
 
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
 RESULTS = Path("results")
 PLAYERS = ("random", "hunter")
+FILE_SETTINGS = ("level", "characters")
+
+ABOUT = {
+    "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, coast a wall, 1,000 steps",
+    "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, deadly coast, XP kept for ever",
+    "pneuma/mo-Pneuma-v0": "Pneuma-v0 with its reward as a vector of six parts",
+    "pneuma/mo-PneumaGodot-v0": "PneumaGodot-v0 with its reward as a vector of six parts",
+    "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
+}
+"""What each environment is, in a line."""
 
 EnvName = Annotated[str, typer.Argument(metavar="ID", help="An environment's id, as in `pneuma env list`.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the world.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
+EnvSettings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set one of the environment's arguments (may be repeated)."
+    ),
+]
 
 
 @app.command("list")
@@ -29,11 +48,10 @@ def list_(json: Json = False) -> None:
     rows = []
     for name in pneuma.env.REGISTERED:
         env = gymnasium.make(name).unwrapped
-        about = (type(env).__doc__ or "").partition("\n")[0]
         rows.append(
             {
                 "id": name,
-                "about": about,
+                "about": ABOUT[name],
                 "observation": str(env.observation_space.shape or env.observation_space),
                 "actions": int(env.action_space.n),  # type: ignore[attr-defined]
             }
@@ -51,26 +69,30 @@ def list_(json: Json = False) -> None:
 def check(
     name: Annotated[str | None, typer.Argument(metavar="[ID]", help="The environment to check.")] = None,
     all_: Annotated[bool, typer.Option("--all", help="Check every environment.")] = False,
-    set_: Settings = None,
+    set_: EnvSettings = None,
     json: Json = False,
 ) -> int:
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
     from pneuma.config import ENVIRONMENTS
-    from pneuma.env import REGISTERED
+    from pneuma.env import MAILMAN, REGISTERED
     from pneuma.env.check import check_environment
 
+    if all_ and name is not None:
+        raise UserError(f"--all {name}: give one or the other")
     names = REGISTERED if all_ or name is None and not set_ else (name or ENVIRONMENTS[0],)
-    for each in names:
-        if each not in REGISTERED:
-            raise unknown_name("environment", each, REGISTERED)
-    settings = read_settings_options(set_)
+    if names[0] not in REGISTERED:
+        raise unknown_name("environment", names[0], REGISTERED)
+    settings = _settings(set_)
+    if len(names) > 1 and settings:
+        say(f"{MAILMAN} is left out: it has none of these settings", json)
+        names = tuple(each for each in names if each != MAILMAN)
     failed, rows = 0, []
     for each in names:
         for verdict in check_environment(each, settings):
             failed += bool(verdict.problem)
             rows.append({"env": each, "check": verdict.check, "problem": verdict.problem})
             if not json:
-                print(f"{each:<26} {verdict.check:<22} {verdict.problem or 'ok'}")
+                print(f"{each:<26} {verdict.check:<26} {verdict.problem or 'ok'}")
     if json:
         print_json({"schema": 1, "checks": rows})
     return 1 if failed else 0
@@ -80,31 +102,59 @@ def check(
 def render(
     name: EnvName,
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="A .png, or .gif or .mp4 of an episode.")
+        Path, typer.Option("--out", metavar="FILE", help="A .png, or a .gif or .mp4 of an episode.")
     ],
-    episode: Annotated[bool, typer.Option("--episode", help="Play a whole episode.")] = False,
+    episode: Annotated[
+        bool, typer.Option("--episode", help="Play a whole episode, as .gif and .mp4 imply.")
+    ] = False,
     player: Annotated[
-        str, typer.Option("--player", metavar="random|hunter|RUN_ID", help="Who plays it.")
-    ] = "random",
-    camera: Annotated[
-        str | None, typer.Option("--camera", metavar="map|follow", help="The whole map, or one player.")
+        str | None,
+        typer.Option(
+            "--player", metavar="random|hunter|RUN_ID", help="Who plays the episode (default: random)."
+        ),
     ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            metavar="map|follow",
+            help="The whole map, or a view of one player (default: map for a picture, follow for a video).",
+        ),
+    ] = None,
+    scale: Annotated[
+        int | None,
+        typer.Option(
+            "--scale",
+            metavar="N",
+            min=1,
+            max=32,
+            help="Pixels for each of the 16 x 16 dots of a tile (default: 4 to follow, else about 900 px).",
+        ),
+    ] = None,
+    no_hud: Annotated[bool, typer.Option("--no-hud", help="Leave out the strip of numbers.")] = False,
     seed: Seed = 0,
-    set_: Settings = None,
+    set_: EnvSettings = None,
     results: Results = RESULTS,
 ) -> None:
-    """Draw the world as a picture, or an episode as a video."""
-    from pneuma.env.render import Renderer
-    from pneuma.env.show import FRAMES_PER_SECOND, episode_frames
-    from pneuma.env.video import check_video, write_video
+    """Draw the world as a picture, or an episode as a video.
 
+    An episode that goes on after the last monster's death is shown for two more seconds. A run's
+    policy plays in the environment that it was trained in, --set on top.
+    """
+    from pneuma.env.render import Renderer
+    from pneuma.env.video import check_video, write_video
+    from pneuma.env.watch import FRAMES_PER_SECOND, episode_frames
+
+    out = out.expanduser()
     check_video(out, FRAMES_PER_SECOND)
-    worlds = _worlds(name, set_, seed)
-    act = _player(player, worlds, seed, results)
-    renderer = Renderer(worlds, camera or ("follow" if episode else "map"))
-    frames = episode_frames(worlds, act, renderer) if episode else iter([renderer.frame(0)])
-    write_video(out, frames, FRAMES_PER_SECOND)
-    print(f"wrote {out}")
+    moving = _is_moving(out, episode, player)
+    settings, make_act = _player(player or "random", name, seed, results.expanduser())
+    worlds = _worlds(name, {**settings, **_settings(set_)}, seed)
+    with _blaming_rewards(worlds):
+        renderer = Renderer(worlds, camera or ("follow" if moving else "map"), None, not no_hud, scale)
+        frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
+        write_video(out, frames, FRAMES_PER_SECOND)
+    print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))
 
 
 @app.command()
@@ -112,52 +162,147 @@ def play(
     name: EnvName = "pneuma/Pneuma-v0",
     camera: Annotated[str, typer.Option("--camera", metavar="map|follow", help="What to see.")] = "follow",
     seed: Seed = 0,
-    set_: Settings = None,
+    set_: EnvSettings = None,
 ) -> None:
-    """Play with the keyboard: arrows or WASD walk, space attacks, escape leaves."""
-    from pneuma.env.show import play as play_world
+    """Play with the keyboard. The world waits while you hold no key.
 
-    for kills, steps in play_world(_worlds(name, set_, seed), name, camera):
+    Arrows or W, A, S, D walk, space attacks, with --set magic=true F throws a flame and H heals,
+    escape leaves. Needs pygame-ce and a display.
+    """
+    from pneuma.env.watch import play as play_world
+
+    worlds = _worlds(name, _settings(set_), seed)
+    with _blaming_rewards(worlds):
+        scores = play_world(worlds, name, camera)
+    for kills, steps in scores:
         print(f"killed {kills} monsters in {steps} steps")
 
 
-def _worlds(name: str, settings: list[str] | None, seed: int) -> Any:
-    from pneuma.config import ENVIRONMENTS, make_env_config
+# --- What is shown -------------------------------------------------------------------------------
+
+
+def _is_moving(out: Path, episode: bool, player: str | None) -> bool:
+    """Tell whether an episode is asked for; a picture has room for none.
+
+    Raises:
+        UserError: when the options contradict the file's kind.
+    """
+    if out.suffix.lower() != ".png":
+        return True
+    for given, option in ((episode, "--episode"), (player is not None, f"--player {player}")):
+        if given:
+            raise UserError(f"{option} is for videos, and {out} is a picture: name a .gif or .mp4")
+    return False
+
+
+def _settings(texts: list[str] | None) -> dict[str, Any]:
+    """Read every --set; a path may begin with ~."""
+    settings = read_settings_options(texts)
+    for key in FILE_SETTINGS:
+        if isinstance(settings.get(key), str) and settings[key].startswith("~"):
+            settings[key] = str(Path(settings[key]).expanduser())
+    return settings
+
+
+def _base(name: str) -> str:
+    """Return the environment whose world an id shows: vector rewards look like any others."""
+    from pneuma.config import ENVIRONMENTS
+    from pneuma.env import MAILMAN, MO_ENVIRONMENTS, REGISTERED
+
+    if name not in REGISTERED:
+        raise unknown_name("environment", name, REGISTERED)
+    if name == MAILMAN:
+        raise UserError(f"{name} has no picture: it is three states and two actions")
+    return ENVIRONMENTS[MO_ENVIRONMENTS.index(name)] if name in MO_ENVIRONMENTS else name
+
+
+def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
+    """Return one world at the beginning of an episode."""
+    from pneuma.config import make_env_config
     from pneuma.env.worlds import Worlds
 
-    if name not in ENVIRONMENTS:
-        raise unknown_name("environment", name, ENVIRONMENTS)
-    worlds = Worlds(1, make_env_config(read_settings_options(settings), name))
+    worlds = Worlds(1, make_env_config(settings, _base(name)))
     worlds.seed([seed])
     worlds.reset()
     return worlds
 
 
-def _player(name: str, worlds: Any, seed: int, results: Path) -> Any:
-    """Return what chooses actions: a scripted player, or the policy of a stored run."""
+def _story(worlds: Any) -> str:
+    """Say how the episode went."""
+    from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
+
+    count = worlds.monsters.shape[1]
+    killed = f"{count - worlds.worlds['monsters_left'][0]} of {count} monsters killed"
+    ending = worlds.ending(0)
+    if ending == "running":
+        ending = f"it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode would go on"
+    return f"{killed} in {agent_steps(worlds)} steps, {ending.replace('-', ' ')}"
+
+
+@contextmanager
+def _blaming_rewards(worlds: Any) -> Iterator[None]:
+    """Turn what a reward of the user's own raises into a line that names its place."""
+    from pneuma.env.blame import blame_reward
+
+    try:
+        yield
+    except Exception as error:
+        raise blame_reward(error, worlds.config.reward) or error from None
+
+
+# --- Who plays -----------------------------------------------------------------------------------
+
+
+def _player(
+    player: str, name: str, seed: int, results: Path
+) -> tuple[dict[str, Any], Callable[[Any], Callable[[Any], Any]]]:
+    """Return the settings that a player brings along, and what makes it choose actions in worlds."""
     import numpy as np
 
     from pneuma.env.players import Hunter, RandomPlayer
 
-    if name == "random":
-        return RandomPlayer(np.random.default_rng(seed)).act
-    if name == "hunter":
-        return Hunter(worlds).act
+    if player == "random":
+        return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
+    if player == "hunter":
+        return {}, lambda worlds: Hunter(worlds).act
     from pneuma.engines.policy import read_policy
     from pneuma.study.store import Store
 
     store = Store(results)
-    if not store.status(name).finished:
-        raise UserError(f"--player {name}: neither {' nor '.join(PLAYERS)} nor a finished run in {results}")
-    policy = read_policy(store.read_file(name, "policy.safetensors"))
+    if not store.status(player).finished:
+        raise UserError(f"--player {player}: neither {' nor '.join(PLAYERS)} nor a finished run in {results}")
+    run = json_module.loads(store.read_file(player, "run.json"))["run"]
+    if run["env"] != _base(name):
+        raise UserError(f"--player {player}: was trained in {run['env']}, not in {name}")
+    policy = read_policy(store.read_file(player, "policy.safetensors"))
+    return _stored_settings(run), lambda worlds: _acting(policy, worlds, seed, player)
+
+
+def _stored_settings(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the environment's part of a stored run, without code of a stranger's: no picture shows it."""
+    from dataclasses import fields
+
+    from pneuma.config import REWARDS, EnvConfig
+
+    settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
+    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in run["reward"]]
+    return settings
+
+
+def _acting(policy: Any, worlds: Any, seed: int, player: str) -> Callable[[Any], Any]:
+    """Return what draws actions from a stored policy, which must fit the worlds."""
+    import numpy as np
+
+    for what, trained, here in (
+        ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
+        ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
+    ):
+        if trained != here:
+            raise UserError(f"--player {player}: was trained on {trained} {what}; these settings make {here}")
     generator = np.random.default_rng(seed)
 
     def act(shown: Any) -> Any:
         flat = shown.observations.reshape(-1, shown.observations.shape[2])
-        if flat.shape[1] != len(policy.actor[0][0]):
-            raise UserError(
-                f"--player {name}: was trained on {len(policy.actor[0][0])} features, not {flat.shape[1]}"
-            )
         return policy.sample(flat, generator).reshape(shown.players.shape)
 
     return act

@@ -1,46 +1,45 @@
-"""Frames of the world: the whole map, or a window that follows a player; and a window to show them in.
+"""Frames of the world: the whole map, or a view that follows a player.
 
-A frame is drawn in art pixels, 16 a tile, over a background that is painted once, then enlarged by
-a whole factor, and gets a panel of numbers. It is NumPy throughout and follows from the state
-alone: the same state gives the same bytes. Only `Window` needs pygame-ce.
+A picture is drawn in art pixels, 16 a tile, over a background that is painted once, then enlarged by
+a whole factor; above it goes a strip of numbers (`panel.py`). It is NumPy throughout and follows
+from the state alone: the same state gives the same bytes.
 """
 
 from __future__ import annotations
 
-import importlib
-import os
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pneuma.env import rules, sprites
-from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.level import LEVELS, Level
+from pneuma.env.panel import Panel, filled_part
+from pneuma.env.showing import CAMERAS
 from pneuma.errors import UserError, unknown_name
 
 if TYPE_CHECKING:
     from pneuma.env.worlds import Worlds
 
-CAMERAS = ("map", "follow")
 SEA = "3d83c9"
 
 VIEW = (15 * sprites.TILE, 11 * sprites.TILE)
 """Width and height, in art pixels, of what the following camera shows."""
 
 FOLLOW_FACTOR = 4
-KEYS = {"up": "w", "down": "s", "left": "a", "right": "d", "space": "", "escape": ""}
-"""The keys that a window tells of, and the letter, if any, that does the same."""
+MAP_SIDE = 900
+"""About how many pixels the longer side of the whole map gets."""
+MOST_PIXELS = 50_000_000
+"""In a frame."""
 
 USUAL_TILE = 64.0
 """Side in pixels of the tiles for which the art is drawn: 4 pixels of the world an art pixel."""
 
 MOST_TILES = 90_000
-BAR_WIDTH, PANEL_WIDTH = 12, 110
+BAR_WIDTH = 12
 STRIDE = 40.0  # pixels that a body walks between two poses: a player's way in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 
@@ -59,43 +58,63 @@ class Renderer:
     """Draws the worlds of a `Worlds` object as they are at the moment.
 
     Attributes:
-        size: width and height of a frame.
+        size: width and height of a frame, with the strip.
         background: (height, width, 3) the bare ground of the whole map, in art pixels.
     """
 
     def __init__(
-        self, worlds: Worlds, camera: str = "map", size: tuple[int, int] | None = None, panel: bool = True
+        self,
+        worlds: Worlds,
+        camera: str = "map",
+        size: tuple[int, int] | None = None,
+        panel: bool = True,
+        scale: int | None = None,
     ) -> None:
         """Paint the background.
 
         Args:
             worlds: whose state to draw, now and later.
-            camera: "map" for the whole level, "follow" for a window centred on a player.
-            size: width and height of a frame; the picture is enlarged by the greatest whole factor
-                that fits, and a map that is too large is reduced by the smallest.
-            panel: whether to write HP, XP, step and monsters left into the upper left corner.
+            camera: "map" for the whole level, "follow" for a view centred on a player.
+            size: width and height of the picture; it is enlarged by the greatest whole factor that
+                fits, and a map that is too large is reduced by the smallest.
+            panel: whether a strip above the picture tells HP, XP, step and monsters left.
+            scale: instead of a size, how many pixels an art pixel gets; without either, 4 for a view,
+                and for a map what brings its longer side nearest to 900.
 
         Raises:
-            UserError: for an unknown camera, a size without a single pixel, or a level too large.
+            UserError: for an unknown camera, a size without a single pixel, or one that is too large.
         """
         if camera not in CAMERAS:
             raise unknown_name("camera", camera, CAMERAS)
-        if size is not None and min(size) < 1:
-            raise UserError(f"size = {size[0]} x {size[1]} is not allowed: both of at least 1")
         self.worlds = worlds
         self.camera = camera
-        self.panel = panel
         level = worlds.level
         self._split = max(round(level.tile / USUAL_TILE), 1)  # large tiles are drawn as several
         self._zoom = max(round(USUAL_TILE / level.tile), 1)  # among small ones, bodies are drawn larger
         self._scale = sprites.TILE * self._split / level.tile
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, _ = self._scene(0)
+        self._size = size or self._usual_size(scale)
+        if min(self._size) < 1 or self._size[0] * self._size[1] > MOST_PIXELS:
+            raise UserError(
+                f"size = {self._size[0]} x {self._size[1]} is not allowed: both of at least 1, and "
+                f"{MOST_PIXELS:,} pixels at most"
+            )
+        self._panel = Panel(worlds, self._size[0]) if panel else None
+        strip = self._panel.height if self._panel else 0
+        self.size = self._size[0], self._size[1] + strip
+
+    def _usual_size(self, scale: int | None) -> tuple[int, int]:
+        """Return width and height of the picture at a scale, or at the usual one."""
+        if self.camera == "follow":
+            factor = scale or FOLLOW_FACTOR
+            return VIEW[0] * factor, VIEW[1] * factor
         height, width = self.background.shape[:2]
-        if camera == "map":
-            self.size = size or (width, height)
-        else:
-            self.size = size or (VIEW[0] * FOLLOW_FACTOR, VIEW[1] * FOLLOW_FACTOR)
+        longer = max(height, width)
+        factor, divisor = scale or max(round(MAP_SIDE / longer), 1), 1
+        if not scale and longer > MAP_SIDE:
+            divisor = round(longer / MAP_SIDE)
+        return width * factor // divisor, height * factor // divisor
 
     def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
@@ -119,23 +138,23 @@ class Renderer:
         """
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         frame = self._whole_map(world) if self.camera == "map" else self._follow(world, player)
-        if self.panel:
-            self._draw_panel(frame, world, player)
-        return frame
+        if self._panel is None:
+            return frame
+        return np.concatenate([self._panel.strip(world, player), frame])
 
     # --- Cameras ---------------------------------------------------------------------------------
 
     def _whole_map(self, world: int) -> np.ndarray:
         canvas = self.background.copy()
         self._draw(canvas, world, 0, 0)
-        width, height = self.size
+        width, height = self._size
         factor = min(width // canvas.shape[1], height // canvas.shape[0])
         if factor == 0:
             canvas = sprites.reduce(canvas, max(-(-canvas.shape[1] // width), -(-canvas.shape[0] // height)))
-        return _centre(sprites.enlarge(canvas, max(factor, 1)), self.size)
+        return _centre(sprites.enlarge(canvas, max(factor, 1)), self._size)
 
     def _follow(self, world: int, player: int) -> np.ndarray:
-        width, height = self.size
+        width, height = self._size
         factor = max(min(width // VIEW[0], height // VIEW[1]) // self._zoom, 1)
         row = self.worlds.players[world, player]
         x, y = self._place(row["x"], row["y"])
@@ -144,7 +163,7 @@ class Renderer:
         top, rows = _clamp(y, -(-height // factor), rows)
         canvas = self.background[top : top + rows, left : left + columns].copy()
         self._draw(canvas, world, left, top)
-        return _centre(sprites.enlarge(canvas, factor), self.size)
+        return _centre(sprites.enlarge(canvas, factor), self._size)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
         """Return the art pixel of a place in the world."""
@@ -227,37 +246,10 @@ class Renderer:
         for bodies, all_stats, colour, height in groups:
             for body, stats in zip(bodies[world], all_stats, strict=True):
                 if 0 < body["hp"] < stats["hp"]:
-                    bar = sprites.bar_picture(_filled(body["hp"], stats["hp"], BAR_WIDTH), BAR_WIDTH, colour)
-                    bar = sprites.enlarge(bar, self._zoom)
+                    filled = filled_part(body["hp"], stats["hp"], BAR_WIDTH)
+                    bar = sprites.enlarge(sprites.bar_picture(filled, BAR_WIDTH, colour), self._zoom)
                     x, y = self._place(body["x"], body["y"] + stats["half_height"])
                     yield Item(0.0, bar, x - bar.shape[1] // 2, y - (height + 3) * self._zoom)
-
-    # --- The panel -------------------------------------------------------------------------------
-
-    def _draw_panel(self, frame: np.ndarray, world: int, player: int) -> None:
-        """Write a player's HP and XP and how far the world is into the upper left corner."""
-        row, stats = self.worlds.players[world, player], self.worlds.player_stats[player]
-        texts = [sprites.text_picture(line) for line in self._panel_lines(world, player)]
-        width = max(PANEL_WIDTH, *(text.shape[1] for text in texts))
-        filled = _filled(row["hp"], stats["hp"], width - 2)
-        bar = sprites.bar_picture(filled, width - 2, sprites.GOLD, height=3)
-        factor = max(frame.shape[0] // 320, 1)
-        plate = sprites.enlarge(sprites.plate_picture([bar, *texts]), factor)
-        sprites.blend(frame, plate, 4 * factor, 4 * factor)
-
-    def _panel_lines(self, world: int, player: int) -> list[str]:
-        worlds = self.worlds
-        row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
-        ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
-        name = f"P{player + 1}  " if worlds.players.shape[1] > 1 else ""
-        lines = [  # rounded up, so that only the dead have 0 HP
-            f"{name}HP {ceil(row['hp'])}/{ceil(stats['hp'])}  XP {ceil(row['xp'])}",
-            f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}  "
-            f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
-        ]
-        if state["ending"] != rules.RUNNING:
-            lines.append(worlds.ending(world).replace("-", " "))
-        return lines
 
 
 def ground_kinds(level: Level) -> np.ndarray:
@@ -305,11 +297,6 @@ def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
     return sprites.player_picture(index, facing, "stride" if phase else "stand", flash)
 
 
-def _filled(hp: float, full: float, width: int) -> int:
-    """Return how much of a bar is filled; somebody alive always has something."""
-    return min(max(round(width * float(hp) / float(full)), int(hp > 0)), width)
-
-
 def _clamp(centre: int, length: int, available: int) -> tuple[int, int]:
     """Return start and length of a window around a centre that does not leave the map."""
     if length >= available:
@@ -328,88 +315,3 @@ def _centre(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     top, left = (height - part.shape[0]) // 2, (width - part.shape[1]) // 2
     frame[top : top + part.shape[0], left : left + part.shape[1]] = part
     return frame
-
-
-class Window:
-    """A window on the screen that shows frames and tells which keys are held; needs pygame-ce.
-
-    Attributes:
-        closed: whether somebody has closed it.
-    """
-
-    def __init__(self, size: tuple[int, int], title: str) -> None:
-        """Open a window for frames of this width and height.
-
-        Raises:
-            UserError: when pygame-ce is not installed, or there is no screen.
-        """
-        self._pygame = _load_pygame()
-        try:
-            self._pygame.display.init()
-            self._screen = self._pygame.display.set_mode(size)
-        except self._pygame.error as error:
-            raise UserError(f"no window can be opened: {error}") from None
-        self._pygame.display.set_caption(title)
-        self._clock = self._pygame.time.Clock()
-        self._names = _key_names(self._pygame)
-        self._tapped: set[int] = set()
-        self.closed = False
-
-    def show(self, frame: np.ndarray, frames_per_second: float) -> None:
-        """Show a frame, then wait for as long as the rate asks.
-
-        Args:
-            frame: (height, width, 3) uint8; one of another size than the window is stretched to it.
-            frames_per_second: at most; 0 for no waiting.
-        """
-        self._tapped.clear()
-        if not self._listen():
-            return
-        height, width = frame.shape[:2]
-        image = self._pygame.image.frombuffer(np.ascontiguousarray(frame), (width, height), "RGB")
-        if image.get_size() != self._screen.get_size():
-            image = self._pygame.transform.scale(image, self._screen.get_size())
-        self._screen.blit(image, (0, 0))
-        self._pygame.display.flip()
-        self._clock.tick(frames_per_second)
-
-    def keys(self) -> set[str]:
-        """Return which of "up", "down", "left", "right", "space" and "escape" are held.
-
-        A key that was only tapped since the last frame counts. W, A, S and D are arrows as well.
-        """
-        if not self._listen():
-            return set()
-        held = self._pygame.key.get_pressed()
-        codes = {code for code in self._names if held[code] or code in self._tapped}
-        return {self._names[code] for code in codes}
-
-    def close(self) -> None:
-        """Close the window; closing twice does no harm."""
-        if not self.closed:
-            self._pygame.display.quit()
-        self.closed = True
-
-    def _listen(self) -> bool:
-        """Note what happened to the window and its keys since the last time; tell whether it is open."""
-        for event in [] if self.closed else self._pygame.event.get():
-            if event.type == self._pygame.KEYDOWN:
-                self._tapped.add(event.key)
-            elif event.type == self._pygame.QUIT:
-                self.close()
-        return not self.closed
-
-
-def _key_names(pygame: Any) -> dict[int, str]:
-    """Return our name of every key that pygame tells by a code."""
-    names = {getattr(pygame, f"K_{name.upper()}"): name for name in KEYS}
-    return names | {getattr(pygame, f"K_{letter}"): name for name, letter in KEYS.items() if letter}
-
-
-def _load_pygame() -> Any:
-    """Import pygame-ce, without its greeting on standard output."""
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        return importlib.import_module("pygame")
-    except ImportError:
-        raise UserError("a window needs pygame-ce: pip install 'pneuma[play]'") from None

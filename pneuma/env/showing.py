@@ -1,4 +1,7 @@
-"""Rendering as Gymnasium's and PettingZoo's faces offer it: `rgb_array` and `human`."""
+"""Rendering as Gymnasium's and PettingZoo's faces offer it: `rgb_array` and `human`, a frame a step.
+
+`watch.py` is for people: several frames a step, and a keyboard.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,11 @@ import numpy as np
 
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 
-FRAMES_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
+STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
 RENDER_MODES = ("rgb_array", "human")
+CAMERAS = ("map", "follow")
 
 
 class ShowsWorld:
@@ -24,11 +28,12 @@ class ShowsWorld:
     metadata: ClassVar[dict[str, Any]] = {
         "name": "pneuma",
         "render_modes": list(RENDER_MODES),
-        "render_fps": round(FRAMES_PER_SECOND),
+        "render_fps": round(STEPS_PER_SECOND),
         "is_parallelizable": True,
     }
     render_mode: str | None = None
-    camera = "map"
+    camera: str = "map"
+    """`CAMERAS`: the whole map, or a view that follows player 0."""
     _renderer: Any = None
     _window: Any = None
 
@@ -37,11 +42,14 @@ class ShowsWorld:
         """The worlds that `render` shows."""
         return self.state  # type: ignore[attr-defined]
 
-    def _set_up_rendering(self, render_mode: str | None) -> None:
+    def _set_up_rendering(self, render_mode: str | None, camera: str = "map") -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             allowed = ", ".join(RENDER_MODES)
             raise UserError(f"render_mode = {render_mode!r} is not allowed: one of {allowed}, or none")
+        if camera not in CAMERAS:
+            raise unknown_name("camera", camera, CAMERAS)
         self.render_mode = render_mode
+        self.camera = camera
 
     def render(self) -> Any:
         """Return the frame, (height, width, 3) uint8, for `rgb_array`; nothing for `human`."""
@@ -67,10 +75,10 @@ class ShowsWorld:
             return
         frame = self._frame(0)
         if self._window is None:
-            from pneuma.env.render import Window
+            from pneuma.env.window import Window
 
             self._window = Window((frame.shape[1], frame.shape[0]), "Pneuma")
-        self._window.show(frame, FRAMES_PER_SECOND)
+        self._window.show(frame, STEPS_PER_SECOND)
 
     def close(self, **keywords: Any) -> None:
         """Close the window, if there is one."""

@@ -36,8 +36,8 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], frames_per_secon
         frames_per_second: how fast to play them; a GIF at most 50.
 
     Raises:
-        UserError: for another suffix, a rate that is not allowed, no frames, or an .mp4 without
-            imageio-ffmpeg.
+        UserError: for another suffix, a rate that is not allowed, no frames, an .mp4 without
+            imageio-ffmpeg, or a file that cannot be written.
     """
     path = Path(path)
     check_video(path, frames_per_second)
@@ -50,6 +50,8 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], frames_per_secon
     try:
         write(partial, itertools.chain([first], stream), frames_per_second)
         partial.replace(path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         partial.unlink(missing_ok=True)
 
@@ -67,8 +69,12 @@ def check_video(path: Path, frames_per_second: float) -> None:
         )
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise UserError(f"{path}: .mp4 needs imageio-ffmpeg: pip install 'pneuma[video]', or choose .gif")
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a file")
     if not path.absolute().parent.is_dir():
         raise UserError(f"{path}: there is no folder {path.parent}")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise UserError(f"{path}: the folder {path.parent} cannot be written to")
 
 
 # --- PNG and MP4 ---------------------------------------------------------------------------------

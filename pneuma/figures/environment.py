@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from pneuma.env.render import Renderer
-from pneuma.env.show import fight_worlds, level_worlds
+from pneuma.env.watch import fight_worlds, level_worlds
 from pneuma.figures.style import COLOURS, house_style, save_figure
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}

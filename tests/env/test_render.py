@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -16,7 +17,8 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules, sprites
-from pneuma.env.render import Renderer, Window
+from pneuma.env.render import Renderer
+from pneuma.env.window import Window
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -34,7 +36,7 @@ def changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 def bare(worlds: Worlds) -> np.ndarray:
     """Return the whole map at 16 px a tile without the panel."""
-    return Renderer(worlds, panel=False).frame()
+    return Renderer(worlds, panel=False, scale=1).frame()
 
 
 def count_colour(frame: np.ndarray, colour: str) -> int:
@@ -71,7 +73,7 @@ def test_sword_is_where_the_rules_have_its_box(arena: str, facing: int, way: tup
 
 def test_dead_monster_is_gone(arena: str) -> None:
     worlds = stage(arena, (-200.0, -200.0), still=True)
-    renderer = Renderer(worlds, panel=False)
+    renderer = Renderer(worlds, panel=False, scale=1)
     around = np.s_[110 - 20 : 110 + 20, 110 - 20 : 110 + 20]
     assert (renderer.frame()[around] != renderer.background[around]).any()
     worlds.monsters["hp"][0, 0] = 0.0
@@ -97,14 +99,45 @@ def test_bar_over_a_monster_is_as_long_as_its_hp(arena: str, hp: float, length: 
 
 
 def test_panel_shows_hp_in_its_bar(arena: str) -> None:
-    """The panel's bar is twice as large as art pixels and 108 of them wide and 3 high when full."""
+    """At 720 px the panel's bar is twice as large as art pixels, and 48 of them wide and 3 high."""
     worlds = stage(arena)
-    renderer = Renderer(worlds, size=(640, 640))
+    renderer = Renderer(worlds, size=(720, 640))
     full = count_colour(renderer.frame(), sprites.GOLD)
     worlds.players["hp"] = 50.0
     over_the_head = 12 // 2 * 2 * 2
-    assert full == 108 * 3 * 2 * 2
+    assert full == 48 * 3 * 2 * 2
     assert count_colour(renderer.frame(), sprites.GOLD) == full // 2 + over_the_head
+
+
+@pytest.mark.parametrize("camera", ["map", "follow"])
+@pytest.mark.parametrize("size", [(640, 640), (200, 150), None])
+def test_panel_hides_nothing(arena: str, camera: str, size: tuple[int, int] | None) -> None:
+    """It is a strip above the picture, of the same height to the end."""
+    worlds = stage(arena, players=((-560.0, -560.0),))
+    plain, told = (Renderer(worlds, camera, size, panel=panel) for panel in (False, True))
+    height = plain.size[1]
+    for ending in (rules.RUNNING, rules.TIME_LIMIT):
+        worlds.worlds["ending"], worlds.worlds["steps"] = ending, 1000
+        frame = told.frame()
+        assert frame.shape[:2] == told.size[::-1]
+        np.testing.assert_array_equal(frame[-height:], plain.frame())
+
+
+def test_panel_counts_monsters_steps_and_xp(arena: str) -> None:
+    worlds = stage(arena)
+    renderer = Renderer(worlds)
+    before = renderer.frame()
+    for array, field, value in (
+        (worlds.players, "xp", 1.0),
+        (worlds.worlds, "steps", 7),
+        (worlds.worlds, "monsters_left", 3),
+        (worlds.worlds, "ending", rules.CLEARED),
+    ):
+        old = array[field].copy()
+        array[field] = value
+        assert not np.array_equal(renderer.frame(), before)
+        array[field] = old
+    np.testing.assert_array_equal(renderer.frame(), before)
 
 
 def test_who_is_further_south_stands_in_front(arena: str) -> None:
@@ -217,6 +250,28 @@ def test_small_tiles_leave_bodies_in_proportion(tmp_path: Path, arena: str) -> N
     assert 24 <= np.ptp(x) <= 32
 
 
+@pytest.mark.parametrize(
+    ("rows", "columns", "width", "height"),
+    [(14, 20, 960, 672), (50, 57, 912, 800), (8, 8, 896, 896), (100, 150, 800, 533), (1, 3, 912, 304)],
+)
+def test_longer_side_of_a_map_is_about_900_pixels(
+    arena: str, rows: int, columns: int, width: int, height: int
+) -> None:
+    """A tile is 16 art pixels; each is enlarged, or some are averaged, by a whole factor."""
+    worlds = stage(arena)
+    bare_ground = np.zeros((rows, columns), np.uint8)
+    worlds.levels = [replace(worlds.level, ground=bare_ground, terrain=bare_ground)]
+    assert Renderer(worlds, panel=False).size == (width, height)
+
+
+def test_scale_is_how_many_pixels_an_art_pixel_gets(arena: str) -> None:
+    worlds = stage(arena)
+    assert Renderer(worlds, panel=False, scale=2).size == (640, 640)
+    assert Renderer(worlds, "follow", panel=False, scale=2).size == (480, 352)
+    with pytest.raises(UserError, match="size = 16000 x 16000 is not allowed"):
+        Renderer(worlds, scale=50)
+
+
 def test_wrong_camera_and_size_are_told(arena: str) -> None:
     worlds = stage(arena)
     with pytest.raises(UserError, match=r"unknown camera 'folow' \(did you mean follow\?\)"):
@@ -297,13 +352,26 @@ def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
     assert window.keys() == set()
     for key in (pygame.K_SPACE, pygame.K_a, pygame.K_x):
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
-    assert window.keys() == {"space", "left"}
+    assert window.keys() == {"attack", "left"}
     window.show(frame, 0)
     assert window.keys() == set()  # tapped, not held
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     window.show(frame, 0)
     assert window.closed and window.keys() == set()
     window.show(frame, 0)
+
+
+@pytest.mark.parametrize("driver", ["offscreen", "dummy"])
+def test_window_that_nobody_would_see_is_refused(
+    pygame: ModuleType, monkeypatch: pytest.MonkeyPatch, driver: str
+) -> None:
+    """SDL falls back to such a driver where there is no display; whoever asks for it gets it."""
+    monkeypatch.setattr(pygame.display, "get_driver", lambda: driver)
+    Window((64, 64), "asked for").close()
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    monkeypatch.delenv("SDL_VIDEO_DRIVER", raising=False)
+    with pytest.raises(UserError, match="no window can be opened: there is no display"):
+        Window((64, 64), "unseen")
 
 
 def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

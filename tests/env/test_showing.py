@@ -20,7 +20,8 @@ from pneuma.errors import UserError
 
 from .arena import ATTACK, RIGHT, THESIS, begin
 
-SIDE = 20 * 16  # the arena's 20 tiles, 16 px each
+SIDE = 20 * 16 * 3  # the arena's 20 tiles, 16 px each, enlarged to about 900
+STRIP = 2 * (6 + 7 + 6)  # a line of 7 art pixels and 6 above and below
 
 
 @pytest.fixture
@@ -55,7 +56,8 @@ def test_gymnasium_gets_a_frame_of_every_environment(name: str, arena: str) -> N
     assert env.metadata["render_fps"] == 8  # 60 ticks a second, 8 a step
     env.reset(seed=0)
     frame = env.render()
-    assert isinstance(frame, np.ndarray) and frame.shape == (SIDE, SIDE, 3) and frame.dtype == np.uint8
+    assert isinstance(frame, np.ndarray) and frame.dtype == np.uint8
+    assert frame.shape == (SIDE + STRIP, SIDE, 3)
     env.close()
 
 
@@ -105,14 +107,14 @@ def test_of_several_players_a_world_is_drawn_once(arena: str) -> None:
     env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array")
     env.reset(seed=0)
     frames = env.render()
-    assert len(frames) == 2 and frames[0].shape == (SIDE, SIDE, 3)
+    assert len(frames) == 2 and frames[0].shape == (SIDE + STRIP, SIDE, 3)
 
 
 def test_pettingzoo_gets_a_frame(arena: str) -> None:
     env = parallel_env(players=2, level=arena, render_mode="rgb_array")
     env.reset(seed=0)
     before = env.render()
-    assert before.shape == (SIDE, SIDE, 3)
+    assert before.shape == (SIDE + STRIP, SIDE, 3)
     env.step({agent: np.int64(RIGHT) for agent in env.agents})
     assert not np.array_equal(env.render(), before)
     env.close()

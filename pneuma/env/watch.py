@@ -1,5 +1,7 @@
 """Play an environment for somebody to watch: frames of an episode, or a person at the keyboard.
 
+`showing.py` is what the faces render: one frame a step.
+
 A step of 8 ticks is shown in four frames of 2, so that motion is smooth.
 """
 
@@ -10,30 +12,44 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from pneuma.config import ACTION_NAMES
+from pneuma.config import ACTION_NAMES, SPELL_NAMES
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.players import Hunter
-from pneuma.env.render import Renderer, Window
+from pneuma.env.render import Renderer
+from pneuma.env.window import Window
 from pneuma.env.worlds import Worlds
 
 FRAMES_PER_STEP = 4
 FRAMES_PER_SECOND = TICKS_PER_SECOND * FRAMES_PER_STEP // TICKS_PER_STEP
+SECONDS_AFTER_LAST_KILL = 2
 
 Act = Callable[[Worlds], np.ndarray]
 """Chooses actions (N, P) for all worlds."""
 
 
 def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.ndarray]:
-    """Yield the frames of one episode of the first world, which must just have been reset."""
+    """Yield the frames of one episode of the first world, which must just have been reset.
+
+    An episode that goes on after the last monster's death is shown for two more seconds.
+    """
     smooth(worlds)
     yield renderer.frame(0)
-    while worlds.worlds["ending"][0] == 0:
+    left = SECONDS_AFTER_LAST_KILL * FRAMES_PER_SECOND
+    hunted = worlds.monsters.shape[1] > 0
+    while worlds.worlds["ending"][0] == 0 and left > 0:
         actions = act(worlds)
         for _ in range(FRAMES_PER_STEP):
             if worlds.step(actions):
                 break
             yield renderer.frame(0)
-    yield renderer.frame(0)
+            left -= hunted and worlds.worlds["monsters_left"][0] == 0
+    if worlds.worlds["ending"][0] != 0:
+        yield renderer.frame(0)
+
+
+def agent_steps(worlds: Worlds) -> int:
+    """Return how many steps of 8 ticks a smooth first world has taken, a part of one counted whole."""
+    return -(-int(worlds.worlds["steps"][0]) // FRAMES_PER_STEP)
 
 
 def smooth(worlds: Worlds) -> None:
@@ -45,7 +61,8 @@ def smooth(worlds: Worlds) -> None:
 def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
     """Let a person play player 0 with the keyboard until the window closes.
 
-    Arrows or W, A, S, D walk, space attacks, escape leaves. The other players stand and strike.
+    Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, escape leaves; the
+    world waits while no key is held. The other players stand and strike.
 
     Returns:
         Kills and length, in steps of 8 ticks, of every episode that ended.
@@ -53,21 +70,20 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     smooth(worlds)
     renderer = Renderer(worlds, camera)
     window = Window(renderer.size, title)
-    keys = {**dict(zip(ACTION_NAMES, ACTION_NAMES, strict=True)), "attack": "space"}
+    names = ACTION_NAMES + (SPELL_NAMES if worlds.config.magic else ())
     scores: list[tuple[int, int]] = []
     while not window.closed:
         window.show(renderer.frame(0), FRAMES_PER_SECOND)
         held = window.keys()
-        if "escape" in held:
+        if "leave" in held:
             break
-        chosen = [name for name in ("attack", *ACTION_NAMES[:4]) if keys[name] in held]
+        chosen = [name for name in (*names[4:], *names[:4]) if name in held]
         if not chosen:
             continue  # the world waits for its player
         actions = np.full(worlds.players.shape, ACTION_NAMES.index("attack"))
-        actions[0, 0] = ACTION_NAMES.index(chosen[0])
+        actions[0, 0] = names.index(chosen[0])
         if worlds.step(actions):
-            steps = -(-int(worlds.worlds["steps"][0]) // FRAMES_PER_STEP)
-            scores.append((int(worlds.players["kills"][0, 0]), steps))
+            scores.append((int(worlds.players["kills"][0, 0]), agent_steps(worlds)))
             worlds.reset()
     window.close()
     return scores

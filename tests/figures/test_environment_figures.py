@@ -1,0 +1,79 @@
+"""The environment's own figures: the thesis's 2.1, 5.1, 5.2 and 6.1, drawn from the state alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pneuma.env.level import load_level
+from pneuma.env.render import Renderer
+from pneuma.env.watch import fight_worlds, level_worlds
+from pneuma.env.worlds import Worlds
+from pneuma.figures import environment
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Draw all of them once."""
+    folder = tmp_path_factory.mktemp("figures")
+    for draw in (environment.draw_mailman, environment.draw_level, environment.draw_screens):
+        draw(folder)
+    return folder
+
+
+def test_drawing_twice_gives_the_same_bytes(drawn: Path, tmp_path: Path) -> None:
+    names = {"fig-2-1.png", "fig-2-1.svg", "fig-5-1.png", "fig-5-2.png", "fig-6-1.png"}
+    assert {path.name for path in drawn.iterdir()} == names
+    for draw in (environment.draw_mailman, environment.draw_level, environment.draw_screens):
+        for path in draw(tmp_path):
+            assert path.read_bytes() == (drawn / path.name).read_bytes()
+
+
+def test_committed_figures_are_those_of_this_code(drawn: Path) -> None:
+    """What the screens show is drawn by NumPy alone, so every machine draws the same pixels."""
+    committed = Path(__file__).parents[2] / "paper_figures"
+    for name in ("fig-5-1.png", "fig-5-2.png"):
+        with Image.open(drawn / name) as here, Image.open(committed / name) as there:
+            np.testing.assert_array_equal(np.asarray(here), np.asarray(there))
+
+
+def test_mailman_names_its_states_and_rewards(drawn: Path) -> None:
+    """Comments of the file hold the texts that matplotlib draws as outlines."""
+    texts = " ".join(re.findall(r"<!-- (.*?) -->", (drawn / "fig-2-1.svg").read_text(encoding="utf-8")))
+    for text in ("post office", "letters", "home", "+1: letters delivered", "fired"):
+        assert text in texts
+
+
+@pytest.mark.parametrize(("name", "moment"), [("fig-5-1", level_worlds), ("fig-5-2", fight_worlds)])
+def test_screens_show_the_view_that_follows_the_player(
+    drawn: Path, name: str, moment: Callable[[], Worlds]
+) -> None:
+    worlds = moment()
+    with Image.open(drawn / f"{name}.png") as image:
+        shown = np.asarray(image.convert("RGB"))
+    np.testing.assert_array_equal(shown, Renderer(worlds, "follow").frame())
+
+
+def test_the_fight_is_one() -> None:
+    worlds = fight_worlds()
+    assert worlds.events["hits"][0, 0] > 0
+    assert (worlds.monsters["noticed"][0] > 0).any()
+
+
+def test_level_is_drawn_with_all_its_start_places_and_monsters(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Figure] = []
+    monkeypatch.setattr(environment, "save_figure", lambda figure, *_: kept.append(figure))
+    environment.draw_level(Path("nowhere"))
+    (axes,) = kept[0].axes
+    level = load_level("thesis", {390: "bamboo"})
+    assert axes.get_title(loc="left") == level.title and axes.get_xlabel() == "x (pixels)"
+    np.testing.assert_array_equal(np.asarray(axes.lines[0].get_xydata()), level.starts)
+    left, right, bottom, top = axes.images[0].get_extent()
+    rows, columns = level.terrain.shape
+    assert (right - left, bottom - top) == (columns * 64, rows * 64)
