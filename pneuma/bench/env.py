@@ -1,4 +1,4 @@
-"""Speed of the environment's faces beside Gymnasium's CartPole, on one core, in one run."""
+"""Speed of the environment's faces beside Gymnasium's CartPole, of saving and of starting, on one core."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 
 import pneuma  # noqa: F401 (registers the environments)
+from pneuma.bench.start import start_seconds
 from pneuma.config import ENVIRONMENTS
 from pneuma.env.worlds import Worlds
 
@@ -20,7 +21,21 @@ SECONDS_PER_ROUND = 0.4
 Step = Callable[[int], None]
 
 
-def bench_env() -> list[dict[str, Any]]:
+def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> dict[str, Any]:
+    """Return what `pneuma bench env --json` prints: the speed of every face, of saving and of starting.
+
+    Args:
+        rounds: of which the median is told.
+        seconds: that each case gets in a round.
+    """
+    return {
+        "cases": face_rates(rounds, seconds),
+        "save_and_restore_microseconds": save_and_restore_microseconds(rounds),
+        **start_seconds(),
+    }
+
+
+def face_rates(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[dict[str, Any]]:
     """Return agent steps a second of every case: the median of rounds that alternate between cases.
 
     Actions are uniformly random; an ended episode is reset within the measured time.
@@ -35,19 +50,19 @@ def bench_env() -> list[dict[str, Any]]:
         ("CartPole-v1, single", "cartpole", 1, _single("CartPole-v1")),
     ]
     rates: list[list[float]] = [[] for _ in cases]
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for i, (_, _, worlds, step) in enumerate(cases):
-            rates[i].append(_rate(step) * worlds)
+            rates[i].append(_rate(step, seconds) * worlds)
     return [
         {"case": case, "face": face, "worlds": worlds, "agent_steps_per_second": statistics.median(rate)}
         for (case, face, worlds, _), rate in zip(cases, rates, strict=True)
     ]
 
 
-def _rate(step: Step) -> float:
-    """Return how often a second a step can be taken."""
+def _rate(step: Step, seconds: float) -> float:
+    """Return how often a second a step can be taken, tried for some seconds."""
     count, start = 0, time.perf_counter()
-    while (elapsed := time.perf_counter() - start) < SECONDS_PER_ROUND:
+    while (elapsed := time.perf_counter() - start) < seconds or not count:
         for i in range(200):
             step(i)
         count += 200
@@ -64,13 +79,13 @@ def _engage(worlds: Worlds) -> None:
     worlds.settings["step_limit"] = 10**12
 
 
-def save_and_restore_microseconds() -> float:
+def save_and_restore_microseconds(rounds: int = ROUNDS) -> float:
     """Return how long saving one world's state and putting it back takes."""
     worlds = Worlds(1)
     worlds.seed([0])
     worlds.reset()
     times = []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         start = time.perf_counter()
         for _ in range(2000):
             worlds.restore(0, worlds.save(0))
