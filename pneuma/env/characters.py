@@ -30,7 +30,7 @@ FACINGS = ("down", "left", "up", "right")
 
 _POINTS = Number(0, 1e6)
 _SECONDS = Number(0, 60)
-_SIDE = Number(0, 4096, above=True)
+_SIDE = Number(1, 4096)
 _BOX = Several(_SIDE, 2, 2)
 _FORM: dict[str, dict[str, Any]] = {
     "players": {
@@ -181,7 +181,7 @@ def _fill_weapon(row: Any, weapon: Mapping[str, Any], character: Mapping[str, An
 
 def _fill_spells(row: Any, spells: Mapping[str, Any], character: Mapping[str, Any]) -> None:
     flame, heal = spells["flame"], spells["heal"]
-    row["cast"] = _ticks(max(flame["cast"], heal["cast"]))
+    row["flame_ticks"], row["heal_ticks"] = _ticks(flame["cast"]), _ticks(heal["cast"])
     row["flame_damage"] = flame["strength"] + character["magic"]
     row["flame_cost"], row["heal_cost"] = flame["cost"], heal["cost"]
     row["heal"] = heal["strength"]

@@ -30,7 +30,9 @@ from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from pneuma.env.state import (
+    CHASE,
     EVENTS,
+    LANES,
     LEDGER,
     MONSTER,
     MONSTER_STATS,
@@ -50,16 +52,19 @@ RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 REWARD_THESIS, REWARD_PYGAME, REWARD_GODOT, REWARD_KILLS, REWARD_SIGMOID, REWARD_CUSTOM = 0, 1, 2, 3, 4, 5
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
 
+COAST_BLOCKS = np.int64(1)  # typed: for the compiler, a plain 1 would be another function
 SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 
-# Nothing allocates, so all but the calls from outside do without numba's reference counts; with them,
-# counting took half the time of a step.
-_OPTIONS: Any = {"cache": True, "error_model": "numpy"}
-entry: Any = njit(**_OPTIONS)
-opening: Any = njit(**_OPTIONS, forceinline=True)
-_UNCOUNTED: Any = {**_OPTIONS, "_nrt": False}
+# Only the two calls from outside can be called from outside: the code that takes Python's arguments
+# apart would take longer to compile than the rules. Nothing allocates, so the others do without
+# numba's reference counts, which took half the time of a step.
+_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_UNCOUNTED: Any = {**_INNER, "_nrt": False}
+entry: Any = njit(cache=True, error_model="numpy")
+opening: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
 part: Any = njit(**_UNCOUNTED, forceinline=True)
+merged: Any = njit(**_UNCOUNTED, inline="always")  # by numba, before compiling: for the few large ones
 typed_intrinsic: Any = intrinsic
 
 
@@ -123,22 +128,23 @@ def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
 def _open(h: Array) -> State:
     """Turn addresses and shapes back into arrays; see `state.make_handle`."""
     return State(
-        carray(_pointer(h[0, 0]), (h[0, 1],), WORLD),
-        carray(_pointer(h[1, 0]), (h[1, 1], h[1, 2]), PLAYER),
-        carray(_pointer(h[2, 0]), (h[2, 1], h[2, 2]), MONSTER),
-        carray(_pointer(h[3, 0]), (h[3, 1],), PLAYER_STATS),
-        carray(_pointer(h[4, 0]), (h[4, 1], h[4, 2]), MONSTER_STATS),
-        carray(_pointer(h[5, 0]), (h[5, 1],), SETTINGS),
-        carray(_pointer(h[6, 0]), (h[6, 1], h[6, 2], h[6, 3]), np.uint8),
-        carray(_pointer(h[7, 0]), (h[7, 1], h[7, 2], h[7, 3]), np.uint8),
-        carray(_pointer(h[8, 0]), (h[8, 1], h[8, 2], h[8, 3]), np.float64),
-        carray(_pointer(h[9, 0]), (h[9, 1], h[9, 2]), EVENTS),
-        carray(_pointer(h[10, 0]), (h[10, 1], h[10, 2], h[10, 3]), np.float32),
-        carray(_pointer(h[11, 0]), (h[11, 1], h[11, 2], h[11, 3]), np.int8),
-        carray(_pointer(h[12, 0]), (h[12, 1], h[12, 2]), PATH),
-        carray(_pointer(h[13, 0]), (h[13, 1], h[13, 2]), LEDGER),
-        carray(_pointer(h[14, 0]), (h[14, 1],), MONSTER),
-        carray(_pointer(h[15, 0]), (h[15, 1],), SCRATCH),
+        carray(_pointer(h[0].address), (h[0].shape[0],), WORLD),
+        carray(_pointer(h[1].address), (h[1].shape[0], h[1].shape[1]), PLAYER),
+        carray(_pointer(h[2].address), (h[2].shape[0], h[2].shape[1]), MONSTER),
+        carray(_pointer(h[3].address), (h[3].shape[0],), PLAYER_STATS),
+        carray(_pointer(h[4].address), (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
+        carray(_pointer(h[5].address), (h[5].shape[0],), SETTINGS),
+        carray(_pointer(h[6].address), (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
+        carray(_pointer(h[7].address), (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.uint8),
+        carray(_pointer(h[8].address), (h[8].shape[0], h[8].shape[1], h[8].shape[2]), np.float64),
+        carray(_pointer(h[9].address), (h[9].shape[0], h[9].shape[1]), EVENTS),
+        carray(_pointer(h[10].address), (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.float32),
+        carray(_pointer(h[11].address), (h[11].shape[0], h[11].shape[1], h[11].shape[2]), np.int8),
+        carray(_pointer(h[12].address), (h[12].shape[0], h[12].shape[1]), PATH),
+        carray(_pointer(h[13].address), (h[13].shape[0], h[13].shape[1]), LEDGER),
+        carray(_pointer(h[14].address), (h[14].shape[0],), MONSTER),
+        carray(_pointer(h[15].address), (h[15].shape[0],), SCRATCH),
+        carray(_pointer(h[16].address), (h[16].shape[0],), CHASE),
     )
 
 
@@ -224,7 +230,7 @@ def _place_monster(monster: Array, kind: Array, players: int) -> None:
 # --- One step ------------------------------------------------------------------------------------
 
 
-@part
+@merged
 def _step_world(s: State, w: int, actions: Array) -> bool:
     """Advance one running world by one agent step; tell whether its episode ended."""
     world = s.worlds[w]
@@ -357,13 +363,13 @@ def _act(s: State, w: int, player: Array, stats: Array, spot: Array, action: int
     elif action == FLAME:
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
-            player.busy = stats.cast
+            player.busy = stats.flame_ticks
             player.armed = 0
             _burn(player, stats, spot)
     elif action == HEAL:
         if player.energy >= stats.heal_cost:
             player.energy -= stats.heal_cost
-            player.busy = stats.cast
+            player.busy = stats.heal_ticks
             player.armed = 0
             spot.healed = stats.heal
     else:
@@ -404,7 +410,7 @@ def _burn(player: Array, stats: Array, spot: Array) -> None:
     spot.half_height = stats.flame_half_height[facing]
     spot.damage = stats.flame_damage
     spot.knock_speed = 0.0
-    spot.knock_ticks = 0
+    spot.knock_ticks = -1
 
 
 @part
@@ -419,15 +425,20 @@ def _at_sea(s: State, level: int, player: Array) -> bool:
 # --- Part 2: monsters live through the step ------------------------------------------------------
 
 
-@part
+@merged
 def _live_through(s: State, w: int, count: int) -> None:
     """Let the first `count` monsters of `scratch` live the step, as often as a death is found out."""
+    lone = s.players.shape[1] == 1
     for i in range(count):
         s.backup[i] = s.monsters[w, s.scratch[i].order]
     while True:
         _empty_ledger(s)
-        for i in range(count):
-            _live_step(s, w, s.scratch[i].order)
+        if count >= LANES // 4 and lone and s.events[w, 0].present == s.settings[0].ticks:
+            for first in range(0, count, LANES):
+                _live_in_lanes(s, w, first, min(count - first, LANES))
+        else:
+            for i in range(count):
+                _live_step(s, w, s.scratch[i].order)
         if not _note_first_death(s, w):
             break
         for i in range(count):
@@ -458,12 +469,12 @@ def _note_first_death(s: State, w: int) -> bool:
 
     Later deaths may hang on the earlier one, so they wait until the monsters have lived the step again.
     """
-    first = s.settings[0].ticks
+    first: Any = np.int64(s.settings[0].ticks)
     who = -1
     for p in range(s.players.shape[1]):
         player = s.players[w, p]
         hp = player.hp
-        safe = player.safe
+        safe: Any = np.int64(player.safe)
         for tick in range(min(s.events[w, p].present, first) if s.ledger[0, p].written else 0):
             hp, safe = _hp_after(s, tick, p, hp, safe)
             if hp <= 0.0:
@@ -543,7 +554,8 @@ def _live_step(s: State, w: int, m: int) -> None:
             elif monster.bite[p] > 1:
                 monster.bite[p] -= 1
             else:
-                _bite(monster, kind, p, s.ledger[tick, p], stats)
+                _bite(kind, s.ledger[tick, p], stats, monster.bite[p] == 0)
+                monster.bite[p] = kind.bite_ticks
                 s.ledger[0, p].written = 1
         dx = 0.0
         dy = 0.0
@@ -555,9 +567,125 @@ def _live_step(s: State, w: int, m: int) -> None:
             dx = _approach(s.path[tick, target].x - x, stand_off, speed)
             dy = _approach(s.path[tick, target].y - y, stand_off, speed)
         if dx != 0.0 or dy != 0.0:
-            x, y = _moved(s, level, x, y, half_width, half_height, dx, dy, 1)
+            x, y = _moved(s, level, x, y, half_width, half_height, dx, dy, COAST_BLOCKS)
     monster.x = x
     monster.y = y
+
+
+@merged
+def _live_in_lanes(s: State, w: int, first: int, count: int) -> None:
+    """Let up to `LANES` monsters of `scratch` live through a whole step of a lone player.
+
+    All are moved at once as if they did nothing but chase. For those of which that is not true, the
+    result is thrown away. What they do to the player is noted in their usual order, as sums demand.
+    """
+    for lane in range(count):
+        _enter_lane(s, w, s.scratch[first + lane].order, lane)
+    _chase(s.chase[0], s.path, s.settings[0].ticks, s.player_stats[0])
+    for lane in range(count):
+        m = s.scratch[first + lane].order
+        if _only_chased(s, w, m, lane):
+            _leave_lane(s, w, m, lane)
+        else:
+            _live_step(s, w, m)
+
+
+@part
+def _enter_lane(s: State, w: int, m: int, lane: int) -> None:
+    chase = s.chase[0]
+    monster = s.monsters[w, m]
+    kind = s.monster_stats[s.worlds[w].level, m]
+    chase.x[lane] = chase.left[lane] = chase.right[lane] = monster.x
+    chase.y[lane] = chase.top[lane] = chase.bottom[lane] = monster.y
+    chase.farthest[lane] = 0.0
+    chase.bite[lane] = monster.bite[0]
+    chase.struck[lane] = chase.bites[lane] = chase.contacts[lane] = 0.0
+    chase.half_width[lane] = kind.half_width
+    chase.half_height[lane] = kind.half_height
+    chase.attack_squared[lane] = kind.attack_squared
+    chase.stand_off[lane] = kind.stand_off
+    chase.speed[lane] = kind.speed
+    chase.bite_ticks[lane] = kind.bite_ticks
+
+
+@kernel
+def _chase(chase: Array, path: Array, ticks: int, stats: Array) -> None:
+    """Move all lanes through the ticks of a step as `_live_step` would, without a branch.
+
+    What lies in unused lanes is never looked at.
+    """
+    half_width, half_height = stats.half_width, stats.half_height
+    bit = 1.0
+    for tick in range(ticks):
+        spot = path[tick, 0]
+        player_x, player_y = spot.x, spot.y
+        if spot.armed:
+            _strike_lanes(chase, spot.box_x, spot.box_y, spot.half_width, spot.half_height)
+        for lane in range(LANES):
+            x, y, bite = chase.x[lane], chase.y[lane], chase.bite[lane]
+            chase.left[lane], chase.right[lane] = min(chase.left[lane], x), max(chase.right[lane], x)
+            chase.top[lane], chase.bottom[lane] = min(chase.top[lane], y), max(chase.bottom[lane], y)
+            across = max(abs(player_x - x) - half_width, 0.0)
+            down = max(abs(player_y - y) - half_height, 0.0)
+            gap = across * across + down * down
+            chase.farthest[lane] = max(chase.farthest[lane], gap)
+            within = gap <= chase.attack_squared[lane]
+            waits = bite > 1.0
+            chase.bites[lane] += bit if within and not waits else 0.0
+            chase.contacts[lane] += bit if within and bite == 0.0 else 0.0
+            chase.bite[lane] = (bite - 1.0 if waits else chase.bite_ticks[lane]) if within else 0.0
+            chase.x[lane] = x + _approach(player_x - x, chase.stand_off[lane], chase.speed[lane])
+            chase.y[lane] = y + _approach(player_y - y, chase.stand_off[lane], chase.speed[lane])
+        bit *= 2.0
+
+
+@part
+def _strike_lanes(chase: Array, x: float, y: float, half_width: float, half_height: float) -> None:
+    """Note which lanes a box overlaps; see `_overlap`."""
+    for lane in range(LANES):
+        across = abs(chase.x[lane] - x) < half_width + chase.half_width[lane]
+        down = abs(chase.y[lane] - y) < half_height + chase.half_height[lane]
+        chase.struck[lane] = 1.0 if across & down else chase.struck[lane]
+
+
+@part
+def _only_chased(s: State, w: int, m: int, lane: int) -> bool:
+    """Tell whether a monster of a lane was free to chase the player from the first tick to the last."""
+    chase = s.chase[0]
+    monster = s.monsters[w, m]
+    if chase.struck[lane] or monster.knocked > 0 or monster.safe > 0 or not monster.noticed & 1:
+        return False
+    if chase.farthest[lane] > s.monster_stats[s.worlds[w].level, m].notice_squared:
+        return False
+    settings = s.settings[0]
+    first_column = int((chase.left[lane] - settings.left) * settings.cells_per_pixel)
+    last_column = int((chase.right[lane] - settings.left) * settings.cells_per_pixel)
+    first_row = int((chase.top[lane] - settings.top) * settings.cells_per_pixel)
+    last_row = int((chase.bottom[lane] - settings.top) * settings.cells_per_pixel)
+    if last_row >= s.room.shape[1] or last_column >= s.room.shape[2] or first_row < 0 or first_column < 0:
+        return False
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            if s.room[s.worlds[w].level, row, column] == 0:
+                return False
+    return True
+
+
+@part
+def _leave_lane(s: State, w: int, m: int, lane: int) -> None:
+    """Take over where a monster got in its lane, and note its bites."""
+    chase = s.chase[0]
+    monster = s.monsters[w, m]
+    monster.x = chase.x[lane]
+    monster.y = chase.y[lane]
+    monster.bite[0] = int(chase.bite[lane])
+    bites = int(chase.bites[lane])
+    contacts = int(chase.contacts[lane])
+    for tick in range(s.settings[0].ticks if bites > 0 else 0):
+        if bites >> tick & 1:
+            kind = s.monster_stats[s.worlds[w].level, m]
+            _bite(kind, s.ledger[tick, 0], s.player_stats[0], contacts >> tick & 1)
+            s.ledger[0, 0].written = 1
 
 
 @part
@@ -600,14 +728,15 @@ def _take_blow(monster: Array, kind: Array, spot: Array, x: float, y: float) -> 
     """Lose HP and fly back from the centre of the sword box; if it is there, the way faced."""
     monster.safe = kind.safe
     monster.hp = max(monster.hp - spot.damage, 0.0)
-    if monster.hp <= 0.0 or spot.knock_ticks <= 0:
+    if monster.hp <= 0.0 or spot.knock_ticks < 0:
         return
     away_x = x - spot.box_x
     away_y = y - spot.box_y
-    if away_x == 0.0 and away_y == 0.0:
+    length = math.sqrt(away_x * away_x + away_y * away_y)
+    if length == 0.0:
         away_x = float((spot.facing == RIGHT) - (spot.facing == LEFT))
         away_y = float((spot.facing == DOWN) - (spot.facing == UP))
-    length = math.sqrt(away_x * away_x + away_y * away_y)
+        length = 1.0
     speed = spot.knock_speed if kind.knock_ticks < 0 else kind.knock_speed
     monster.knock_x = away_x / length * speed
     monster.knock_y = away_y / length * speed
@@ -647,11 +776,9 @@ def _pay(s: State, w: int, monster: Array, kind: Array, tick: int, striker: int)
 
 
 @part
-def _bite(monster: Array, kind: Array, p: int, line: Array, stats: Array) -> None:
-    """Bite a player: at once when it comes within reach, then at every interval."""
-    if monster.bite[p] == 0:
-        line.contacts += 1
-    monster.bite[p] = kind.bite_ticks
+def _bite(kind: Array, line: Array, stats: Array, contact: bool) -> None:
+    """Bite a player: at once on `contact`, when it comes within reach, then at every interval."""
+    line.contacts += contact
     if stats.safe == 0 or line.bitten == 0.0:  # one bite a tick for who is safe after it
         line.bitten += kind.damage
 
@@ -675,7 +802,7 @@ def _settle(s: State, w: int, p: int, met: bool) -> None:
     player = s.players[w, p]
     event = s.events[w, p]
     if met:
-        for tick in range(event.present):
+        for tick in range(np.int64(event.present)):
             _settle_tick(s, player, event, tick, p)
     else:
         player.safe = max(player.safe - event.present, 0)
@@ -709,7 +836,7 @@ def _die(player: Array, event: Array, spot: Array) -> None:
 @part
 def _settle_tick(s: State, player: Array, event: Array, tick: int, p: int) -> None:
     line = s.ledger[tick, p]
-    hp, safe = _hp_after(s, tick, p, player.hp, player.safe)
+    hp, safe = _hp_after(s, tick, p, player.hp, np.int64(player.safe))
     top = min(player.hp + (s.path[tick, p].healed + line.healed), s.player_stats[p].hp)
     event.hp_gained += top - player.hp
     event.hp_lost += top - hp
@@ -834,20 +961,19 @@ def _blocked(terrain: Array, level: int, column: int, row: int, coast_blocks: in
 # --- Observation ---------------------------------------------------------------------------------
 
 
-@part
+@merged
 def _observe(s: State, w: int, p: int, tell: bool) -> None:
     """Write a player's observation and action mask; layouts in `observation.py`.
 
     `tell` says whether the events are to tell of the nearest monster: not those of an ended world.
     """
-    settings = s.settings[0]
     count = _order_monsters(s, w, p, tell)
-    if settings.layout == LAYOUT_THESIS:
-        _write_thesis(s, w, p, count)
-    elif settings.layout == LAYOUT_PYGAME:
-        _write_pygame(s, w, p, count)
-    else:
-        _write_godot(s, w, p, count)
+    out = s.observations[w, p]
+    at = _write_player(s, w, p, out)
+    for i in range(count):
+        at = _write_monster(s, w, p, i, out, at)
+    for rest in range(at, len(out)):
+        out[rest] = 0.0
     _mask_actions(s, w, p)
 
 
@@ -862,7 +988,7 @@ def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
     level = s.worlds[w].level
     fixed = s.settings[0].fixed_order
     nearest = math.inf
-    count = 0
+    count: Any = np.int64(0)
     for m in range(s.monsters.shape[1]):
         monster = s.monsters[w, m]
         length = math.inf
@@ -913,82 +1039,53 @@ def _sort_by_index(scratch: Array, count: int) -> None:
 
 
 @part
-def _write_player(s: State, w: int, p: int) -> None:
-    """Write a player's position, as all layouts begin."""
+def _write_player(s: State, w: int, p: int, out: Array) -> int:
+    """Write what a player observes of itself; return how many numbers that is."""
     settings = s.settings[0]
     player = s.players[w, p]
-    s.observations[w, p, 0] = (player.x - settings.middle_x) * settings.scale_x
-    s.observations[w, p, 1] = (player.y - settings.middle_y) * settings.scale_y
+    hp = player.hp * s.player_stats[p].hp_scale
+    out[0] = (player.x - settings.middle_x) * settings.scale_x
+    out[1] = (player.y - settings.middle_y) * settings.scale_y
+    if settings.layout != LAYOUT_PYGAME:
+        out[2] = hp
+        out[3] = player.xp * settings.xp_scale
+        return 4
+    out[2] = (player.facing == RIGHT) - (player.facing == LEFT)
+    out[3] = (player.facing == DOWN) - (player.facing == UP)
+    out[4] = hp
+    out[5] = player.energy * s.player_stats[p].energy_scale
+    return 6
 
 
 @part
-def _blank(s: State, w: int, p: int, first: int) -> None:
-    """Fill what remains of an observation with zeros."""
-    for i in range(first, s.observations.shape[2]):
-        s.observations[w, p, i] = 0.0
+def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int:
+    """Write the `i`-th monster of `scratch` from place `at` on; return where the next one begins.
 
-
-@part
-def _write_thesis(s: State, w: int, p: int, count: int) -> None:
-    player = s.players[w, p]
-    _write_player(s, w, p)
-    s.observations[w, p, 2] = player.hp * s.player_stats[p].hp_scale
-    s.observations[w, p, 3] = player.xp * s.settings[0].xp_scale
-    for i in range(count):
-        monster = s.monsters[w, s.scratch[i].order]
-        kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
-        length = s.scratch[i].distance
-        inverse = 1.0 / length if length > 0.0 else 0.0
-        alive = length < math.inf
-        s.observations[w, p, 4 + 4 * i] = length * kind.distance_scale if alive else 0.0
-        s.observations[w, p, 5 + 4 * i] = (monster.x - player.x) * inverse
-        s.observations[w, p, 6 + 4 * i] = (monster.y - player.y) * inverse
-        s.observations[w, p, 7 + 4 * i] = monster.hp * kind.hp_scale
-    _blank(s, w, p, 4 + 4 * count)
-
-
-@part
-def _write_pygame(s: State, w: int, p: int, count: int) -> None:
-    player = s.players[w, p]
-    facing = player.facing
-    _write_player(s, w, p)
-    s.observations[w, p, 2] = (facing == RIGHT) - (facing == LEFT)
-    s.observations[w, p, 3] = (facing == DOWN) - (facing == UP)
-    s.observations[w, p, 4] = player.hp * s.player_stats[p].hp_scale
-    s.observations[w, p, 5] = player.energy * s.player_stats[p].energy_scale
-    for i in range(count):
-        monster = s.monsters[w, s.scratch[i].order]
-        kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
-        length = s.scratch[i].distance
-        inverse = 1.0 / length if length > 0.0 else 0.0
-        alive = length < math.inf
-        s.observations[w, p, 6 + 5 * i] = length * kind.distance_scale if alive else 0.0
-        s.observations[w, p, 7 + 5 * i] = (monster.x - player.x) * inverse
-        s.observations[w, p, 8 + 5 * i] = (monster.y - player.y) * inverse
-        s.observations[w, p, 9 + 5 * i] = monster.hp * kind.hp_scale
-        s.observations[w, p, 10 + 5 * i] = kind.xp * kind.xp_scale if alive else 0.0
-    _blank(s, w, p, 6 + 5 * count)
-
-
-@part
-def _write_godot(s: State, w: int, p: int, count: int) -> None:
+    All of a dead one is zero: its HP as they are, the rest because it is infinitely far off.
+    """
     settings = s.settings[0]
     player = s.players[w, p]
-    _write_player(s, w, p)
-    s.observations[w, p, 2] = player.hp * s.player_stats[p].hp_scale
-    s.observations[w, p, 3] = player.xp * settings.xp_scale
-    for i in range(count):
-        monster = s.monsters[w, s.scratch[i].order]
-        kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
-        length = s.scratch[i].distance
-        inverse = 1.0 / length if length > 0.0 else 0.0
-        alive = length < math.inf
-        s.observations[w, p, 4 + 5 * i] = (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0
-        s.observations[w, p, 5 + 5 * i] = (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0
-        s.observations[w, p, 6 + 5 * i] = monster.hp * kind.hp_scale
-        s.observations[w, p, 7 + 5 * i] = (player.x - monster.x) * inverse
-        s.observations[w, p, 8 + 5 * i] = (player.y - monster.y) * inverse
-    _blank(s, w, p, 4 + 5 * count)
+    monster = s.monsters[w, s.scratch[i].order]
+    kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
+    length = s.scratch[i].distance
+    inverse = 1.0 / length if length > 0.0 else 0.0
+    alive = length < math.inf
+    hp = monster.hp * kind.hp_scale
+    if settings.layout == LAYOUT_GODOT:
+        out[at] = (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0
+        out[at + 1] = (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0
+        out[at + 2] = hp
+        out[at + 3] = (player.x - monster.x) * inverse
+        out[at + 4] = (player.y - monster.y) * inverse
+        return at + 5
+    out[at] = length * kind.distance_scale if alive else 0.0
+    out[at + 1] = (monster.x - player.x) * inverse
+    out[at + 2] = (monster.y - player.y) * inverse
+    out[at + 3] = hp
+    if settings.layout == LAYOUT_THESIS:
+        return at + 4
+    out[at + 4] = kind.xp * kind.xp_scale if alive else 0.0
+    return at + 5
 
 
 @part
@@ -1012,7 +1109,7 @@ def _mask_actions(s: State, w: int, p: int) -> None:
         for _ in range(s.settings[0].ticks - 1):  # a spell may begin as late as the step's last tick
             energy = min(energy + stats.energy_gain, stats.energy)
         s.masks[w, p, FLAME] = free and energy >= stats.flame_cost
-        s.masks[w, p, HEAL] = free and energy >= stats.heal_cost and player.hp < stats.hp
+        s.masks[w, p, HEAL] = free and energy >= stats.heal_cost
 
 
 @part

@@ -6,11 +6,14 @@ and M monsters in each, L levels, K monsters perceived.
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any, NamedTuple
 
 import numpy as np
 
 MAX_PLAYERS = 8
+LANES = 16
+"""Monsters that the compiler moves side by side, in vector registers."""
 
 Array = Any
 """A NumPy array, or a row of one, inside a kernel."""
@@ -26,7 +29,7 @@ WORLD = _record(
     ("key", "u8"),  # of the world's random stream
     ("draws", "u8"),  # numbers taken from it so far
     ("steps", "i8"),  # agent steps of this episode
-    ("level", "i4"),  # index of the level played
+    ("level", "u4"),  # index of the level played
     ("start", "i4"),  # index of player 0's start place
     ("monsters_left", "i4"),
     ("players_left", "i4"),
@@ -77,7 +80,8 @@ PLAYER_STATS = _record(
     ("sword_y", "f8", (4,)),
     ("sword_half_width", "f8", (4,)),
     ("sword_half_height", "f8", (4,)),
-    ("cast", "i4"),  # ticks that a spell lasts
+    ("flame_ticks", "i4"),  # that the spell lasts
+    ("heal_ticks", "i4"),
     ("flame_damage", "f8"),
     ("flame_cost", "f8"),
     ("flame_x", "f8", (4,)),  # the box that a flame burns, by facing
@@ -165,7 +169,7 @@ PATH = _record(
     ("half_height", "f8"),
     ("damage", "f8"),
     ("knock_speed", "f8"),
-    ("knock_ticks", "i4"),
+    ("knock_ticks", "i4"),  # below 0: it knocks nobody back
     ("healed", "f8"),  # by a spell
     ("still", "i4"),  # at the first tick: whether nothing of all this changes during the step
 )
@@ -184,14 +188,35 @@ LEDGER = _record(
 )
 """What one tick of a step brings a player."""
 
-SCRATCH = _record(("order", "i8"), ("distance", "f8"))
+SCRATCH = _record(("order", "u8"), ("distance", "f8"))
+
+CHASE = _record(
+    ("x", "f8", (LANES,)),
+    ("y", "f8", (LANES,)),
+    ("left", "f8", (LANES,)),  # the box around the places from which it has moved so far
+    ("top", "f8", (LANES,)),
+    ("right", "f8", (LANES,)),
+    ("bottom", "f8", (LANES,)),
+    ("farthest", "f8", (LANES,)),  # squared distance from the player's body, at any tick so far
+    ("bite", "f8", (LANES,)),  # as in MONSTER, for the lone player
+    ("struck", "f8", (LANES,)),  # 1 once the player has struck where it is
+    ("bites", "f8", (LANES,)),  # the sum of 2**tick over the ticks at which it bites
+    ("contacts", "f8", (LANES,)),  # and over those of them at which it came within reach
+    ("half_width", "f8", (LANES,)),  # what follows is as in MONSTER_STATS
+    ("half_height", "f8", (LANES,)),
+    ("attack_squared", "f8", (LANES,)),
+    ("stand_off", "f8", (LANES,)),
+    ("speed", "f8", (LANES,)),
+    ("bite_ticks", "f8", (LANES,)),
+)
+"""Monsters that do nothing but chase a lone player, a lane each; all numbers of one size, as vectors need."""
 
 
 class State(NamedTuple):
     """Every array that the kernels share.
 
     The first three are the whole state of the worlds. `events`, `observations` and `masks` are
-    written by every step; `path`, `ledger`, `backup` and `scratch` are room to work in.
+    written by every step; what follows is room to work in.
     """
 
     worlds: Array  # (N,) WORLD
@@ -210,29 +235,39 @@ class State(NamedTuple):
     ledger: Array  # (ticks, P) LEDGER
     backup: Array  # (M,) MONSTER
     scratch: Array  # (M,) SCRATCH
+    chase: Array  # (1,) CHASE
 
 
 DTYPES = State(
     WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.uint8),
     np.dtype(np.float64), EVENTS, np.dtype(np.float32), np.dtype(np.int8), PATH, LEDGER, MONSTER, SCRATCH,
+    CHASE,
 )  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 2, 2, 1, 1)
-HANDLE_WIDTH = 4
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 2, 2, 1, 1, 1)
+
+LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES]).encode()).hexdigest()[:16]
+HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"layout_{LAYOUT_DIGEST}", "i8"))
+"""A row for each array of a `State`.
+
+The compile cache looks at the types of arguments and at the file that a kernel is in, which is not this
+one. So the name of a field that nobody reads tells how everything here is laid out: where that has
+changed, the kernels are compiled anew.
+"""
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (16, 4) int64: what the kernels are called with.
+    """Return addresses and shapes of all arrays, (17,) HANDLE: what the kernels are called with.
 
-    Handing one small array to a compiled function instead of sixteen saves most of the time of a
-    call. The arrays must outlive the handle.
+    Handing one small array to a compiled function instead of all saves most of the time of a call. The
+    arrays must outlive the handle.
 
     Raises:
         ValueError: for an array that is not laid out as declared here.
     """
-    handle = np.zeros((len(state), HANDLE_WIDTH), np.int64)
+    handle = np.zeros(len(state), HANDLE)
     for row, array, dtype, dimensions in zip(handle, state, DTYPES, DIMENSIONS, strict=True):
         if array.dtype != dtype or array.ndim != dimensions or not array.flags.c_contiguous:
             raise ValueError(f"an array of the state is {array.dtype} with shape {array.shape}")
-        row[0] = array.ctypes.data
-        row[1 : 1 + dimensions] = array.shape
+        row["address"] = array.ctypes.data
+        row["shape"][:dimensions] = array.shape
     return handle

@@ -59,7 +59,9 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
         self._every = np.ones(num_envs, np.bool_)
+        self._action_count = int(self.state.action_space.n)
         self._over = np.zeros(len(self.state), np.bool_)
+        self._waiting = False
 
     def reset(
         self,
@@ -81,6 +83,7 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
             self._keyed = True
         self.state.reset(mask, chosen_starts(self.state, options))
         self._over &= ~mask
+        self._waiting = bool(self._over.any())
         self._show()
         return self.slots.observations, self._infos()
 
@@ -108,35 +111,44 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
-        actions = np.asarray(actions)
-        if not np.issubdtype(actions.dtype, np.integer):
-            raise ValueError(f"actions {actions} are outside {self.action_space}: not whole numbers")
-        actions = np.ascontiguousarray(actions, np.int64).reshape(self.num_envs)
-        if actions.min() < 0 or actions.max() >= self.single_action_space.n:  # type: ignore[attr-defined]
-            raise ValueError(f"actions {actions} are outside {self.action_space}")
-        waiting = self._over
-        if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
+        actions = self._checked(actions)
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._waiting:
             raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
         slots = self.slots
         ended = slots.step(actions)
-        if waiting.any():  # NEXT_STEP: this step resets what the last one ended
-            self.state.reset(waiting)
+        if self._waiting:  # NEXT_STEP: this step resets what the last one ended
+            self.state.reset(self._over)
         rewards = slots.rewards.copy()
         terminated, truncated = slots.terminated.copy(), slots.truncated.copy()
         infos = self._final(terminated | truncated) if ended else {}
-        if self.autoreset_mode == AutoresetMode.SAME_STEP:
-            if slots.world_over.any():
-                self.state.reset(slots.world_over)
-        else:
+        self._waiting = ended and bool(slots.world_over.any())
+        if self.autoreset_mode != AutoresetMode.SAME_STEP:
             self._over = slots.world_over.copy()
+        elif self._waiting:
+            self.state.reset(slots.world_over)
+            self._waiting = False
         self._show()
         return slots.observations, rewards, terminated, truncated, self._infos(infos)
+
+    def _checked(self, actions: np.ndarray) -> np.ndarray:
+        """Return actions as the rules take them, (slots,) int64.
+
+        Raises:
+            ValueError: for what is no action.
+        """
+        given = np.asarray(actions)
+        if given.dtype.kind not in "iu":
+            raise ValueError(f"actions {given} are outside {self.action_space}: not whole numbers")
+        whole = np.ascontiguousarray(given, np.int64).reshape(self.num_envs)
+        if whole.view(np.uint64).max() >= self._action_count:  # what is below zero is huge without its sign
+            raise ValueError(f"actions {given} are outside {self.action_space}")
+        return whole
 
     def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
         """Add every slot's action mask to the infos."""
         return {
             "action_mask": self.slots.masks,
-            "_action_mask": np.ones(self.num_envs, np.bool_),
+            "_action_mask": self._every.copy(),
             **(infos or {}),
         }
 

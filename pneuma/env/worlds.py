@@ -68,6 +68,8 @@ class Worlds:
         self.monster_stats = np.stack(
             [characters.monster_stats(cast, level, self.player_stats, config.magic) for level in self.levels]
         )
+        for level, kinds in zip(self.levels, self.monster_stats, strict=True):
+            _refuse_bodies_off_the_grid(level, self.player_stats, kinds)
         self.settings = self._settings(config)
         fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
         self.spaces = [
@@ -106,6 +108,7 @@ class Worlds:
             np.zeros((ticks, players), state.LEDGER),
             np.zeros(monsters, state.MONSTER),
             np.zeros(monsters, state.SCRATCH),
+            np.zeros(1, state.CHASE),
         )
         self._handle = state.make_handle(self._arrays)
         self._every = np.ones(count, np.bool_)
@@ -252,6 +255,31 @@ def world_key(seed: int) -> int:
 
 def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
+
+
+def _refuse_bodies_off_the_grid(level: Level, players: np.ndarray, monsters: np.ndarray) -> None:
+    """Refuse a level in which a body would begin beyond the grid: the rules look up tiles unchecked.
+
+    Raises:
+        UserError: naming the start place or the monster.
+    """
+    rows, columns = level.terrain.shape
+    edges = (level.left, level.top, level.left + columns * level.tile, level.top + rows * level.tile)
+    bodies = [
+        (f"start place {i}", x, y, players["half_width"].max(), players["half_height"].max())
+        for i, (x, y) in enumerate(level.starts)
+    ]
+    bodies += [
+        (f"monster {i} ({name})", x, y, kind["half_width"], kind["half_height"])
+        for i, ((name, x, y), kind) in enumerate(zip(level.monsters, monsters, strict=True))
+    ]
+    for who, x, y, half_width, half_height in bodies:
+        inside = edges[0] <= x - half_width and x + half_width <= edges[2]
+        if not inside or y - half_height < edges[1] or y + half_height > edges[3]:
+            raise UserError(
+                f"level {level.name}: {who} at ({x:g}, {y:g}) has a body of {2 * half_width:g} x "
+                f"{2 * half_height:g} px, which reaches beyond the grid"
+            )
 
 
 def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:

@@ -194,12 +194,12 @@ class Oracle:
                 player.attack += 1
             elif action == FLAME and player.energy >= stats.flame_cost:
                 player.energy -= stats.flame_cost
-                player.busy, player.armed = stats.cast, 0
+                player.busy, player.armed = stats.flame_ticks, 0
                 player.attack += 1
                 blow = flame_blow(player)
             elif action == HEAL and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
-                player.busy, player.armed = stats.cast, 0
+                player.busy, player.armed = stats.heal_ticks, 0
                 gain.spell_heal = stats.heal
             elif action in WAYS:
                 self._walk(player, action)

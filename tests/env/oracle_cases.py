@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from pneuma.config import OBSERVATIONS, ORDERS, REWARDS, SCALES, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
+from pneuma.env.state import LANES
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -28,6 +29,7 @@ KINDS = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
 CLASSES = ("base", "tank", "mage", "warrior")
 WEAPONS = ("own", "blade", "sword", "lance", "axe", "rapier", "sai")
 START, OBSTACLE, WATER, GRASS = 400, 395, 0, 2
+HALF_BODY = 35.05  # of the largest body: nearer to the edge of the grid, a level is refused
 STEPS_OF_A_MOOD = 4
 
 Tile = tuple[int, int]
@@ -83,7 +85,7 @@ def maps(draw: st.DrawFn) -> Map:
     tile = draw(st.sampled_from([64.0, 64.0, 40.0, 48.0, 50.5, 96.0]))
     shore = draw(st.integers(0, 2))
     tiles = st.lists(st.tuples(st.integers(0, columns - 1), st.integers(0, rows - 1)), max_size=12)
-    edge = shore * tile + 1.0
+    edge = max(shore * tile + 1.0, HALF_BODY)
     far = (columns * tile - edge, rows * tile - edge)
 
     def within(shares: tuple[int, int]) -> Place:
@@ -99,7 +101,9 @@ def maps(draw: st.DrawFn) -> Map:
     around = st.tuples(st.integers(-450, 450), st.integers(-450, 450)).map(near)
     place = st.one_of(around, around, around, anywhere)
     starts = draw(st.lists(place, min_size=1, max_size=3))
-    monsters = draw(st.lists(st.tuples(st.sampled_from(sorted(KINDS)), place), min_size=1, max_size=6))
+    crowd = draw(st.sampled_from([6, 6, 6, 2 * LANES + 1]))  # now and then more than move side by side
+    kinds = st.tuples(st.sampled_from(sorted(KINDS)), place)
+    monsters = draw(st.lists(kinds, min_size=1 if crowd == 6 else LANES, max_size=crowd))
     return Map(
         columns, rows, tile, shore, tuple(draw(tiles)[:4]), tuple(draw(tiles)), tuple(starts),
         tuple((kind, *at) for kind, at in monsters),
@@ -108,7 +112,7 @@ def maps(draw: st.DrawFn) -> Map:
 
 # --- Characters --------------------------------------------------------------------------------------
 
-_BODIES = ([24, 50], [56, 56], [13.3, 70.1], [47, 48])
+_BODIES = ([24, 50], [56, 56], [13.3, 2 * HALF_BODY], [47, 48])
 _POOLS: dict[str, dict[str, Sequence[Any]]] = {
     "players": {
         "hp": (3.9, 10.1, 30, 70), "energy": (0, 25, 60.7), "attack": (0, 12, 0.7), "magic": (0, 4, 30.3),

@@ -34,7 +34,8 @@ class PlayerStats:
     sword_y: list[float]
     sword_half_width: list[float]
     sword_half_height: list[float]
-    cast: int
+    flame_ticks: int
+    heal_ticks: int
     flame_damage: float
     flame_cost: float
     flame_x: list[float]
@@ -232,7 +233,7 @@ class Blow:
     half_height: float
     damage: float
     knock_speed: float
-    knock_ticks: int  # 0: it knocks nobody back
+    knock_ticks: int  # below 0: it knocks nobody back
 
 
 @dataclass
@@ -287,21 +288,21 @@ def flame_blow(player: Player) -> Blow:
         half_height=stats.flame_half_height[facing],
         damage=stats.flame_damage,
         knock_speed=0.0,
-        knock_ticks=0,
+        knock_ticks=-1,
     )
 
 
 def knock_back(monster: Monster, blow: Blow) -> None:
     """Let a monster fly from the centre of the box; if it is right there, the way the player faces."""
-    if blow.knock_ticks <= 0:
+    if blow.knock_ticks < 0:
         return
     kind = monster.kind
     own = kind.knock_ticks >= 0
     speed = kind.knock_speed if own else blow.knock_speed
     away_x, away_y = monster.x - blow.x, monster.y - blow.y
-    if away_x == 0.0 and away_y == 0.0:
-        away_x, away_y = WAYS[blow.facing]
     length = math.sqrt(away_x * away_x + away_y * away_y)
+    if length == 0.0:
+        (away_x, away_y), length = WAYS[blow.facing], 1.0
     monster.knock_x = away_x / length * speed
     monster.knock_y = away_y / length * speed
     monster.knocked = kind.knock_ticks if own else blow.knock_ticks

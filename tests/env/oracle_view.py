@@ -44,7 +44,7 @@ def mask(world: Oracle, player: Player) -> list[int]:
     """Return 1 for every action that would do anything in the next step, and for attack in any case.
 
     None does while an attack or spell lasts through the step. Walking against a wall that one faces
-    already does nothing, nor does a spell that cannot be paid at any tick of it, nor healing at full HP.
+    already does nothing, nor does a spell that cannot be paid at any tick of it.
     """
     settings, stats = world.book.settings, player.stats
     allowed = dict.fromkeys((*WAYS, ATTACK), 0)
@@ -57,7 +57,7 @@ def mask(world: Oracle, player: Player) -> list[int]:
         if settings.magic:
             energy = _energy_at_last(player, settings.ticks)
             allowed[FLAME] = int(energy >= stats.flame_cost)
-            allowed[HEAL] = int(energy >= stats.heal_cost and player.hp < stats.hp)
+            allowed[HEAL] = int(energy >= stats.heal_cost)
     allowed[ATTACK] = 1
     return [allowed[action] for action in sorted(allowed)]
 

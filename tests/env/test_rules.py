@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numba import njit
 
 from pneuma.env import rules, state
 from pneuma.env.worlds import Worlds
@@ -48,7 +49,16 @@ def draw(key: int, count: int) -> list[int]:
     """Return the first numbers of a world's stream as the rules draw them."""
     world = np.zeros(1, state.WORLD)
     world["key"] = key
-    return [int(rules._draw(world[0])) for _ in range(count)]
+    numbers = np.zeros(count, np.uint64)
+    draw_all(world, numbers)
+    return [int(number) for number in numbers]
+
+
+@njit
+def draw_all(worlds: np.ndarray, numbers: np.ndarray) -> None:
+    """Fill `numbers` from the stream of the first world."""
+    for i in range(len(numbers)):
+        numbers[i] = rules._draw(worlds[0])
 
 
 PUBLISHED = [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]

@@ -1,0 +1,92 @@
+"""What keeps the compiled rules, which check no index, inside their arrays."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from numba import typeof
+
+from pneuma.config import make_env_config
+from pneuma.env import state
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import ATTACK, DOWN, play, stage
+from .oracle_cases import Map
+
+
+def handle_type(module: ModuleType) -> object:
+    return typeof(np.zeros(1, module.HANDLE))  # type: ignore[no-untyped-call]
+
+
+def state_module(text: str, folder: Path) -> ModuleType:
+    """Import another edition of `state.py`."""
+    path = folder / "another_state.py"
+    path.write_text(text)
+    spec = importlib.util.spec_from_file_location("another_state", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["another_state"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("LANES = 16", "LANES = 8"),
+        ('("hp", "f8"),\n    ("xp", "f8")', '("xp", "f8"),\n    ("hp", "f8")'),
+        ('("busy", "i4")', '("busy", "i8")'),
+    ],
+)
+def test_a_change_of_the_state_is_a_change_of_what_the_compile_cache_looks_at(
+    tmp_path: Path, old: str, new: str
+) -> None:
+    """The cache is keyed by the types of arguments: the handle's must tell how all arrays are laid out."""
+    text = Path(state.__file__).read_text()
+    assert old in text
+    same, changed = (state_module(edition, tmp_path) for edition in (text, text.replace(old, new)))
+    assert handle_type(same) == handle_type(state) != handle_type(changed)
+
+
+def small_level(folder: Path, start: tuple[float, float], monster: tuple[str, float, float]) -> str:
+    return Map(14, 14, tile=24.0, shore=0, starts=(start,), monsters=(monster,)).write(folder)
+
+
+@pytest.mark.parametrize(
+    ("start", "monster", "who"),
+    [
+        ((168.0, 335.0), ("bamboo", 100.0, 100.0), "start place 0"),
+        ((168.0, 168.0), ("raccoon", 20.0, 168.0), "monster 0 (raccoon)"),
+    ],
+)
+def test_a_body_that_reaches_beyond_the_grid_is_refused(
+    tmp_path: Path, start: tuple[float, float], monster: tuple[str, float, float], who: str
+) -> None:
+    level = small_level(tmp_path, start, monster)
+    with pytest.raises(UserError) as refused:
+        Worlds(1, make_env_config({"level": level}))
+    assert who in str(refused.value) and "beyond the grid" in str(refused.value)
+
+
+def test_on_the_smallest_tiles_nobody_leaves_the_grid(tmp_path: Path) -> None:
+    level = small_level(tmp_path, (168.0, 312.0), ("bamboo", 100.0, 100.0))
+    worlds = Worlds(1, make_env_config({"level": level}))
+    worlds.seed([0])
+    worlds.reset()
+    for _ in range(20):
+        play(worlds, DOWN)
+    assert worlds.players["y"][0, 0] == 14 * 24 - 24  # flush with the edge
+
+
+def test_a_monster_all_but_in_the_middle_of_the_sword_flies_the_way_the_player_faces(arena: str) -> None:
+    """1e-200 squared is 0: dividing by that distance would make its place not a number."""
+    worlds = stage(arena, (1e-200, 0.0), players=((0.0, -52.0),), facing=DOWN, still=True)
+    play(worlds, ATTACK)
+    assert worlds.monsters["x"][0, 0] == 1e-200
+    assert worlds.monsters["y"][0, 0] == 8 * 2.0  # 120 px/s for 8 ticks
