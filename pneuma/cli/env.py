@@ -233,10 +233,10 @@ def _story(worlds: Any) -> str:
 
     count = worlds.monsters.shape[1]
     killed = f"{count - worlds.worlds['monsters_left'][0]} of {count} monsters killed"
-    ending = worlds.ending(0)
-    if ending == "running":
-        ending = f"it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode would go on"
-    return f"{killed} in {agent_steps(worlds)} steps, {ending.replace('-', ' ')}"
+    told = f"{killed}, {agent_steps(worlds)} steps"
+    if worlds.ending(0) == "running":
+        return f"{told}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
+    return f"{told}, {worlds.ending(0).replace('-', ' ')}"
 
 
 @contextmanager

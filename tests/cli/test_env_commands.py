@@ -144,7 +144,7 @@ def test_a_video_needs_no_episode_option_and_says_how_it_went(
     assert main(["env", "render", "pneuma/Pneuma-v0", *arguments]) == 0
     with Image.open(here / "run.gif") as video:
         assert getattr(video, "n_frames", 1) == 3 * 4 + 1
-    assert "0 of 14 monsters killed in 3 steps, time limit" in capsys.readouterr().out
+    assert "0 of 14 monsters killed, 3 steps, time limit" in capsys.readouterr().out
 
 
 def test_a_video_ends_two_seconds_after_the_last_kill_and_says_so(
@@ -155,7 +155,7 @@ def test_a_video_ends_two_seconds_after_the_last_kill_and_says_so(
     with Image.open("run.gif") as video:
         frames = getattr(video, "n_frames", 1)
     told = capsys.readouterr().out
-    steps = int(told.split(" in ")[1].split()[0])
+    steps = int(told.split("killed, ")[1].split()[0])
     assert "1 of 1 monsters killed" in told and "it ends 2 s after the last kill" in told
     assert frames == 1 + 4 * steps and steps < 100
 
@@ -195,9 +195,9 @@ def test_a_run_plays_in_its_own_environment(here: Path, arena: str, capsys: Capt
     )
     arguments = ["env", "render", "pneuma/Pneuma-v0", "--player", name, "--scale", "1", "--out", "run.gif"]
     assert main(arguments) == 0
-    assert "of 1 monsters killed in 9 steps" in capsys.readouterr().out
+    assert "of 1 monsters killed, 9 steps" in capsys.readouterr().out
     assert main([*arguments, "--set", "episode_steps=4"]) == 0
-    assert "in 4 steps" in capsys.readouterr().out
+    assert "killed, 4 steps" in capsys.readouterr().out
 
 
 def test_a_run_in_which_it_does_not_fit_is_refused(here: Path, capsys: Captured) -> None:

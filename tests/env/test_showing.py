@@ -73,6 +73,14 @@ def test_a_frame_shows_the_world_as_it_is_now(arena: str) -> None:
     assert not np.array_equal(frames[0], frames[1])  # nor is a frame overwritten
 
 
+def test_the_camera_can_follow_the_player(arena: str) -> None:
+    env = PneumaEnv(level=arena, render_mode="rgb_array")
+    env.camera = "follow"
+    env.reset(seed=3)
+    worlds = begin(1, seed=3, level=arena)
+    assert np.array_equal(env.render(), Renderer(worlds, "follow").frame())
+
+
 def test_drawing_changes_nothing_in_the_world(arena: str) -> None:
     drawn, plain = PneumaEnv(level=arena, render_mode="rgb_array"), PneumaEnv(level=arena)
     drawn.reset(seed=1)
