@@ -56,7 +56,7 @@ class Ways:
         self._drowns = [grid.tolist() if grid.any() else None for grid in drowns]
         self._numbers = np.full((len(levels), self._fits[0].size), -1)  # of the field to each tile
         self._lists: list[list[float]] = []
-        self._fields = np.empty((64, self._fits[0].size))
+        self._fields = np.empty((64, self._fits[0].size), np.float32)
 
     def lengths(
         self, level: np.ndarray, to_x: np.ndarray, to_y: np.ndarray, x: np.ndarray, y: np.ndarray

@@ -53,31 +53,37 @@ class Hunter:
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
-        if not worlds.monsters.shape[1]:
-            return np.full(worlds.players.shape, rules.ATTACK)
         self._begin_again(worlds.worlds["steps"] == 0)
-        x, y = _offsets(worlds)
         alive = worlds.monsters["hp"][:, None, :] > 0
-        straight, on_foot = np.hypot(x, y), self._lengths(worlds)
-        order = np.where(np.isfinite(on_foot), on_foot, FARTHEST + straight)
+        free = (worlds.players["busy"] == 0) & (worlds.players["hp"] > 0) & alive.any(axis=-1)
+        free &= (worlds.worlds["ending"] == 0)[:, None]
+        actions = self._choose(worlds, alive, free) if free.any() else free
+        self._left_off[:, ~free] = np.nan
+        awake = worlds.monsters["noticed"] > 0
+        for axis, name in enumerate("xy"):
+            self._seen[axis] = np.where(awake, worlds.monsters[name], np.nan)
+        return np.where(free, actions, rules.ATTACK)
+
+    def _choose(self, worlds: Worlds, alive: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Return actions, of which those of the players that are free to act count."""
+        x, y = _offsets(worlds)
+        on_foot = self._lengths(worlds)
+        order = np.where(np.isfinite(on_foot), on_foot, FARTHEST + np.hypot(x, y))
         nearest = np.where(alive, order, np.inf).argmin(axis=-1)[..., None]
         dx, dy, length = (np.take_along_axis(each, nearest, -1)[..., 0] for each in (x, y, on_foot))
         strike = (self._meets_sword(worlds, x, y) & alive).any(axis=-1)
-        idle = strike | (worlds.players["busy"] > 0)
+        walks = free & ~strike
         far = (length * worlds.level.tile > self.NEAR_PIXELS) & np.isfinite(length) | self._under_way(worlds)
-        far &= ~idle & alive.any(axis=-1) & (worlds.players["hp"] > 0)
-        far &= (worlds.worlds["ending"] == 0)[:, None]
-        walk = self._walk(worlds, dx, dy)
-        here = np.stack([worlds.players["x"], worlds.players["y"]])
-        self._left_off = np.where(idle, np.nan, here)
-        for world, player in np.argwhere(far).tolist():
+        walk = self._walk(worlds, dx, dy, walks)
+        self._left_off = np.where(walks, [worlds.players["x"], worlds.players["y"]], np.nan)
+        for world, player in np.argwhere(far & walks).tolist():
             action = self._follow(worlds, world, player, int(nearest[world, player, 0]))
             if action is not None:
                 walk[world, player] = action
                 self._left_off[:, world, player], self._detour[world, player] = np.nan, 0
         if worlds.config.coast == "deadly":
-            self._keep_ashore(worlds, walk, ~idle)
-        return np.where(strike | ~alive.any(axis=-1), rules.ATTACK, walk)
+            self._keep_ashore(worlds, walk, walks)
+        return np.where(strike, rules.ATTACK, walk)
 
     def _keep_ashore(self, worlds: Worlds, walk: np.ndarray, may_walk: np.ndarray) -> None:
         """Let players strike where they stand whose next step would drown them."""
@@ -130,18 +136,22 @@ class Hunter:
             plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
         return plan.get(place)
 
-    def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
-        """Return the way to walk to a monster at (dx, dy), or for a while some other way."""
+    def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray, walks: np.ndarray) -> np.ndarray:
+        """Return the way to walk to a monster at (dx, dy), or for a while some other way.
+
+        Only those who walk this time, (N, P) booleans, come any further with going round something.
+        """
         along_x = np.where(dx > 0, rules.RIGHT, rules.LEFT)
         along_y = np.where(dy > 0, rules.DOWN, rules.UP)
         sideways = np.abs(dx) > np.maximum(np.abs(dy), worlds.player_stats["sword_half_width"][:, rules.UP])
         straight, across = np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
 
         stand_off = worlds.monster_stats["stand_off"].max(initial=0.0)
-        crowded = (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off) & (self._detour == 0)
+        crowded = (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off) & (self._detour == 0) & walks
         stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
+        stopped &= walks
         again = stopped & (self._detour > 0)  # the way round is closed as well: back
-        self._detour = np.maximum(self._detour - 1, 0)
+        self._detour = np.maximum(self._detour - walks, 0)
         self._detour[crowded], self._detour[stopped] = self.BACK_STEPS, self.SIDE_STEPS
         self._way = np.where(crowded, (along_y + 2) % 4, self._way)
         self._way = np.where(again, (self._way + 2) % 4, np.where(stopped, across, self._way))
@@ -166,7 +176,6 @@ class Hunter:
             low, high = np.minimum(offset, after), np.maximum(offset, after)
             body = stats[f"half_{side}"]
             meets &= (low - body < centre + half) & (high + body > centre - half)
-            self._seen[i] = np.where(awake, monsters[axis], np.nan)
         return meets
 
 
