@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, env, study
+from pneuma.cli import bench, env, runs, study
 from pneuma.errors import UserError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(study.app, name="study")
+app.add_typer(runs.app, name="run")
 app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
 

@@ -1,0 +1,275 @@
+"""`pneuma run …`: list stored runs, show what produced one, and export its policy."""
+
+from __future__ import annotations
+
+import json as json_module
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pneuma.cli.options import Json, Results, print_json
+from pneuma.config import EnvConfig, Run, make_run
+from pneuma.errors import UserError, nearest_name
+from pneuma.study import stored_runs
+from pneuma.study.store import Store, write_whole
+from pneuma.study.stored_runs import Holder, StoredRun
+
+app = typer.Typer(
+    help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
+)
+
+RESULTS = Path("results")
+EXPORTS = (".zip", ".onnx")
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "environment": ("env", *(field.name for field in fields(EnvConfig))),
+    "budget": ("engine", "algorithm", "seed", "steps", "slots", "evaluation_episodes"),
+    "network": ("actor", "critic", "activation"),
+    "optimizer": (
+        *("optimizer", "learning_rate", "betas", "epsilon", "momentum", "dampening", "smoothing"),
+        *("weight_decay", "gradient_limit", "clip"),
+    ),
+    "learner": (),
+}
+"""Settings of a run as they are shown together; what is in no other group belongs to the last."""
+
+RunName = Annotated[
+    str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
+]
+
+
+@app.command("list")
+def list_(results: Results = RESULTS, json: Json = False) -> None:
+    """List the stored runs: status, steps, seed, and which studies hold them."""
+    runs = stored_runs.list_runs(Store(results))
+    if json:
+        rows = [
+            {"run_id": run.run_id, **_standing(run.status), "seed": run.seed, "studies": _rows(run.holders)}
+            for run in runs
+        ]
+        return print_json({"schema": 1, "runs": rows})
+    if not runs:
+        print(f"No run is stored in {results} yet.")
+    for run in runs:
+        held = ", ".join(f"{_plain(h.study)}/{_plain(h.condition)}" for h in run.holders) or "of no study"
+        seed = "?" if run.seed is None else run.seed
+        step = f"{run.status.step:>12,} steps"
+        print(f"{run.run_id:<16}  {_plain(run.status.name):<9} {step}  seed {seed:<6} {held}")
+    return None
+
+
+@app.command()
+def show(
+    name: RunName,
+    all_: Annotated[bool, typer.Option("--all", help="Show every setting, defaults too.")] = False,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Show what produced a stored run: configuration, machine, packages, time, files."""
+    store = Store(results)
+    run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
+    usual = stored_runs.default_settings(run.settings)
+    differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
+    if json:
+        return print_json(_document(run, {key: usual.get(key) for key in differing}))
+    print(f"run {run.run_id}: {_plain(run.status.name)}, {run.status.step:,} steps trained")
+    for held in run.holders:
+        print(f"study {_plain(held.study)}, condition {_plain(held.condition)}, seed {held.seed}")
+    _print_settings(run.settings, differing, usual, all_)
+    _print_provenance(run)
+    print("\nFiles")
+    for file in run.files:
+        print(f"  {_plain(file.name):<24} {file.size_bytes:>12,} bytes  {file.state}")
+    return None
+
+
+@app.command()
+def export(
+    name: RunName,
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="FILE", help="A .zip for Stable-Baselines3, or an .onnx."),
+    ],
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Open the run's own level and characters files, for its bounds.")
+    ] = False,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
+    out = out.expanduser()
+    _check_out(out)
+    store = Store(results)
+    run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
+    data, note = _exported(store, run, out.suffix.lower(), trust)
+    try:
+        write_whole(out, data)
+    except OSError as error:
+        raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
+    if json:
+        return print_json(
+            {"schema": 1, "run_id": run.run_id, "file": str(out), "bytes": len(data), "note": note}
+        )
+    if note:
+        print(f"Note: {note}.")
+    print(f"wrote {out}: {len(data):,} bytes, the policy of run {run.run_id} after {run.status.step:,} steps")
+    return None
+
+
+# --- Export ----------------------------------------------------------------------------------------
+
+
+def _check_out(out: Path) -> None:
+    """Refuse a file that cannot be written, before anything heavy is loaded."""
+    if out.suffix.lower() not in EXPORTS:
+        hint = nearest_name(out.suffix, EXPORTS) if out.suffix else ""
+        raise UserError(f"--out {out}: must end in {' or '.join(EXPORTS)}{hint}")
+    if out.is_dir():
+        raise UserError(f"--out {out}: is a folder; name a file")
+    if not out.parent.is_dir():
+        raise UserError(f"--out {out}: there is no folder {out.parent}")
+
+
+def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
+    """Return the file's contents, and what a person should know about them."""
+    if not run.status.finished:
+        raise UserError(f"run {run.run_id} is {_plain(run.status.name)}: it has no final policy to export")
+    if not any(file.name == "policy.safetensors" for file in run.files):
+        raise UserError(f"run {run.run_id} {_plain(run.status.name)}: it left no policy to export")
+    data = store.read_file(run.run_id, "policy.safetensors")
+    from pneuma.engines import export as exports
+
+    try:
+        settings, policy = _resolved(run), exports.read_sound_policy(data)
+    except UserError as error:
+        raise UserError(f"run {run.run_id}: {error}") from None
+    if suffix == ".onnx":
+        about = {"run_id": run.run_id, "env": settings.env, "observation": settings.observation}
+        return exports.to_onnx(policy, about), ""
+    space = exports.observation_space(policy, settings, trust)
+    bounded = trust or exports.reads_only_shipped_files(settings)
+    note = (
+        "the run names level or characters files of its own, which were not opened: the observation "
+        "space in the file has no bounds, so load it without env=, or export again with --trust"
+    )
+    return exports.to_sb3(policy, settings, space), "" if bounded else note
+
+
+def _resolved(run: StoredRun) -> Run:
+    if not run.settings:
+        raise UserError("run.json: holds no configuration")
+    return make_run(run.settings)
+
+
+# --- Showing ---------------------------------------------------------------------------------------
+
+
+def _print_settings(
+    settings: Mapping[str, Any], differing: Mapping[str, Any], usual: Mapping[str, Any], all_: bool
+) -> None:
+    """Print the settings in groups: those that differ from the defaults, then on demand the others."""
+    if not settings:
+        print("\nIts configuration is missing or damaged.")
+        return
+    print("\nSettings that are not the environment's and optimizer's defaults")
+    for group, key in _grouped(differing):
+        print(f"  {group:<12} {key} = {_value(settings[key])}   (default {_value(usual.get(key))})")
+    if not differing:
+        print("  none")
+    if not all_:
+        print("  (--all shows the others)")
+        return
+    print("\nSettings at their defaults")
+    for group, key in _grouped({key: value for key, value in settings.items() if key not in differing}):
+        print(f"  {group:<12} {key} = {_value(settings[key])}")
+
+
+def _grouped(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return (group, key) of settings, in the groups' order; the group is told once."""
+    named = {key for keys in GROUPS.values() for key in keys}
+    ordered = [(group, key) for group, keys in GROUPS.items() for key in keys if key in settings]
+    ordered += [(next(reversed(GROUPS)), key) for key in settings if key not in named]
+    told = ["", *(group for group, _ in ordered)]
+    return [
+        ("" if group == before else group, key) for (group, key), before in zip(ordered, told, strict=False)
+    ]
+
+
+def _print_provenance(run: StoredRun) -> None:
+    about = run.provenance
+    print("\nProvenance" if about else "\nIts provenance is missing or damaged.")
+    rows = {
+        "started": about.get("started"),
+        "wall time": f"{about['wall_seconds']} s" if "wall_seconds" in about else None,
+        "commit": about.get("commit"),
+        "machine": _machine(about),
+        "python": about.get("python"),
+        "packages": _pairs(about.get("packages")),
+    }
+    for key, value in rows.items():
+        if value is not None:
+            print(f"  {key:<10} {_value(value)}")
+    for resume in run.resumes:
+        differences = resume.get("differences") or []
+        flag = "as before" if not differences else "NOT as before, its bits could differ: "
+        where = f"at step {_value(resume.get('step'))}, {_value(resume.get('at'))}"
+        print(f"  resumed    {where}: {flag}{_several(differences)}")
+
+
+def _machine(about: Mapping[str, Any]) -> str | None:
+    parts = [str(about[key]) for key in ("system", "cpu") if about.get(key)]
+    parts += [f"{about['cores']} cores"] if about.get("cores") else []
+    parts += (
+        [f"{about['threads']} thread" + ("s" if about["threads"] != 1 else "")] if "threads" in about else []
+    )
+    return ", ".join(parts) or None
+
+
+def _pairs(packages: object) -> str | None:
+    if not isinstance(packages, dict):
+        return None
+    return ", ".join(f"{name} {version}" for name, version in packages.items())
+
+
+def _several(differences: object) -> str:
+    rows = differences if isinstance(differences, list) else [differences]
+    return "; ".join(_value(row) for row in rows)
+
+
+def _document(run: StoredRun, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "run_id": run.run_id,
+        **_standing(run.status),
+        "seed": run.settings.get("seed"),
+        "studies": _rows(run.holders),
+        "settings": dict(run.settings),
+        "defaults": dict(defaults),
+        "provenance": dict(run.provenance),
+        "resumed_elsewhere": any(resume.get("differences") for resume in run.resumes),
+        "files": [{"name": f.name, "bytes": f.size_bytes, "state": f.state} for f in run.files],
+    }
+
+
+def _standing(status: Any) -> dict[str, Any]:
+    return {"status": status.name, "step": status.step}
+
+
+def _rows(held: tuple[Holder, ...]) -> list[dict[str, Any]]:
+    return [asdict(holder) for holder in held]
+
+
+def _value(value: object) -> str:
+    """Write a value for people."""
+    if value is None:
+        return "none"
+    shown = value if isinstance(value, str) and value else json_module.dumps(value, ensure_ascii=False)
+    return _plain(shown)
+
+
+def _plain(text: str) -> str:
+    """Make a stranger's text safe to print: no control characters, which could drive a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)

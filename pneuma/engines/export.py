@@ -1,0 +1,213 @@
+"""A stored policy for other programs: Stable-Baselines3's .zip, and ONNX.
+
+Policy and its run → bytes of a file. Neither kind of file needs Pneuma to be read. Pneuma itself reads
+neither: loading a .zip of Stable-Baselines3's runs the code that is pickled in it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+from torch import nn
+
+from pneuma.config import (
+    ACTION_NAMES,
+    REWARDS,
+    SHIPPED_CHARACTERS,
+    SHIPPED_LEVELS,
+    SPELL_NAMES,
+    Run,
+    env_config,
+)
+from pneuma.engines.policy import LEAKY_SLOPE, Policy, read_policy
+from pneuma.engines.sb3 import make_model
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+ONNX_OPSET = 17
+ONNX_IR_VERSION = 8
+"""As old as what is written allows, so that older runtimes read it."""
+
+_ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
+"""Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
+
+_ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "tanh": ("Tanh", {}),
+    "relu": ("Relu", {}),
+    "leaky-relu": ("LeakyRelu", {"alpha": LEAKY_SLOPE}),
+}
+
+
+def read_sound_policy(data: bytes) -> Policy:
+    """Read a stored policy that may be a stranger's, and check that it is one.
+
+    Raises:
+        UserError: when it is no policy, or its layers do not fit each other.
+    """
+    try:
+        policy = read_policy(data)
+        for layers in (policy.actor, policy.critic):
+            sizes = [weight.shape for weight, _ in layers]
+            assert sizes and policy.activation in _ACTIVATIONS
+            assert all(before[1] == after[0] for before, after in pairwise(sizes))
+            assert all(bias.shape == (weight.shape[1],) for weight, bias in layers)
+        assert policy.actor[0][0].shape[0] == policy.critic[0][0].shape[0]
+        assert policy.critic[-1][1].shape == (1,)
+    except Exception:  # safetensors, JSON and shapes each fail in their own way
+        raise UserError("policy.safetensors: is no policy of Pneuma's") from None
+    return policy
+
+
+# --- Stable-Baselines3 -----------------------------------------------------------------------------
+
+
+def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
+    """Return what `stable_baselines3.PPO.load` reads: the policy with its run's hyperparameters.
+
+    The optimizer starts afresh: a stored run keeps no state of it.
+
+    Args:
+        policy: actor and critic.
+        run: what trained them.
+        space: what the policy observes; see `observation_space`.
+
+    Raises:
+        UserError: when the policy is not of the run's shape.
+    """
+    _check_shape(policy, run)
+    model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
+    model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
+    model.num_timesteps = run.steps
+    nets = model.policy.mlp_extractor
+    with torch.no_grad():
+        for layers, hidden, head in (
+            (policy.actor, nets.policy_net, model.policy.action_net),
+            (policy.critic, nets.value_net, model.policy.value_net),
+        ):
+            modules = [layer for layer in (*hidden.children(), head) if isinstance(layer, nn.Linear)]
+            for (weight, bias), module in zip(layers, modules, strict=True):
+                module.weight.copy_(torch.from_numpy(weight.T.copy()))  # torch keeps (outputs, inputs)
+                module.bias.copy_(torch.from_numpy(bias.copy()))
+    file = io.BytesIO()
+    model.save(file)
+    return file.getvalue()
+
+
+def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
+    """Return what a policy observes, so that the exported file loads beside its environment.
+
+    A run that names a level or characters file of its owner's opens it only with `trust`; without, the
+    space has the right size and no bounds. Rewards do not matter to it and are never imported.
+
+    Raises:
+        UserError: when the environment observes another number of features than the policy.
+    """
+    features = policy.actor[0][0].shape[0]
+    if not (trust or reads_only_shipped_files(run)):
+        return spaces.Box(-np.inf, np.inf, (features,), np.float32)
+    space = Worlds(1, replace(env_config(run), reward=REWARDS[:1])).slot_space
+    if space.shape != (features,):
+        raise UserError(f"the policy observes {features} features, its environment has {space.shape[0]}")
+    return space
+
+
+def reads_only_shipped_files(run: Run) -> bool:
+    """Tell whether a run's level and characters come with Pneuma."""
+    level = run.level in SHIPPED_LEVELS or run.level.startswith("random:")
+    return level and run.characters in ("", *SHIPPED_CHARACTERS)
+
+
+def _check_shape(policy: Policy, run: Run) -> None:
+    hidden = [tuple(len(bias) for _, bias in layers[:-1]) for layers in (policy.actor, policy.critic)]
+    if (policy.activation, *hidden) != (run.activation, run.actor, run.critic):
+        raise UserError("policy.safetensors: is not of the shape that its run.json says")
+
+
+class _Spaces(VecEnv):
+    """Stands in for an environment where a learner is set up and never trained: spaces alone."""
+
+    def __init__(self, observation_space: spaces.Box, action_space: spaces.Discrete) -> None:
+        self.render_mode = None
+        super().__init__(1, observation_space, action_space)
+
+    def get_attr(self, attr_name: str, indices: object = None) -> list[Any]:
+        return [None]
+
+    def _refuse(self, *_: object, **__: object) -> Any:
+        raise NotImplementedError("this environment has spaces alone")
+
+    reset = step_async = step_wait = close = set_attr = env_method = env_is_wrapped = _refuse
+
+
+# --- ONNX ------------------------------------------------------------------------------------------
+
+
+def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
+    """Return an ONNX model: observation (batch, features) → logits (batch, actions), value (batch,).
+
+    The graph is written out layer by layer. `torch.onnx.export` would add a trace of its calls, with
+    paths of this machine, to every node, and takes seconds.
+
+    Args:
+        policy: actor and critic.
+        about: what to note in the model's metadata, such as the run's id.
+
+    Raises:
+        UserError: when the extra `onnx` is not installed.
+    """
+    try:
+        from onnx import TensorProto, checker, helper
+    except ImportError:
+        raise UserError(".onnx needs onnx: pip install 'pneuma[onnx]', or choose .zip") from None
+    features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
+    actor, actor_arrays = _onnx_layers("actor", policy.actor, policy.activation, "logits")
+    critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, "values")
+    flatten = helper.make_node("Reshape", ["values", "flat"], ["value"])
+    flat = helper.make_tensor("flat", TensorProto.INT64, [1], [-1])
+    graph = helper.make_graph(
+        [*actor, *critic, flatten],
+        "policy",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", features])],
+        [
+            helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["batch", actions]),
+            helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]),
+        ],
+        [*actor_arrays, *critic_arrays, flat],
+    )
+    opset = helper.make_opsetid("", ONNX_OPSET)
+    model = helper.make_model(
+        graph, producer_name="pneuma", ir_version=ONNX_IR_VERSION, opset_imports=[opset]
+    )
+    names = (ACTION_NAMES + SPELL_NAMES)[:actions]
+    helper.set_model_props(model, {**about, "actions": json.dumps(names)})
+    checker.check_model(model)
+    return model.SerializeToString(deterministic=True)
+
+
+def _onnx_layers(
+    part: str, layers: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, output: str
+) -> tuple[list[Any], list[Any]]:
+    """Return nodes and weights of one multilayer perceptron from "observation" to `output`."""
+    from onnx import helper, numpy_helper
+
+    kind, attributes = _ONNX_ACTIVATIONS[activation]
+    nodes, arrays, shown = [], [], "observation"
+    for i, (weight, bias) in enumerate(layers):
+        names = [f"{part}.{i}.weight", f"{part}.{i}.bias"]
+        arrays += [numpy_helper.from_array(a.copy(), n) for a, n in zip((weight, bias), names, strict=True)]
+        last = i == len(layers) - 1
+        linear = output if last else f"{part}.{i}.linear"
+        nodes.append(helper.make_node("Gemm", [shown, *names], [linear]))
+        if not last:
+            shown = f"{part}.{i}"
+            nodes.append(helper.make_node(kind, [linear], [shown], **attributes))
+    return nodes, arrays

@@ -1,0 +1,374 @@
+"""`pneuma run list | show | export`, on stored runs whose every figure is known."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.cli import main
+from pneuma.config import Run, make_run
+from pneuma.engines.policy import Policy
+from pneuma.study.execute import selection_record
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store, run_document, to_json
+
+Captured = pytest.CaptureFixture[str]
+
+ALONE = "00aa000000000000"
+"""A run that no study holds."""
+ALIKE = "00aa111111111111"
+"""Another, with the same first digits."""
+
+MACHINE = {
+    "started": "2026-01-02T03:04:05+00:00",
+    "wall_seconds": 12.5,
+    "threads": 1,
+    "python": "3.11.7",
+    "packages": {"pneuma": "0.1.0", "torch": "2.13.0"},
+    "commit": "0123456789abcdef0123456789abcdef01234567",
+    "system": "Linux x86_64",
+    "cpu": "A processor",
+    "cores": 2,
+}
+
+
+def policy_of(run: Run, features: int = 60) -> Policy:
+    generator = np.random.default_rng(0)
+
+    def layer(before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
+        shapes = ((before, after), (after,))
+        weight, bias = (generator.standard_normal(shape).astype(np.float32) for shape in shapes)
+        return weight, bias
+
+    (actor,), (critic,) = run.actor, run.critic
+    return Policy(
+        run.activation,
+        (layer(features, actor), layer(actor, 5)),
+        (layer(features, critic), layer(critic, 1)),
+    )
+
+
+def save(store: Store, run_id: str, run: Run, about: Any = MACHINE, **files: bytes) -> None:
+    contents = {
+        "run.json": run_document(run, run_id),
+        "provenance.json": to_json(about),
+        "policy.safetensors": policy_of(run).to_bytes(),
+    }
+    contents |= {name.replace("_", "."): data for name, data in files.items()}
+    store.save_run(run_id, Status("done", run.steps), contents)
+
+
+@pytest.fixture
+def plan() -> Plan:
+    """Of the activation study, tanh and ReLU, one seed."""
+    settings = {"horizon": 64, "episode_steps": 50}
+    return make_plan(
+        load_study("activation"),
+        Selection(seeds=(7,), steps=640, conditions=("tanh", "relu"), settings=settings),
+    )
+
+
+@pytest.fixture
+def store(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    """The results of that plan, and two runs of no study."""
+    monkeypatch.setenv("PNEUMA_RESULTS", str(tmp_path / "results"))
+    store = Store(tmp_path / "results")
+    store.save_selection("activation", selection_record(plan))
+    for cell in plan.cells:
+        save(store, cell.run_id, cell.run)
+    for name in (ALONE, ALIKE):
+        save(store, name, make_run({"seed": 3, "steps": 256}))
+    return store
+
+
+def call(captured: Captured, *arguments: str) -> str:
+    assert main(list(arguments)) == 0
+    return captured.readouterr().out
+
+
+def refusal(captured: Captured, *arguments: str) -> str:
+    assert main(list(arguments)) == 2
+    output = captured.readouterr()
+    assert output.out == ""
+    (line,) = output.err.splitlines()
+    return line
+
+
+# --- list ------------------------------------------------------------------------------------------
+
+
+def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, capsys: Captured) -> None:
+    tanh, relu = (cell.run_id for cell in plan.cells)
+    rows = [line.split() for line in call(capsys, "run", "list").splitlines()]
+    assert rows == [
+        [tanh, "done", "640", "steps", "seed", "7", "activation/tanh"],
+        [relu, "done", "640", "steps", "seed", "7", "activation/relu"],
+        [ALONE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
+        [ALIKE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
+    ]
+    document = json.loads(call(capsys, "run", "list", "--json"))
+    held = [{"study": "activation", "condition": "tanh", "seed": 7}]
+    assert document["schema"] == 1
+    assert document["runs"][0] == {
+        "run_id": tanh, "status": "done", "step": 640, "seed": 7, "studies": held,
+    }  # fmt: skip
+    assert document["runs"][2]["studies"] == []
+
+
+def test_a_run_whose_file_is_gone_is_listed_as_damaged(store: Store, capsys: Captured) -> None:
+    (store.run_folder(ALONE) / "policy.safetensors").unlink()
+    states = {
+        row["run_id"]: row["status"] for row in json.loads(call(capsys, "run", "list", "--json"))["runs"]
+    }
+    assert (states[ALONE], states[ALIKE]) == ("damaged", "done")
+
+
+def test_a_list_of_nothing_is_no_mistake(tmp_path: Path, capsys: Captured) -> None:
+    assert "No run is stored" in call(capsys, "run", "list", "--results", str(tmp_path / "none"))
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_thousand_runs_are_listed_within_a_second(store: Store, capsys: Captured) -> None:
+    for number in range(1000):
+        shutil.copytree(
+            store.run_folder(ALONE), store.root / "runs" / f"{number:016x}", copy_function=os.link
+        )
+    began = time.process_time()
+    lines = call(capsys, "run", "list").splitlines()
+    assert len(lines) == 1004
+    assert time.process_time() - began < 1
+
+
+# --- show ------------------------------------------------------------------------------------------
+
+
+def test_show_says_what_produced_a_run(store: Store, plan: Plan, capsys: Captured) -> None:
+    cell = plan.cells[0]
+    shown = " ".join(call(capsys, "run", "show", cell.run_id).split())
+    for words in (
+        f"run {cell.run_id}: done, 640 steps trained",
+        "study activation, condition tanh, seed 7",
+        "horizon = 64 (default 256)",
+        "betas = [0.9, 0.9] (default [0.9, 0.999])",
+        "episode_steps = 50 (default 1000)",
+        "seed = 7 (default 0)",
+        "started 2026-01-02T03:04:05+00:00",
+        "wall time 12.5 s",
+        "commit 0123456789abcdef0123456789abcdef01234567",
+        "machine Linux x86_64, A processor, 2 cores, 1 thread",
+        "packages pneuma 0.1.0, torch 2.13.0",
+    ):
+        assert words in shown
+    size = (store.run_folder(cell.run_id) / "policy.safetensors").stat().st_size
+    assert f"policy.safetensors {size:,} bytes sound" in shown
+    assert "gamma" not in shown  # at its default
+
+
+def test_show_all_names_every_setting_once(store: Store, capsys: Captured) -> None:
+    shown = call(capsys, "run", "show", ALONE, "--all")
+    settings = [line.partition(" = ")[0].split()[-1] for line in shown.splitlines() if " = " in line]
+    assert sorted(settings) == sorted(Run.__dataclass_fields__)
+
+
+def test_the_document_of_show_is_complete(store: Store, plan: Plan, capsys: Captured) -> None:
+    cell = plan.cells[1]
+    document = json.loads(call(capsys, "run", "show", cell.run_id, "--json"))
+    assert document["schema"] == 1
+    assert make_run(document["settings"]) == cell.run
+    changed = ("activation", "betas", "episode_steps", "horizon", "seed", "steps")
+    assert sorted(document["defaults"]) == sorted(changed)
+    assert document["defaults"]["horizon"] == 256
+    assert document["provenance"] == MACHINE
+    assert document["studies"] == [{"study": "activation", "condition": "relu", "seed": 7}]
+    assert {file["name"]: file["state"] for file in document["files"]} == {
+        "run.json": "sound",
+        "provenance.json": "sound",
+        "policy.safetensors": "sound",
+    }
+
+
+def test_a_resume_that_could_give_other_bits_is_flagged(store: Store, capsys: Captured) -> None:
+    resumes = [
+        {"step": 128, "at": "2026-01-02T04:00:00+00:00", "differences": []},
+        {"step": 192, "at": "2026-01-02T05:00:00+00:00", "differences": ["cpu (A processor, now another)"]},
+    ]
+    save(store, ALONE, make_run({}), {**MACHINE, "resumes": resumes})
+    resumed = [line for line in call(capsys, "run", "show", ALONE).splitlines() if "resumed" in line]
+    assert len(resumed) == 2
+    assert "step 128" in resumed[0] and "NOT" not in resumed[0]
+    assert "step 192" in resumed[1] and "could differ: cpu (A processor, now another)" in resumed[1]
+    document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
+    assert document["resumed_elsewhere"] is True
+    assert json.loads(call(capsys, "run", "show", ALIKE, "--json"))["resumed_elsewhere"] is False
+
+
+def test_show_says_which_file_is_not_what_was_written(store: Store, capsys: Captured) -> None:
+    folder = store.run_folder(ALONE)
+    data = bytearray((folder / "run.json").read_bytes())
+    data[len(data) // 2] ^= 1
+    (folder / "run.json").write_bytes(bytes(data))
+    (folder / "provenance.json").unlink()
+    (folder / "more.txt").write_text("mine")
+    document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
+    assert document["status"] == "damaged"
+    assert {file["name"]: file["state"] for file in document["files"]} == {
+        "run.json": "damaged",
+        "provenance.json": "missing",
+        "policy.safetensors": "sound",
+        "more.txt": "unlisted",
+    }
+    shown = call(capsys, "run", "show", ALONE)
+    assert "configuration is missing or damaged" in shown
+    assert "provenance is missing or damaged" in shown
+
+
+def test_what_a_stranger_wrote_cannot_drive_the_terminal(store: Store, capsys: Captured) -> None:
+    save(store, ALONE, make_run({}), {**MACHINE, "cpu": "\x1b]0;mine\x07\x1b[2J"})
+    assert "\x1b" not in call(capsys, "run", "show", ALONE)
+
+
+@pytest.mark.parametrize(
+    "about", [[], 3, {"packages": 3, "resumes": 5}, {"resumes": [3, {"differences": 4}]}, {"cpu": {}}]
+)
+def test_nonsense_in_place_of_provenance_is_no_traceback(about: Any, store: Store, capsys: Captured) -> None:
+    save(store, ALONE, make_run({}), about)
+    assert ALONE in call(capsys, "run", "show", ALONE)
+
+
+# --- Which run is meant ----------------------------------------------------------------------------
+
+
+def test_the_first_digits_are_enough(store: Store, capsys: Captured) -> None:
+    assert f"run {ALONE}:" in call(capsys, "run", "show", "00aa0")
+    assert f"run {ALONE}:" in call(capsys, "run", "show", "00AA0")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("00aa", ("more digits", ALONE, ALIKE)),
+        ("00aa00000000000f", ("no run '00aa00000000000f'", f"the nearest is {ALONE}")),
+        ("../../results", ("no run", "pneuma run list")),
+        ("", ("no run ''",)),
+    ],
+)
+@pytest.mark.parametrize("command", [["show"], ["export", "--out", "x.zip"]])
+def test_a_run_that_is_not_there_is_one_line(
+    command: list[str], name: str, words: tuple[str, ...], store: Store, capsys: Captured
+) -> None:
+    line = refusal(capsys, "run", command[0], name, *command[1:])
+    for word in words:
+        assert word in line
+
+
+def test_too_few_digits_are_refused_even_if_they_are_unique(store: Store, capsys: Captured) -> None:
+    save(store, "ffff000000000000", make_run({}))
+    assert "4 digits at least" in refusal(capsys, "run", "show", "fff")
+
+
+def test_a_zip_in_place_of_a_run_is_refused_with_the_reason(store: Store, capsys: Captured) -> None:
+    line = refusal(capsys, "run", "show", "strangers.ZIP")
+    assert "strangers.ZIP" in line and "runs whatever code is pickled in it" in line
+
+
+def test_the_run_of_another_folder_says_where_it_looked(tmp_path: Path, capsys: Captured) -> None:
+    line = refusal(capsys, "run", "show", ALONE, "--results", str(tmp_path))
+    assert str(tmp_path) in line and "--results" in line
+
+
+# --- export ----------------------------------------------------------------------------------------
+
+
+def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path, capsys: Captured) -> None:
+    from stable_baselines3 import PPO
+
+    out = tmp_path / "policy.zip"
+    document = json.loads(call(capsys, "run", "export", "00aa0", "--out", str(out), "--json"))
+    assert document == {
+        "schema": 1, "run_id": ALONE, "file": str(out), "bytes": out.stat().st_size, "note": "",
+    }  # fmt: skip
+    observations = np.random.default_rng(1).standard_normal((50, 60)).astype(np.float32)
+    chosen, _ = PPO.load(out, device="cpu").predict(observations, deterministic=True)
+    np.testing.assert_array_equal(chosen, policy_of(make_run({})).best(observations))
+
+
+def test_export_writes_onnx(store: Store, tmp_path: Path, capsys: Captured) -> None:
+    onnx = pytest.importorskip("onnx")
+    out = tmp_path / "policy.onnx"
+    assert f"wrote {out}" in call(capsys, "run", "export", ALONE, "--out", str(out))
+    about = {each.key: each.value for each in onnx.load(out).metadata_props}
+    assert (about["run_id"], about["env"]) == (ALONE, "pneuma/Pneuma-v0")
+
+
+def test_export_says_when_the_files_of_a_run_were_not_opened(
+    store: Store, tmp_path: Path, capsys: Captured
+) -> None:
+    run = make_run({"level": "/nowhere/level", "reward": "stranger:reward"})
+    save(store, ALONE, run)
+    out = tmp_path / "policy.zip"
+    shown = call(capsys, "run", "export", ALONE, "--out", str(out))
+    assert "were not opened" in shown and "--trust" in shown
+    out.unlink()
+    assert "/nowhere/level" in refusal(capsys, "run", "export", ALONE, "--out", str(out), "--trust")
+    assert not out.exists()
+    assert "stranger" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("out", "words"),
+    [
+        ("policy.zipp", (".zip or .onnx", "did you mean .zip?")),
+        ("policy", (".zip or .onnx",)),
+        ("nowhere/policy.zip", ("there is no folder nowhere",)),
+        ("folder.zip", ("is a folder",)),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused(
+    out: str, words: tuple[str, ...], store: Store, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(store.root)
+    (store.root / "folder.zip").mkdir()
+    line = refusal(capsys, "run", "export", ALONE, "--out", out)
+    for word in (f"--out {out}", *words):
+        assert word in line
+
+
+def test_what_has_no_policy_is_not_exported(store: Store, tmp_path: Path, capsys: Captured) -> None:
+    document = run_document(make_run({}), ALONE)
+    out = str(tmp_path / "policy.zip")
+    store.save_run(ALONE, Status("diverged", 256), {"run.json": document})
+    assert "left no policy" in refusal(capsys, "run", "export", ALONE, "--out", out)
+    (store.run_folder(ALONE) / "status.json").unlink()
+    store.save_run(ALONE, Status("crashed"), {"run.json": document, "error.txt": b"Traceback"})
+    assert "is crashed" in refusal(capsys, "run", "export", ALONE, "--out", out)
+    assert not Path(out).exists()
+
+
+def test_a_strangers_policy_that_is_none_is_refused(store: Store, tmp_path: Path, capsys: Captured) -> None:
+    pickled = io.BytesIO(b"\x80\x04cposix\nsystem\n").getvalue()
+    save(store, ALONE, make_run({}), policy_safetensors=pickled)
+    line = refusal(capsys, "run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
+    assert ALONE in line and "no policy of Pneuma's" in line
+    assert not (tmp_path / "policy.zip").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"), [({}, "no configuration"), ({"gamma": 7}, "gamma = 7"), ([], "no configuration")]
+)
+def test_a_strangers_configuration_that_is_none_is_refused(
+    settings: Any, words: str, store: Store, tmp_path: Path, capsys: Captured
+) -> None:
+    save(store, ALONE, make_run({}), run_json=to_json({"schema": 1, "run_id": ALONE, "run": settings}))
+    assert ALONE in call(capsys, "run", "show", ALONE)
+    line = refusal(capsys, "run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
+    assert ALONE in line and words in line

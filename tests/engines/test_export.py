@@ -1,0 +1,251 @@
+"""Exported policies act as the stored ones do, in programs that know nothing of Pneuma."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO
+
+import pneuma.engines.export as exports
+from pneuma.config import ACTIVATIONS, Run, make_run
+from pneuma.engines.export import observation_space, read_sound_policy, to_onnx, to_sb3
+from pneuma.engines.policy import LEAKY_SLOPE, Policy
+from pneuma.errors import UserError
+
+FEATURES = 60
+"""What the shipped level's 14 monsters make of an observation of the thesis's layout."""
+
+
+def random_policy(run: Run, features: int, actions: int = 5, seed: int = 0) -> Policy:
+    """A policy of a run's shape with weights large enough that all units and actions differ."""
+    generator = np.random.default_rng(seed)
+
+    def layers(sizes: list[int]) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        return tuple(
+            (
+                (generator.standard_normal((before, after)) * 2 / np.sqrt(before)).astype(np.float32),
+                generator.standard_normal(after).astype(np.float32),
+            )
+            for before, after in zip(sizes, sizes[1:], strict=False)
+        )
+
+    return Policy(
+        run.activation,
+        layers([features, *run.actor, actions]),
+        layers([features, *run.critic, 1]),
+    )
+
+
+def own_space(features: int) -> spaces.Box:
+    return spaces.Box(-np.inf, np.inf, (features,), np.float32)
+
+
+def random_observations(count: int, features: int) -> np.ndarray:
+    return np.random.default_rng(1).standard_normal((count, features)).astype(np.float32)
+
+
+def sb3_outputs(model: PPO, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return logits (N, actions) and values (N,) as Stable-Baselines3 computes them."""
+    shown = torch.from_numpy(observations)
+    with torch.no_grad():
+        actor, critic = model.policy.mlp_extractor(shown)
+        return model.policy.action_net(actor).numpy(), model.policy.value_net(critic).numpy()[:, 0]
+
+
+# --- Stable-Baselines3 -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+@pytest.mark.parametrize(("actor", "critic"), [([128], [256]), ([7, 5], [3, 4, 6])])
+def test_the_zip_computes_what_the_policy_computes(
+    activation: str, actor: list[int], critic: list[int]
+) -> None:
+    run = make_run({"activation": activation, "actor": actor, "critic": critic})
+    policy = random_policy(run, 11, actions=7)
+    model = PPO.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
+    observations = random_observations(200, 11)
+    logits, values = sb3_outputs(model, observations)
+    np.testing.assert_allclose(logits, policy.logits(observations), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(values, policy.values(observations), rtol=1e-5, atol=1e-5)
+    chosen, _ = model.predict(observations, deterministic=True)
+    np.testing.assert_array_equal(chosen, policy.best(observations))
+    assert len(set(chosen.tolist())) > 1
+
+
+@pytest.mark.parametrize("env_id", ["pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"])
+def test_the_zip_plays_its_environment_as_the_policy_does(env_id: str) -> None:
+    run = make_run({"env": env_id})
+    env = gymnasium.make(env_id)
+    assert env.observation_space.shape is not None
+    policy = random_policy(run, env.observation_space.shape[0])
+    data = to_sb3(policy, run, observation_space(policy, run))
+    model = PPO.load(io.BytesIO(data), env=env, device="cpu")  # refuses another space
+    observation, _ = env.reset(seed=3)
+    for _ in range(100):
+        action, _ = model.predict(observation, deterministic=True)
+        assert int(action) == policy.best(observation[None])[0]
+        observation, _, ended, cut, _ = env.step(int(action))
+        if ended or cut:
+            observation, _ = env.reset()
+
+
+def test_the_zip_goes_on_training_with_the_hyperparameters_of_the_run() -> None:
+    settings = {"gamma": 0.9, "betas": (0.8, 0.7), "horizon": 64, "clip_range": 0.3, "epochs": 2}
+    run = make_run({**settings, "minibatch": 32, "gradient_limit": "none"})
+    env = gymnasium.make("pneuma/Pneuma-v0")
+    policy = random_policy(run, FEATURES)
+    model = PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run))), env=env, device="cpu")
+    assert (model.gamma, model.n_steps, model.n_epochs, model.batch_size) == (0.9, 64, 2, 32)
+    assert model.clip_range(1.0) == 0.3  # type: ignore[operator]
+    assert model.max_grad_norm == float("inf")
+    (group,) = model.policy.optimizer.param_groups
+    assert (group["betas"], group["eps"], group["lr"]) == ((0.8, 0.7), 1e-5, 3e-4)
+    before = sb3_outputs(model, random_observations(3, FEATURES))[0]
+    model.learn(64)
+    assert not np.array_equal(before, sb3_outputs(model, random_observations(3, FEATURES))[0])
+
+
+WITHOUT_PNEUMA = """
+import sys
+sys.modules["pneuma"] = None  # importing it now fails
+import numpy as np
+from stable_baselines3 import PPO
+folder = sys.argv[1]
+model = PPO.load(f"{folder}/policy.zip", device="cpu")
+print(*model.predict(np.load(f"{folder}/observations.npy"), deterministic=True)[0])
+"""
+
+
+def test_the_zip_needs_nothing_of_pneuma(tmp_path: Path) -> None:
+    run = make_run({"activation": "leaky-relu"})
+    policy = random_policy(run, FEATURES)
+    (tmp_path / "policy.zip").write_bytes(to_sb3(policy, run, observation_space(policy, run)))
+    observations = random_observations(20, FEATURES)
+    np.save(tmp_path / "observations.npy", observations)
+    command = [sys.executable, "-c", WITHOUT_PNEUMA, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [int(action) for action in done.stdout.split()] == policy.best(observations).tolist()
+    assert "Could not deserialize" not in done.stderr
+
+
+def test_torch_has_the_slope_of_the_thesis() -> None:
+    assert torch.nn.LeakyReLU().negative_slope == LEAKY_SLOPE == 0.01
+
+
+# --- What an environment may be made of ------------------------------------------------------------
+
+
+def test_a_file_of_its_owner_is_opened_with_trust_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = []
+
+    def refuse(count: int, config: Any) -> Any:
+        opened.append(config.level)
+        raise UserError("opened")
+
+    monkeypatch.setattr(exports, "Worlds", refuse)
+    run = replace(make_run({}), level="/somewhere/own")
+    policy = random_policy(run, 9)
+    assert observation_space(policy, run) == own_space(9)
+    run_of_characters = replace(make_run({}), characters="/somewhere/own.toml")
+    assert observation_space(policy, run_of_characters) == own_space(9)
+    assert opened == []
+    with pytest.raises(UserError, match="opened"):
+        observation_space(policy, run, trust=True)
+    assert opened == ["/somewhere/own"]
+
+
+@pytest.mark.parametrize("trust", [False, True])
+def test_a_stored_reward_is_never_imported(
+    trust: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stranger.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    run = make_run({"reward": "stranger:reward"})
+    policy = random_policy(run, FEATURES)
+    PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run, trust))), device="cpu")
+    assert "stranger" not in sys.modules
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_policy_of_another_environment_is_refused() -> None:
+    run = make_run({})
+    with pytest.raises(UserError, match=f"12 features, its environment has {FEATURES}"):
+        observation_space(random_policy(run, 12), run)
+
+
+def test_a_policy_of_another_shape_than_its_run_is_refused() -> None:
+    policy = random_policy(make_run({"actor": [64]}), FEATURES)
+    with pytest.raises(UserError, match="not of the shape"):
+        to_sb3(policy, make_run({}), own_space(FEATURES))
+
+
+# --- ONNX ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+@pytest.mark.parametrize(("actor", "critic"), [([128], [256]), ([7, 5], [3, 4, 6])])
+def test_onnx_computes_what_the_policy_computes(activation: str, actor: list[int], critic: list[int]) -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    policy = random_policy(make_run({"activation": activation, "actor": actor, "critic": critic}), 11)
+    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
+    for count in (1, 7):
+        observations = random_observations(count, 11)
+        logits, values = session.run(["logits", "value"], {"observation": observations})
+        assert (logits.shape, values.shape) == ((count, 5), (count,))
+        np.testing.assert_allclose(logits, policy.logits(observations), rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(values, policy.values(observations), rtol=1e-5, atol=1e-5)
+
+
+def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
+    onnx = pytest.importorskip("onnx")
+    policy = random_policy(make_run({}), FEATURES, actions=7)
+    data = to_onnx(policy, {"run_id": "0123456789abcdef"})
+    assert data == to_onnx(policy, {"run_id": "0123456789abcdef"})
+    model = onnx.load_from_string(data)
+    about = {each.key: each.value for each in model.metadata_props}
+    names = '["down", "left", "up", "right", "attack", "flame", "heal"]'
+    assert about == {"run_id": "0123456789abcdef", "actions": names}
+    assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
+
+
+def test_without_the_extra_onnx_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(UserError, match=r"pip install 'pneuma\[onnx\]'"):
+        to_onnx(random_policy(make_run({}), FEATURES), {})
+
+
+# --- A stranger's policy ---------------------------------------------------------------------------
+
+
+def _swapped(policy: Policy, **parts: Any) -> bytes:
+    return replace(policy, **parts).to_bytes()
+
+
+def test_what_is_no_policy_is_refused() -> None:
+    policy = random_policy(make_run({}), 9)
+    assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
+    (hidden, head), (_, critic_head) = policy.actor, policy.critic
+    for data in (
+        b"",
+        b"\x80\x04pickle",
+        policy.to_bytes()[:-1],
+        _swapped(policy, activation="exec"),
+        _swapped(policy, actor=()),
+        _swapped(policy, actor=(head, hidden)),
+        _swapped(policy, actor=((hidden[0], hidden[1][:-1]), head)),
+        _swapped(policy, critic=policy.actor),
+        _swapped(policy, critic=(critic_head,)),
+    ):
+        with pytest.raises(UserError, match="no policy of Pneuma's"):
+            read_sound_policy(data)
