@@ -83,7 +83,9 @@ class EnvConfig:
     """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
     reward: tuple[str, ...] = setting(
         ("thesis",),
-        Names(rf"{'|'.join(REWARDS)}|[\w.]+:\w+", f"one of {', '.join(REWARDS)}, or module:function"),
+        Names(
+            rf"{'|'.join(REWARDS)}|[\w.]+:\w+", f"one of {', '.join(REWARDS)}, or module:function", REWARDS
+        ),
     )
     """A formula, or a list of one a player."""
     observation: str = setting("thesis", Choice(OBSERVATIONS))
@@ -276,11 +278,16 @@ def read_setting(config: type[_Config], key: str, value: object) -> Any:
         return readers[key].read(value)
     except (ValueError, TypeError, OverflowError):
         reader = readers[key]
-        hint = (
-            nearest_name(value, reader.names) if isinstance(reader, Choice) and isinstance(value, str) else ""
-        )
+        hint = _nearest(value, reader.names) if isinstance(reader, Choice | Names) else ""
         shown = json.dumps(value, default=str)
         raise UserError(f"{key} = {shown} is not allowed{hint}: {reader.allowed}") from None
+
+
+def _nearest(value: object, names: tuple[str, ...]) -> str:
+    """Return the suggestion of the nearest name to a wrong one, or to the wrong one in a list."""
+    words = [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
+    hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
+    return next((hint for hint in hints if hint), "")
 
 
 def make_run(settings: Mapping[str, object]) -> Run:

@@ -16,7 +16,7 @@ class UserError(Exception):
 
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near."""
-    close = difflib.get_close_matches(word.lower(), list(names), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(word.lower(), list(names), n=1, cutoff=0.6)
     return f" (did you mean {close[0]}?)" if close else ""
 
 

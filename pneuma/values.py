@@ -52,7 +52,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of a few names."""
+    """One of a few names; the empty one, where it is among them, leaves the choice open."""
 
     names: tuple[str, ...]
 
@@ -65,7 +65,7 @@ class Choice:
     @property
     def allowed(self) -> str:
         """Say in words what is allowed."""
-        return "one of " + ", ".join(self.names)
+        return "one of " + ", ".join(name for name in self.names if name)
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,8 @@ class Names:
 
     pattern: str
     allowed: str
+    names: tuple[str, ...] = ()
+    """Those known beforehand, to suggest one of them."""
 
     def read(self, value: object) -> tuple[str, ...]:
         """Return the names, or raise ValueError."""
