@@ -29,6 +29,10 @@ def register_environments() -> None:
         )
         # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
         gymnasium.register(
-            mo_name, entry_point="pneuma.env.single:PneumaMOEnv", disable_env_checker=True, **own
+            mo_name,
+            entry_point="pneuma.env.single:PneumaMOEnv",
+            vector_entry_point="pneuma.env.vector:PneumaMOVectorEnv",
+            disable_env_checker=True,
+            **own,
         )
     gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")

@@ -54,7 +54,7 @@ _FORM: dict[str, dict[str, Any]] = {
         "knock_back_time": _SECONDS,
     },
 }  # fmt: skip
-_OPTIONAL = {"knock_back", "knock_back_time", "length", "width"}
+_OPTIONAL = {"monsters": ("knock_back", "knock_back_time"), "spells": ("length", "width")}
 
 Characters = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """{"players" | "weapons" | "spells" | "monsters": {name: {key: value}}}."""
@@ -101,10 +101,11 @@ def character_files(name: str) -> list[Path]:
     """Return the user's own file that a name of characters stands for, if it does."""
     if not name or name in SHIPPED_CHARACTERS:
         return []
-    if not Path(name).is_file():
+    path = Path(name).expanduser()
+    if not path.is_file():
         hint, known = nearest_name(name, SHIPPED_CHARACTERS), ", ".join(SHIPPED_CHARACTERS)
         raise UserError(f"characters {name!r}: no such file{hint}; shipped are {known}")
-    return [Path(name)]
+    return [path]
 
 
 def monster_codes(characters: Characters) -> dict[int, str]:
@@ -272,9 +273,9 @@ def _check_complete(
     path: Path, group: str, member: str, values: Mapping[str, Any], known: Sequence[str]
 ) -> None:
     """Refuse a new character that lacks something, and half a knock-back."""
-    for key in _FORM[group]:
-        if key not in values and key not in _OPTIONAL:
-            hint = nearest_name(member, known)
-            raise UserError(f"{path}: [{group}.{member}] is new{hint} and lacks the key {key!r}")
+    lacking = [key for key in _FORM[group] if key not in values and key not in _OPTIONAL.get(group, ())]
+    if lacking:
+        keys = f"the key{'s' if len(lacking) > 1 else ''} {', '.join(map(repr, lacking))}"
+        raise UserError(f"{path}: [{group}.{member}] is new{nearest_name(member, known)} and lacks {keys}")
     if ("knock_back" in values) != ("knock_back_time" in values) and group == "monsters":
         raise UserError(f"{path}: [{group}.{member}] knock_back and knock_back_time go together")

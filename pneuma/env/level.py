@@ -12,7 +12,8 @@ in `tiled.py`, and
 
     objects       instead of entities or with them: a table code,x,y in pixels from the origin
     level.toml    optional: title, tile (its side in pixels), origin (column and row of the tile at
-                  whose upper left corner the origin lies), coast (ground codes where the land ends),
+                  whose upper left corner the origin lies), coast (ground codes where the land ends;
+                  otherwise those called water in [ground], or 0),
                   obstacles (codes that block besides 395), [ground] (what each ground code is)
 
 Whatever its source, a level in which a start place cannot be walked from to every monster is refused.
@@ -34,15 +35,16 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules, tiled
-from pneuma.env.tiled import Entity, Header, Layers
+from pneuma.env.tiled import WATER, Entity, Header, Layers
 from pneuma.errors import UserError, unknown_name
 from pneuma.values import Number, Reader, Several, Text
 
 LEVELS = Path(__file__).parent / "data" / "levels"
 RANDOM = "random:"
-BODY_PIXELS = 48
-"""The longer side of the player's body: where this passes, the level can be walked."""
+BODY = (47.0, 48.0)
+"""Width and height of the usual player's body: where it passes, the level can be walked."""
 
+_NEEDED = "obstacles.csv, and entities.csv or objects.csv"
 _HEADER: dict[str, Reader] = {
     "title": Text("text in quotes"),
     "tile": tiled.TILE_PIXELS,
@@ -88,24 +90,33 @@ class Level:
             self.top + (rows.max() + 1) * self.tile,
         )
 
+    @property
+    def grid(self) -> tuple[float, float, float, float]:
+        """The box of all tiles: left, top, right, bottom."""
+        rows, columns = self.terrain.shape
+        return self.left, self.top, self.left + columns * self.tile, self.top + rows * self.tile
 
-def load_level(name: str, monster_codes: dict[int, str]) -> Level:
-    """Load a level by its name; `monster_codes` says which code is which kind.
+
+def load_level(name: str, monster_codes: dict[int, str], body: tuple[float, float] = BODY) -> Level:
+    """Load a level by its name.
+
+    Args:
+        name: as above.
+        monster_codes: which code is which kind.
+        body: width and height of the greatest player, who must be able to walk everywhere.
 
     Raises:
         UserError: naming the file and the row and column, or the object, of what is wrong.
     """
     if name.startswith(RANDOM):
-        from pneuma.env.random_level import parse_name, random_level  # builds on this module
-
-        return random_level(*parse_name(name), monster_codes)
+        return _random_level(name, monster_codes, body)
     path = _level_path(name)
     layers = (_read_folder if path.is_dir() else tiled.read_tmx)(path, monster_codes)
     starts = [entity for entity in layers.entities if entity.kind == tiled.START]
     monsters = [entity for entity in layers.entities if entity.kind != tiled.START]
     left, top = layers.header.corner(layers.ground.shape)
     level = Level(
-        name=name,
+        name=str(path) if name.startswith("~") else name,
         title=layers.header.title,
         tile=layers.header.tile,
         left=left,
@@ -115,9 +126,10 @@ def load_level(name: str, monster_codes: dict[int, str]) -> Level:
         starts=np.array([(entity.x, entity.y) for entity in starts], np.float64),
         monsters=tuple((entity.kind, entity.x, entity.y) for entity in monsters),
     )
-    lost = first_cut_off(level)
+    lost = first_cut_off(level, body)
     if lost is not None:
-        raise UserError(f"{[*starts, *monsters][lost].where} is walled in or off the land")
+        whom = "" if body == BODY else f", for a body of {body[0]:g} x {body[1]:g} px"
+        raise UserError(f"{[*starts, *monsters][lost].where} is walled in or off the land{whom}")
     return level
 
 
@@ -149,13 +161,13 @@ def room_for_bodies(level: Level, margin: float) -> np.ndarray:
     return (met == 0).astype(np.uint8)
 
 
-def first_cut_off(level: Level) -> int | None:
+def first_cut_off(level: Level, body: tuple[float, float] = BODY) -> int | None:
     """Return the first place, counting starts, then monsters, that a player cannot walk to from the others.
 
     A player walks where it fits: over open tiles side by side, as many abreast as its body needs.
     None when every place can be walked to from every other.
     """
-    abreast = math.ceil(BODY_PIXELS / level.tile)
+    abreast = math.ceil(max(body) / level.tile)
     regions = walkable_regions(level.terrain == rules.OPEN, abreast)
     places = [(x, y) for x, y in level.starts] + [(x, y) for _, x, y in level.monsters]
     near = [_regions_at(regions, abreast, level, x, y) for x, y in places]
@@ -199,29 +211,42 @@ def _level_path(name: str) -> Path:
     """Return the folder or the .tmx file that a name other than `random:…` stands for."""
     if name in _shipped():
         return LEVELS / name
-    path = Path(name)
-    if path.is_dir() and _folder_files(path):
-        return path
+    path = Path(name).expanduser()
+    if path.is_dir():
+        if _folder_files(path):
+            return path
+        raise UserError(f"level {name!r}: the folder holds no layers: {_NEEDED}")
     if path.suffix.lower() == ".tmx" and path.is_file():
         return path
     forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder of layers or of a .tmx file"
     raise UserError(f"{unknown_name('level', name, _shipped())}, {forms}")
 
 
+def _random_level(name: str, monster_codes: dict[int, str], body: tuple[float, float]) -> Level:
+    """Draw a random level; which one is the number's business, not that of who walks there."""
+    from pneuma.env.random_level import parse_name, random_level  # builds on this module
+
+    level = random_level(*parse_name(name), monster_codes)
+    if first_cut_off(level, body) is not None:
+        raise UserError(f"level {name}: a body of {body[0]:g} x {body[1]:g} px cannot walk everywhere")
+    return level
+
+
 def _terrain(layers: Layers) -> np.ndarray:
     """Return (rows, columns) uint8: what stops a body."""
     terrain = np.where(layers.blocked, rules.SOLID, rules.OPEN)
-    return np.where(np.isin(layers.ground, layers.header.coast), rules.COAST, terrain).astype(np.uint8)
+    return np.where(np.isin(layers.ground, layers.header.coast_codes), rules.COAST, terrain).astype(np.uint8)
 
 
 def _read_folder(folder: Path, monster_codes: Mapping[int, str]) -> Layers:
     """Read a level from a folder of CSV layers."""
     header = _read_header(folder)
     files = _layer_files(folder)
-    needed = {"obstacles": True, "ground": bool(header.coast), "objects": "entities" not in files}
-    for name, is_needed in needed.items():
+    for name, is_needed in {"obstacles": True, "ground": bool(header.coast)}.items():
         if is_needed and name not in files:
             raise UserError(f"{folder / name}.csv: no such layer")
+    if not files.keys() & {"entities", "objects"}:
+        raise UserError(f"{folder}: no entities.csv and no objects.csv; one must say where players start")
     where = str(files.get("objects") or files["entities"])
     table = files.pop("objects", None)
     objects = _read_objects(table, monster_codes) if table else []
@@ -259,6 +284,8 @@ def _read_header(folder: Path) -> Header:
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: not TOML: {error}") from None
     read = {key: _header_value(key, value, _line_of(key, path, text)) for key, value in values.items()}
+    if "ground" in read and "coast" not in read:
+        read["coast"] = tuple(int(code) for code, name in values["ground"].items() if name == WATER)
     return Header(**{"title": title, **read})
 
 

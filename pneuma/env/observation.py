@@ -11,9 +11,12 @@ Three layouts, each a few numbers about the player, then a row for each monster 
 rest zeros; or fixed, a dead one's row zeros), `scale` the units:
 
     unit    x and y from -1 to 1 over the land, HP, energy and XP as shares, distances in the
-            monster's notice radii: everything of order one
+            monster's notice radii, so that what matters is of order one
     map     x, y and distances over the map's size, the rest as shares
     raw     pixels and points
+
+The map is the whole grid of tiles. So is the land of random levels: each sees the same place as the
+same numbers, whichever are played together.
 
 `pneuma/Pneuma-v0` has layout thesis, all monsters, nearest first, unit scale: the quantities of the
 thesis's section 5.1. A layout's own choices are in `pneuma.config.OBSERVATION_SETTINGS`.
@@ -28,7 +31,7 @@ from gymnasium import spaces
 
 from pneuma.config import EnvConfig
 from pneuma.env import rules
-from pneuma.env.level import Level
+from pneuma.env.level import RANDOM, Level
 from pneuma.errors import UserError, unknown_name
 
 LAYOUTS = {"thesis": rules.LAYOUT_THESIS, "pygame": rules.LAYOUT_PYGAME, "godot": rules.LAYOUT_GODOT}
@@ -82,13 +85,14 @@ def fill_scales(
     settings["fixed_order"] = config.order == "fixed"
     settings["perceived"] = rows
     monsters["perceived"] = perceived
-    left, top, right, bottom = _bounds(levels)
     raw = config.scale == "raw"
     if config.scale == "unit":
+        left, top, right, bottom = _land(levels)
         settings["middle_x"], settings["middle_y"] = (left + right) / 2, (top + bottom) / 2
         settings["scale_x"], settings["scale_y"] = 2 / (right - left), 2 / (bottom - top)
         monsters["distance_scale"] = 1 / np.sqrt(np.maximum(monsters["notice_squared"], 1.0))
     elif config.scale == "map":
+        left, top, right, bottom = levels[0].grid
         settings["middle_x"], settings["middle_y"] = left, top
         settings["scale_x"], settings["scale_y"] = 1 / (right - left), 1 / (bottom - top)
         monsters["distance_scale"] = 1 / max(right - left, bottom - top)
@@ -105,12 +109,9 @@ def observation_space(
     settings: Any, player: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
 ) -> spaces.Box:
     """Return the Box of finite bounds that every observation of a player lies in, float32."""
-    left, top, right, bottom = _bounds(levels)
-    grid = levels[0]
-    rows, columns = grid.terrain.shape
-    edges = (grid.left, grid.top, grid.left + columns * grid.tile, grid.top + rows * grid.tile)
-    if config.coast == "deadly":  # players die a little way out
-        left, top, right, bottom = edges
+    edges = levels[0].grid
+    beyond = config.coast == "deadly"  # players die a little way out
+    left, top, right, bottom = edges if beyond else _land(levels)
     diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
     forever = config.xp_scope == "forever"
     worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
@@ -142,11 +143,11 @@ def observation_space(
     limits = np.array(
         [bounds[name] for name in PLAYER_FEATURES[config.observation]] + row * int(settings["perceived"])
     )
-    low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # the long dead see zeros
+    low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
-def _bounds(levels: list[Level]) -> tuple[float, float, float, float]:
-    """Return the box around all levels' land: left, top, right, bottom."""
-    lands = np.array([level.land for level in levels])
-    return (*lands[:, :2].min(axis=0).tolist(), *lands[:, 2:].max(axis=0).tolist())
+def _land(levels: list[Level]) -> tuple[float, float, float, float]:
+    """Return the box around the land: left, top, right, bottom; of random levels, the whole grid."""
+    level = levels[0]  # several are random
+    return level.grid if level.name.startswith(RANDOM) else level.land

@@ -6,13 +6,16 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from pneuma.config import ENVIRONMENTS, make_env_config
+from pneuma.env import rules
+from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.showing import ShowsWorld
-from pneuma.env.single import chosen_starts, ending_info
-from pneuma.env.worlds import Worlds
+from pneuma.env.single import ending_info
+from pneuma.env.worlds import Snapshot, Worlds
 
 
 class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
@@ -20,7 +23,7 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
 
     A player leaves `agents` when it dies; the episode ends for all when nobody lives, when the level is
     cleared and `end_on_clear` is set, or at the time limit. `infos` hold `action_mask`, and `ending`,
-    `kills`, `xp` and `hp` at a player's end.
+    `kills`, `xp` and `hp` at a player's end. `save` and `restore` copy the world and put it back.
 
     Args:
         env_id: whose presets to start from.
@@ -61,12 +64,16 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Begin an episode with all players alive; the same seed begins the same world."""
+        """Begin an episode with all players alive; the same seed begins the same world.
+
+        `options={"start": i}` puts player 0 at the i-th start place, and the others at the next.
+        """
+        start = chosen_starts(self.worlds, read_options(options).get("start"))
         if seed is not None or not self._keyed:
             fresh = seed if seed is not None else int(seeding.np_random()[0].integers(2**63))
             self.worlds.seed([fresh])
             self._keyed = True
-        self.worlds.reset(starts=chosen_starts(self.worlds, options))
+        self.worlds.reset(starts=start)
         self.agents = list(self.possible_agents)
         self._show()
         return self._observations(self.agents), self._masks(self.agents)
@@ -80,9 +87,18 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Play one action of every living player."""
+        """Play one action of every living player.
+
+        Raises:
+            ValueError: for what is no action, or when a living player has none.
+            ResetNeeded: before the first reset and after the end.
+        """
         acting = self.agents
+        if not acting:
+            raise ResetNeeded("no episode is under way: call reset first")
         for agent in acting:
+            if agent not in actions:
+                raise ValueError(f"no action for {agent}, who is alive")
             if not self.action_space(agent).contains(actions[agent]):
                 raise ValueError(
                     f"action {actions[agent]!r} of {agent} is outside {self.action_space(agent)}"
@@ -101,6 +117,24 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
         self._show()
         return self._observations(acting), rewards, terminations, truncations, infos
+
+    def save(self) -> Snapshot:
+        """Return a copy of the world's state, for `restore` here, in another face or another process."""
+        return self.worlds.save(0)
+
+    def restore(self, snapshot: Snapshot) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Put a saved world back with its living `agents`; return what they see, as `reset` does.
+
+        Of an episode that has ended nobody is left, as after its last step.
+        """
+        self.worlds.restore(0, snapshot)
+        self.worlds.observe()
+        self._keyed = True
+        running = self.worlds.worlds["ending"][0] == rules.RUNNING
+        alive = (self.worlds.players["hp"][0] > 0) & running
+        self.agents = [agent for agent, lives in zip(self.possible_agents, alive, strict=True) if lives]
+        self._show()
+        return self._observations(self.agents), self._masks(self.agents)
 
     def state(self) -> np.ndarray:
         """Return everything that all players observe, one after the other."""

@@ -53,7 +53,8 @@ def parse_name(name: str) -> tuple[str, int]:
     if split in SPLITS and re.fullmatch(r"0|[1-9][0-9]{0,19}", number) and int(number) < NUMBERS:
         return split, int(number)
     right = f"random:{split if split in SPLITS else 'train'}:17, with a whole number from 0 in the last place"
-    raise UserError(f"level {name!r} is not allowed{nearest_name(split, SPLITS)}: the form is {right}")
+    hint = "" if split in SPLITS else nearest_name(split, SPLITS)
+    raise UserError(f"level {name!r} is not allowed{hint}: the form is {right}")
 
 
 def random_level(

@@ -16,8 +16,10 @@ With xp and hp after the step, hp0 full HP, and Δ for what the step itself brou
 
     function(events, players, player_stats) -> (N, P) numbers
 
-with the arrays `pneuma.env.state.EVENTS` and `PLAYER`, both (N, P), and `PLAYER_STATS`, (P,). What it
-returns for players that were not alive is not used.
+with the arrays `pneuma.env.state.EVENTS` and `PLAYER`, both (N, P), and `PLAYER_STATS`, (P,), to read
+and not to write. What it returns for players that were not alive is not used. It is called once when an
+environment is made, as if in the first step nothing had happened. `events["distance"]` is infinite
+where no monster lives.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules
+from pneuma.env.blame import blame_reward
 from pneuma.errors import UserError
 
 REWARD_CODES = {
@@ -86,24 +89,41 @@ def reward_files(names: Sequence[str]) -> list[Path]:
     return files
 
 
+def present(events: np.ndarray) -> np.ndarray:
+    """Return which players were alive when the step began that (N, P) events tell of."""
+    return (events["present"] > 0) | (events["died"] > 0)
+
+
 def custom_rewards(
     function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, stats: np.ndarray
 ) -> np.ndarray:
     """Call a reward of a user's own and check what it returns: (N, P) numbers, finite for the living.
 
     Raises:
-        UserError: naming the function and what was wrong.
+        UserError: naming the function, its file and line, and what was wrong.
     """
     try:
         rewards = np.asarray(function(events, players, stats), np.float64)
-    except (TypeError, ValueError) as error:
-        raise UserError(f"reward {name!r} did not return numbers: {error}") from None
+    except Exception as error:  # whatever a stranger's function does
+        said = " ".join(str(error).split())
+        told = f"{type(error).__name__}: {said}" if said else type(error).__name__
+        raise blame_reward(error, [name]) or _refusal(function, name, told) from error
     if rewards.shape != events.shape:
-        raise UserError(f"reward {name!r} returned shape {rewards.shape}, where {events.shape} was asked for")
-    rewards = np.where((events["present"] > 0) | (events["died"] > 0), rewards, 0.0)
+        raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
+    rewards = np.where(present(events), rewards, 0.0)
     if not np.isfinite(rewards).all():
-        raise UserError(f"reward {name!r} returned a number that is not finite")
+        problem = "returned a number that is not finite"
+        if np.isinf(events["distance"][present(events)]).any():
+            problem += "; events['distance'] is infinite where no monster lives"
+        raise _refusal(function, name, problem)
     return rewards
+
+
+def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
+    """Return the error for a reward that names where it is defined, if Python knows."""
+    code = getattr(function, "__code__", None)
+    where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
+    return UserError(f"reward {name!r}: {where}{problem}")
 
 
 def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> np.ndarray:
@@ -111,7 +131,6 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
 
     Absent players' parts are zero. `thesis` is xp - hp, `kills` is xp_gained - hp_lost.
     """
-    present = (events["present"] > 0) | (events["died"] > 0)
     parts = np.stack(
         [
             players["xp"],
@@ -123,4 +142,4 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
         ],
         axis=-1,
     )
-    return np.where(present[..., None], parts, 0.0).astype(np.float32)
+    return np.where(present(events)[..., None], parts, 0.0).astype(np.float32)

@@ -2,40 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
-from pneuma.config import EnvConfig
-from pneuma.env.single import chosen_starts, ending_info
+from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config
+from pneuma.env import rules
+from pneuma.env.options import chosen_starts, read_options
+from pneuma.env.showing import ShowsWorld
+from pneuma.env.single import ending_info
 from pneuma.env.slots import Slots
-from pneuma.env.worlds import Worlds
+from pneuma.env.state import LAYOUT_DIGEST
+from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.errors import UserError
 
 
-class PneumaVecEnv(VecEnv):
+class PneumaVecEnv(ShowsWorld, VecEnv):
     """Slots as Stable-Baselines3 wants them: an ended world resets at once.
 
-    `infos` of a step that ends a slot's episode hold `terminal_observation`, `TimeLimit.truncated`,
-    `episode` with the return `r` and length `l`, and how it ended. `env_method("action_masks")` is
-    there for learners that mask. Players of a world must observe alike.
+    Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
+    `terminal_observation`, `TimeLimit.truncated`, `episode` with the return `r` and length `l`, and how
+    it ended. `env_method("action_masks")` is there for learners that mask.
 
     Args:
-        seeds: one for each world; it decides how many there are.
-        config: the environment's settings.
+        seeds: one for each world; or a number of slots, a multiple of the players in a world.
+        config: the environment's settings; or give them as keywords.
+        seed: with a number of slots, world i is seeded seed + i; otherwise as the system pleases.
+        env_id: whose presets to start from.
+        render_mode: `rgb_array`, of which `render` makes one picture; or `human`, a window.
+        settings: the fields of `pneuma.config.EnvConfig`.
+
+    Raises:
+        UserError: for settings that cannot be played, no worlds, or seeds given twice.
     """
 
-    def __init__(self, seeds: Sequence[int], config: EnvConfig | None = None) -> None:
-        self.state = Worlds(len(seeds), config)
-        self.state.seed(seeds)
+    def __init__(
+        self,
+        seeds: int | Sequence[int] = 1,
+        config: EnvConfig | None = None,
+        *,
+        seed: int | None = None,
+        env_id: str = ENVIRONMENTS[0],
+        render_mode: str | None = None,
+        **settings: object,
+    ) -> None:
+        if config is None:
+            config = make_env_config(settings, env_id)
+        elif settings or env_id != ENVIRONMENTS[0]:
+            raise UserError("give a config or settings, not both")
+        each = _seeds(seeds, seed, config.players)
+        self.state = Worlds(len(each), config)
+        self.state.seed(each)
         self.slots = Slots(self.state)
-        self.render_mode = None
-        super().__init__(self.slots.count, self.state.slot_space, self.state.action_space)
+        self._begun = False
+        self._set_up_rendering(render_mode)
+        VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
+        self.metadata = {**ShowsWorld.metadata, **self.metadata}  # type: ignore[misc]
         self.keep_finished = False
         self.finished: list[dict[str, Any]] = []
         """With `keep_finished`, every episode that has ended since someone last emptied the list."""
-        self._steps_taken = 0
+        self._steps_taken = np.zeros(1, np.int64)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, np.int64)
         self._episodes = np.zeros(self.num_envs, np.int64)
@@ -43,25 +74,37 @@ class PneumaVecEnv(VecEnv):
         self._quiet_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         self._no_dones = np.zeros(self.num_envs, np.bool_)
 
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed world i with seed + i at the next reset; return every slot's seed."""
+        first = int(seeding.np_random()[0].integers(2**32)) if seed is None else seed
+        self._seeds = [first + slot // self.slots.players for slot in range(self.num_envs)]
+        return self._seeds
+
     def reset(self) -> np.ndarray:
-        """Begin an episode in every world, with the seeds and options set beforehand."""
+        """Begin an episode in every world, with the seeds and options set beforehand.
+
+        `set_options({"start": i})` chooses the start place; in a list of one a slot, those of the first
+        players count.
+        """
         every = slice(None, None, self.slots.players)
+        asked = [read_options(options).get("start") for options in self._options[every]]
+        starts = chosen_starts(self.state, asked)
         if self._seeds[0] is not None:
             self.state.seed([int(seed) for seed in self._seeds[every] if seed is not None])
-        asked = [options.get("start") for options in self._options[every]]
-        starts = None if None in asked else chosen_starts(self.state, {"start": asked})
         self._reset_seeds()
         self._reset_options()
         self.state.reset(starts=starts)
         self._returns[:] = 0.0
         self._lengths[:] = 0
+        self._begun = True
+        self._show()
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions of the next step, shape (slots,)."""
-        if np.min(actions) < 0 or np.max(actions) >= self.action_space.n:  # type: ignore[attr-defined]
-            raise ValueError(f"actions {actions} are outside {self.action_space}")
-        self._actions[:] = actions
+        self._actions[:] = self.slots.checked(actions)
+        if not self._begun:
+            raise ResetNeeded("no episode has begun: call reset first")
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play them: observations, rewards, dones, infos."""
@@ -78,6 +121,7 @@ class PneumaVecEnv(VecEnv):
         if slots.world_over.any():
             self.state.reset(slots.world_over)
             self._lengths[slots.of_worlds(slots.world_over)] = 0  # idle slots begin again as well
+        self._show()
         return slots.observations, rewards, dones.copy(), infos
 
     def _end(self, slot: int) -> dict[str, Any]:
@@ -87,7 +131,7 @@ class PneumaVecEnv(VecEnv):
         length, total = int(self._lengths[slot]), float(self._returns[slot])
         if self.keep_finished:
             place = {"slot": slot, "episode": int(self._episodes[slot])}
-            step = self._steps_taken * self.num_envs
+            step = int(self._steps_taken[0]) * self.num_envs
             self.finished.append({**place, "step": step, "return": total, "length": length, **info})
         info["terminal_observation"] = self.state.observations[world, player].copy()
         info["TimeLimit.truncated"] = bool(self.slots.truncated[slot])
@@ -97,12 +141,88 @@ class PneumaVecEnv(VecEnv):
         self._episodes[slot] += 1
         return info
 
+    def save(self, world: int) -> Snapshot:
+        """Return a copy of one world's state, for `restore` here, in another face or another process."""
+        players = slice(world * self.slots.players, (world + 1) * self.slots.players)
+        return replace(self.state.save(world), returns=self._returns[players].copy())
+
+    def restore(self, world: int, snapshot: Snapshot) -> np.ndarray:
+        """Put a saved state into one world, and return what all slots see, as `reset` does.
+
+        If the saved episode had ended, the next begins. What the `episode` of its info will say counts
+        from the episode's beginning; from here on, if another face saved it. See `Worlds.restore`.
+
+        Raises:
+            ResetNeeded: before the first reset of all worlds.
+        """
+        if not self._begun and len(self.state) > 1:
+            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
+        self.state.restore(world, snapshot)
+        self._begun = True
+        slots = slice(world * self.slots.players, (world + 1) * self.slots.players)
+        counted = snapshot.returns is not None
+        self._returns[slots] = snapshot.returns if counted else 0.0
+        self._lengths[slots] = self.state.worlds["steps"][world] if counted else 0
+        if self.state.worlds["ending"][world] != rules.RUNNING:
+            self._returns[slots], self._lengths[slots] = 0.0, 0
+            self.state.reset(np.arange(len(self.state)) == world)
+        self.state.observe()
+        self._show()
+        return self.slots.observations
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Copy all that the next step depends on, and the accumulated episodes: plain arrays by name.
+
+        Worlds, players, monsters and events are bytes, laid out as `layout` tells.
+        """
+        layout = np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)
+        return {"layout": layout} | {name: _bytes(array).copy() for name, array in self._state_arrays()}
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Go on from where `saved_state` was taken, in this process or another.
+
+        Raises:
+            ValueError: for a state of other worlds, or laid out otherwise.
+        """
+        if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
+            raise ValueError("the state of the worlds was laid out otherwise")
+        for name, array in self._state_arrays():
+            if saved[name].shape != _bytes(array).shape:
+                raise ValueError(f"{name} of {saved[name].size} bytes where there are {array.nbytes}")
+            _bytes(array)[:] = saved[name]
+        self._begun = True
+
+    def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
+        worlds = self.state
+        return [
+            *((name, getattr(worlds, name)) for name in ("worlds", "players", "monsters")),
+            *((name, getattr(worlds, name)) for name in ("events", "observations", "masks")),
+            ("returns", self._returns),
+            ("lengths", self._lengths),
+            ("episodes", self._episodes),
+            ("steps_taken", self._steps_taken),
+        ]
+
     def action_masks(self) -> np.ndarray:
         """Return which actions would do anything, (slots, actions) booleans."""
         return self.slots.masks.astype(np.bool_)
 
-    def close(self) -> None:
-        """Nothing to close."""
+    def render(self, mode: str | None = None) -> np.ndarray | None:
+        """Return one picture of all worlds for `rgb_array`; bring the window up to date for `human`."""
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return VecEnv.render(self, mode)
+
+    def get_images(self) -> Sequence[np.ndarray]:
+        """Return a picture of every world."""
+        return [self._frame(world) for world in range(len(self.state))]
+
+    def close(self, **keywords: Any) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute, the same for every slot."""
@@ -124,3 +244,26 @@ class PneumaVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
         """Say that no slot is wrapped."""
         return [False for _ in self._get_indices(indices)]
+
+
+def _bytes(array: np.ndarray) -> np.ndarray:
+    """Return an array's memory, (bytes,) uint8."""
+    return array.reshape(-1).view(np.uint8)
+
+
+def _seeds(seeds: int | Sequence[int], seed: int | None, players: int) -> list[int]:
+    """Return a seed for each world.
+
+    Raises:
+        UserError: for no worlds, slots that are no multiple of the players, or seeds given twice.
+    """
+    if not isinstance(seeds, int | np.integer):
+        if seed is not None:
+            raise UserError("give a seed for each world, or a number of slots and one seed, not both")
+        if len(seeds) == 0:
+            raise UserError("seeds is empty: give one for each world, or a number of slots")
+        return [int(own) for own in seeds]
+    if seeds < 1 or seeds % players:
+        raise UserError(f"{seeds} slots are not allowed: a multiple of the {players} players in a world")
+    first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
+    return [first + i for i in range(int(seeds) // players)]

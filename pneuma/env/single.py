@@ -12,9 +12,10 @@ from gymnasium import spaces
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP
+from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.showing import ShowsWorld
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
@@ -39,11 +40,16 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
     every step (thesis section 5.3).
 
     ## Start
-    One of the level's start places, at random; `reset(options={"start": i})` chooses the i-th.
+    One of the level's start places, at random, or with `start = "first"` always the first;
+    `reset(options={"start": i})` chooses the i-th.
 
     ## End
     Terminates when the player's HP are gone, and with `end_on_clear` when every monster is dead;
-    truncates after `episode_steps` steps. `info` then holds `ending`, `kills`, `xp` and `hp`.
+    truncates after `episode_steps` steps, or terminates with `time_limit = "terminate"`. `info` then
+    holds `ending`, `kills`, `xp` and `hp`.
+
+    ## Saving
+    `save()` returns a snapshot of the world, which `restore` puts back here or in any other face.
 
     ## Arguments
     The fields of `pneuma.config.EnvConfig`.
@@ -73,11 +79,26 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; see `gymnasium.Env.reset`. The same seed begins the same world."""
+        start = chosen_starts(self.state, _one_place(read_options(options).get("start")))
         super().reset(seed=seed)
         if seed is not None or not self._keyed:
             self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])
             self._keyed = True
-        self.state.reset(starts=chosen_starts(self.state, options))
+        self.state.reset(starts=start)
+        return self._seen()
+
+    def save(self) -> Snapshot:
+        """Return a copy of the world's state, for `restore` here, in another face or another process."""
+        return self.state.save(0)
+
+    def restore(self, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
+        """Put a saved world back, and return what `reset` returns; see `Worlds.restore`."""
+        self.state.restore(0, snapshot)
+        self.state.observe()
+        self._keyed = True
+        return self._seen()
+
+    def _seen(self) -> tuple[np.ndarray, dict[str, Any]]:
         self._show()
         return self.state.observations[0, 0].copy(), {"action_mask": self.state.masks[0, 0].copy()}
 
@@ -86,6 +107,8 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
         index = operator.index(action)
         if not 0 <= index < self._action_count:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
+        if not self._keyed:
+            raise gymnasium.error.ResetNeeded("no episode has begun: call reset first")
         state = self.state
         self._actions[0, 0] = index
         ended = state.step(self._actions)
@@ -109,26 +132,43 @@ class PneumaMOEnv(PneumaEnv):
 
     `step` returns an array of `pneuma.env.reward.PARTS`: XP and HP share after the step, XP gained, HP
     share lost, notice and attack circles entered. The thesis's reward is the first minus the second,
-    the reward `kills` the third minus the fourth.
+    the reward `kills` the third minus the fourth. There is no `reward` to choose.
     """
 
     def __init__(
         self, env_id: str = ENVIRONMENTS[0], render_mode: str | None = None, **settings: object
     ) -> None:
-        super().__init__(env_id, render_mode, **settings)
-        config = self.state.config
-        worth = float(self.state.monster_stats["xp"].sum(axis=-1).max(initial=0.0))
-        most = MOST_XP if config.xp_scope == "forever" else worth
-        least = -MOST_XP if config.xp_scope == "forever" else -config.ending_cost
-        circles = float(self.state.monsters.shape[1] * 8)
-        low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
-        bites = float(TICKS_PER_STEP)  # who is healed in between may lose all HP at every tick
-        high = np.array([most, 1.0, worth, bites, circles, circles], np.float32)
-        self.reward_space = spaces.Box(low, high, dtype=np.float32)
+        super().__init__(env_id, render_mode, **refuse_reward(settings))
+        self.reward_space = parts_space(self.state)
         self.reward_dim = len(PARTS)
 
     def _reward(self) -> Any:
         return reward_parts(self.state.events, self.state.players, self.state.player_stats)[0, 0]
+
+
+def refuse_reward(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of an environment with vector rewards, which has no other.
+
+    Raises:
+        UserError: when a reward is among them.
+    """
+    if "reward" in settings:
+        told = f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts"
+        raise UserError(f"{told}; weigh them, or choose a reward for an id without mo-")
+    return settings
+
+
+def parts_space(state: Worlds) -> spaces.Box:
+    """Return the finite bounds of a vector reward."""
+    config = state.config
+    worth = float(state.monster_stats["xp"].sum(axis=-1).max(initial=0.0))
+    most = MOST_XP if config.xp_scope == "forever" else worth
+    least = -MOST_XP if config.xp_scope == "forever" else -config.ending_cost
+    circles = float(state.monsters.shape[1] * TICKS_PER_STEP)
+    low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
+    bites = float(TICKS_PER_STEP)  # who is healed in between may lose all HP at every tick
+    high = np.array([most, 1.0, worth, bites, circles, circles], np.float32)
+    return spaces.Box(low, high, dtype=np.float32)
 
 
 def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
@@ -142,16 +182,12 @@ def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
     }
 
 
-def chosen_starts(state: Worlds, options: dict[str, Any] | None) -> np.ndarray | None:
-    """Return the start places that reset's options ask for, shape (N,), or None for the usual ones.
+def _one_place(start: object) -> object:
+    """Return a start place for a single world; a list of one is for batches.
 
     Raises:
-        ValueError: for a place that the level does not have.
+        TypeError: for a list.
     """
-    if not options or options.get("start") is None:
-        return None
-    starts = np.broadcast_to(np.asarray(options["start"], np.int64), (len(state),))
-    places = len(state.level.starts)
-    if starts.min() < 0 or starts.max() >= places:
-        raise ValueError(f"start {options['start']!r}: the level has places 0 to {places - 1}")
-    return np.ascontiguousarray(starts)
+    if np.ndim(start) > 0:  # type: ignore[arg-type]
+        raise TypeError(f"start = {start!r} is not the index of a start place: a whole number")
+    return start

@@ -25,9 +25,27 @@ class Slots:
         self.worlds = worlds
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
+        self._action_count = int(worlds.action_space.n)
+        self._batch = f"{self.count} of {worlds.action_space}"
         self._none = np.zeros(self.count, np.bool_)
         self.terminated = self.truncated = self._none
         self.world_over = np.zeros(len(worlds), np.bool_)
+
+    def checked(self, actions: np.ndarray) -> np.ndarray:
+        """Return actions as the rules take them, (slots,) int64.
+
+        Raises:
+            ValueError: for what is no action, or not one for each slot.
+        """
+        given = np.asarray(actions)
+        if given.dtype.kind not in "iu":
+            raise ValueError(f"actions {given} are outside {self._batch}: not whole numbers")
+        if given.size != self.count:
+            raise ValueError(f"actions {given} are outside {self._batch}: {given.size} of them")
+        whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
+        if whole.view(np.uint64).max() >= self._action_count:  # what is below zero is huge without its sign
+            raise ValueError(f"actions {given} are outside {self._batch}")
+        return whole
 
     def step(self, actions: np.ndarray) -> bool:
         """Advance all worlds by (slots,) actions; tell whether any slot's episode ended."""

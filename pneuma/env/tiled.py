@@ -34,6 +34,9 @@ START = "start"
 START_CODE = 400
 OBSTACLE_CODE = 395
 EMPTY = -1
+WATER_CODE = 0
+WATER = "water"
+"""What ground of that code is, and the name by which a level may call other codes so."""
 MAX_SIDE = 1000
 MAX_CODE = 2**24 - 1
 TILE_PIXELS = Number(8, 4096)
@@ -75,7 +78,7 @@ class Header:
         title: what to call it.
         tile: side of a tile in pixels.
         origin: column and row of the tile at whose upper left corner (0, 0) lies; None: the centre.
-        coast: ground codes where the land ends.
+        coast: ground codes where the land ends; None: those that are drawn as water unless named.
         obstacles: codes that block besides 395.
         ground: the ground codes that there are; None: any.
     """
@@ -83,9 +86,14 @@ class Header:
     title: str
     tile: float = 64.0
     origin: tuple[float, float] | None = None
-    coast: tuple[int, ...] = ()
+    coast: tuple[int, ...] | None = None
     obstacles: tuple[int, ...] = ()
     ground: frozenset[int] | None = None
+
+    @property
+    def coast_codes(self) -> tuple[int, ...]:
+        """Ground codes where the land ends."""
+        return (WATER_CODE,) if self.coast is None else self.coast
 
     def corner(self, shape: tuple[int, ...]) -> tuple[float, float]:
         """Return x and y of the upper left corner of a grid of (rows, columns), in pixels."""
@@ -299,7 +307,7 @@ def _map_header(root: Element, path: Path) -> Header:
         raise UserError(f"{path}: tiles of {tile:g} x {height:g} px; they must be square")
     found = root.findall("properties/property")
     properties = {each.get("name", ""): each.get("value", each.text or "") for each in found}
-    codes = {key: _property_codes(properties.get(key, ""), key, path) for key in CODES}
+    codes = {key: _property_codes(properties[key], key, path) for key in CODES if key in properties}
     return Header(properties.get("title") or path.stem, tile, **codes)
 
 

@@ -7,14 +7,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.config import ENVIRONMENTS, make_env_config
+from pneuma.env import rules
+from pneuma.env.options import chosen_starts, read_options
+from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.showing import ShowsWorld
-from pneuma.env.single import chosen_starts, ending_info
+from pneuma.env.single import ending_info, parts_space, refuse_reward
 from pneuma.env.slots import Slots
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
@@ -30,7 +34,7 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         autoreset_mode: Gymnasium's three. `NEXT_STEP`, its default: the step after an ending
             resets and ignores the action. `SAME_STEP`: the step that ends resets too, and `info`
             holds `final_obs` and `final_info`. `DISABLED`: reset by hand with
-            `reset(options={"reset_mask": booleans})`.
+            `reset(options={"reset_mask": booleans})`, one a slot.
         settings: the fields of `pneuma.config.EnvConfig`.
     """
 
@@ -59,7 +63,6 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
         self._every = np.ones(num_envs, np.bool_)
-        self._action_count = int(self.state.action_space.n)
         self._over = np.zeros(len(self.state), np.bool_)
         self._waiting = False
 
@@ -72,18 +75,52 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         """Begin an episode in every world, or in those of `options["reset_mask"]`.
 
         A seed, or one for each world, keys the random streams of the worlds that are reset.
+        `options["start"]` is the index of a start place, or one for each world.
+
+        Raises:
+            ResetNeeded: when the first reset is of some worlds only.
         """
+        told = read_options(options, ("start", "reset_mask"))
+        starts = chosen_starts(self.state, told.get("start"))
         seeds = self._seeds(seed)
+        mask = self._reset_mask(told.get("reset_mask"))
+        if not self._keyed and not mask.all():
+            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=None if seeds is None else seeds[0])
-        mask = self._reset_mask(options)
         if seeds is None and not self._keyed:
             seeds = self._seeds(int(self.np_random.integers(2**62)))
         if seeds is not None:
             self.state.seed(seeds, mask)
             self._keyed = True
-        self.state.reset(mask, chosen_starts(self.state, options))
+        self.state.reset(mask, starts)
         self._over &= ~mask
         self._waiting = bool(self._over.any())
+        self._show()
+        return self.slots.observations, self._infos()
+
+    def save(self, world: int) -> Snapshot:
+        """Return a copy of one world's state, for `restore` here, in another face or another process."""
+        return self.state.save(world)
+
+    def restore(self, world: int, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
+        """Put a saved state into one world, and return what all slots see, as `reset` does.
+
+        The world goes on as the saved one would have here: if its episode had ended, this autoreset
+        mode decides when the next begins. See `Worlds.restore`.
+
+        Raises:
+            ResetNeeded: before the first reset of all worlds.
+        """
+        if not self._keyed and len(self.state) > 1:
+            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
+        self.state.restore(world, snapshot)
+        self._keyed = True
+        self._over[world] = self.state.worlds["ending"][world] != rules.RUNNING
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over[world]:
+            self.state.reset(self._over)
+            self._over[world] = False
+        self._waiting = bool(self._over.any())
+        self.state.observe()
         self._show()
         return self.slots.observations, self._infos()
 
@@ -98,9 +135,8 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
             raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
         return seeds
 
-    def _reset_mask(self, options: dict[str, Any] | None) -> np.ndarray:
+    def _reset_mask(self, mask: object) -> np.ndarray:
         """Return which worlds to reset, (N,)."""
-        mask = (options or {}).get("reset_mask")
         if mask is None:
             return np.ones(len(self.state), np.bool_)
         if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)):
@@ -111,14 +147,16 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
-        actions = self._checked(actions)
+        actions = self.slots.checked(actions)
+        if not self._keyed:
+            raise ResetNeeded("no episode has begun: call reset first")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._waiting:
             raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
         slots = self.slots
         ended = slots.step(actions)
         if self._waiting:  # NEXT_STEP: this step resets what the last one ended
             self.state.reset(self._over)
-        rewards = slots.rewards.copy()
+        rewards = self._rewards()
         terminated, truncated = slots.terminated.copy(), slots.truncated.copy()
         infos = self._final(terminated | truncated) if ended else {}
         self._waiting = ended and bool(slots.world_over.any())
@@ -130,19 +168,8 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self._show()
         return slots.observations, rewards, terminated, truncated, self._infos(infos)
 
-    def _checked(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions as the rules take them, (slots,) int64.
-
-        Raises:
-            ValueError: for what is no action.
-        """
-        given = np.asarray(actions)
-        if given.dtype.kind not in "iu":
-            raise ValueError(f"actions {given} are outside {self.action_space}: not whole numbers")
-        whole = np.ascontiguousarray(given, np.int64).reshape(self.num_envs)
-        if whole.view(np.uint64).max() >= self._action_count:  # what is below zero is huge without its sign
-            raise ValueError(f"actions {given} are outside {self.action_space}")
-        return whole
+    def _rewards(self) -> np.ndarray:
+        return self.slots.rewards.copy()
 
     def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
         """Add every slot's action mask to the infos."""
@@ -164,3 +191,16 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
                 info = {"final_obs": final, "final_info": {"action_mask": mask, **info}}
             infos = self._add_info(infos, info, int(slot))
         return infos
+
+
+class PneumaMOVectorEnv(PneumaVectorEnv):
+    """The same with vector rewards, (slots, 6), in MO-Gymnasium's convention; see `PneumaMOEnv`."""
+
+    def __init__(self, num_envs: int = 1, *arguments: Any, **settings: Any) -> None:
+        super().__init__(num_envs, *arguments, **refuse_reward(settings))
+        self.reward_space = parts_space(self.state)
+        self.reward_dim = len(PARTS)
+
+    def _rewards(self) -> np.ndarray:
+        state = self.state
+        return reward_parts(state.events, state.players, state.player_stats).reshape(self.num_envs, -1)

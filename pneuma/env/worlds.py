@@ -6,8 +6,9 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
 from pneuma.env.level import Level, load_level, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
-from pneuma.env.reward import custom_rewards, load_reward, reward_code
+from pneuma.env.places import refuse_bad_places
+from pneuma.env.reward import custom_rewards, load_reward, present, reward_code
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
@@ -27,15 +29,19 @@ ENDINGS = ("running", "killed", "cleared", "time-limit")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole state of some worlds: what they need to go on as they would have.
+    """The whole state of one world: what it needs to go on as it would have.
 
     Attributes:
-        worlds, players, monsters: (N,), (N, P) and (N, M), as in `Worlds`.
+        worlds, players, monsters: (1,), (1, P) and (1, M), as in `Worlds`.
+        fits: names the levels and characters that it can be put back among.
+        returns: (P,) what the episode has paid so far, from a face that counts it.
     """
 
     worlds: np.ndarray
     players: np.ndarray
     monsters: np.ndarray
+    fits: str
+    returns: np.ndarray | None = None
 
 
 class Worlds:
@@ -46,8 +52,10 @@ class Worlds:
             `state.WORLD`, `PLAYER` and `MONSTER`.
         events: (N, P) `state.EVENTS`, what the last step did, the reward among it.
         observations: (N, P, features) float32, overwritten by every step.
-        masks: (N, P, actions) int8, 0 where an action would do nothing in the next step.
+        masks: (N, P, actions) int8, 0 where an action would do nothing in the next step; those of the
+            dead are as if they lived.
         levels: the levels played; one, unless random ones are drawn.
+        usual_starts: (N,) the start places unless others are asked for; below zero, drawn at random.
         player_stats, monster_stats: (P,) and (L, M), what the rules read.
 
     Raises:
@@ -55,13 +63,13 @@ class Worlds:
     """
 
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
-        config = config or make_env_config({})
+        config = _resolved(config or EnvConfig())
         self.config = config
         cast = characters.load_characters(config.characters)
-        self.levels = _load_levels(config, characters.monster_codes(cast))
         self.player_stats = characters.player_stats(
             cast, _one_each(config.classes, config), _one_each(config.weapons, config)
         )
+        self.levels = _load_levels(config, characters.monster_codes(cast), self.player_stats)
         rewards = _one_each(config.reward, config)
         self.player_stats["reward"] = [reward_code(name) for name in rewards]
         self._custom = [(p, name, load_reward(name)) for p, name in enumerate(rewards) if ":" in name]
@@ -69,7 +77,7 @@ class Worlds:
             [characters.monster_stats(cast, level, self.player_stats, config.magic) for level in self.levels]
         )
         for level, kinds in zip(self.levels, self.monster_stats, strict=True):
-            _refuse_bodies_off_the_grid(level, self.player_stats, kinds)
+            refuse_bad_places(level, self.player_stats, kinds, config.coast == "wall")
         self.settings = self._settings(config)
         fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
         self.spaces = [
@@ -79,6 +87,8 @@ class Worlds:
         names = ACTION_NAMES + (SPELL_NAMES if config.magic else ())
         self.action_space = spaces.Discrete(len(names))
         self._allocate(count, len(names))
+        self._fits = self._fingerprint()
+        self._try_rewards()
 
     def _allocate(self, count: int, actions: int) -> None:
         players, monsters = len(self.player_stats), self.monster_stats.shape[1]
@@ -110,17 +120,17 @@ class Worlds:
             np.zeros(monsters, state.SCRATCH),
             np.zeros(1, state.CHASE),
         )
-        self._handle = state.make_handle(self._arrays)
+        self._take_addresses()
         self._every = np.ones(count, np.bool_)
         self._no_actions = np.zeros((count, players), np.int64)
         start = -1 if self.config.start == "random" else 0
-        self._usual_starts = np.full(count, start, np.int64)
+        self.usual_starts = np.full(count, start, np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the addresses behind: a copy's arrays lie elsewhere."""
-        return {
-            name: value for name, value in self.__dict__.items() if name not in ("_handle", "_arrays")
-        } | {"_rest": tuple(self._arrays[3:])}
+        return {name: value for name, value in self.__dict__.items() if name not in _ADDRESSES} | {
+            "_rest": tuple(self._arrays[3:])
+        }
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         """Take the copied arrays and note their addresses."""
@@ -129,7 +139,14 @@ class Worlds:
         self._arrays = state.State(self.worlds, self.players, self.monsters, *rest)
         self.player_stats, self.monster_stats, self.settings = rest[:3]
         self.events, self.observations, self.masks = rest[6:9]
+        self._take_addresses()
+
+    def _take_addresses(self) -> None:
+        """Note where the arrays lie, and look at them in the other ways that are needed."""
         self._handle = state.make_handle(self._arrays)
+        self._shown = tuple(_read_only(each) for each in (self.events, self.players, self.player_stats))
+        self._raw = tuple(_raw(each) for each in (self.worlds, self.players, self.monsters))
+        self._raw_events = _raw(self.events)
 
     def __len__(self) -> int:
         """Return the number of worlds."""
@@ -188,7 +205,7 @@ class Worlds:
             mask: (N,) booleans.
             starts: (N,) indices of start places; below zero, drawn at random.
         """
-        usual = self._usual_starts if starts is None else starts
+        usual = self.usual_starts if starts is None else starts
         rules.reset_worlds(self._handle, usual, self._every if mask is None else mask)
         self.observe()
 
@@ -200,14 +217,28 @@ class Worlds:
         """
         ended = int(rules.step_worlds(self._handle, actions, False))
         for player, name, function in self._custom:
-            rewards = custom_rewards(function, name, self.events, self.players, self.player_stats)
+            rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, player] = rewards[:, player]
         return ended
+
+    def _try_rewards(self) -> None:
+        """Call every reward of a user's own once, as after a reset and with nothing to tell.
+
+        Raises:
+            UserError: naming the function, its file and line, and what was wrong.
+        """
+        events, players = self.events.copy(), self.players.copy()
+        events["present"] = self.settings["ticks"][0]
+        places = np.arange(players.shape[1]) % len(self.level.starts)
+        players["x"], players["y"] = self.level.starts[places].T
+        players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
+        for _, name, function in self._custom:
+            custom_rewards(function, name, *map(_read_only, (events, players, self.player_stats)))
 
     @property
     def present(self) -> np.ndarray:
         """Which players were alive when the last step began, (N, P)."""
-        return (self.events["present"] > 0) | (self.events["died"] > 0)
+        return present(self.events)
 
     @property
     def truncated(self) -> np.ndarray:
@@ -222,26 +253,63 @@ class Worlds:
     # --- Saving and restoring ---------------------------------------------------------------------
 
     def save(self, world: int) -> Snapshot:
-        """Return a copy of one world's state; it can be pickled, sent and restored elsewhere."""
-        one = slice(world, world + 1)
-        return Snapshot(self.worlds[one].copy(), self.players[one].copy(), self.monsters[one].copy())
-
-    def restore(self, world: int, snapshot: Snapshot) -> None:
-        """Put a saved state into one world, of this or of another `Worlds` of equal configuration.
-
-        The world goes on as the saved one would have. Its observation is that of the next step;
-        `observe` writes it at once.
+        """Return a copy of one world's state; it can be pickled, sent and restored elsewhere.
 
         Raises:
-            ValueError: for a state of other numbers of players or monsters.
+            ValueError: when there is no such world.
         """
+        one = slice(self._index(world), world + 1)
+        worlds, players, monsters = self._raw
+        return Snapshot(
+            worlds[one].copy().view(state.WORLD),
+            players[one].copy().view(state.PLAYER),
+            monsters[one].copy().view(state.MONSTER),
+            self._fits,
+        )
+
+    def restore(self, world: int, snapshot: Snapshot) -> None:
+        """Put a saved state into one world, of this or of another `Worlds` of equal levels and characters.
+
+        The world goes on as the saved one would have; its events are empty. Its observation is that of
+        the next step; `observe` writes it at once.
+
+        Raises:
+            ValueError: when there is no such world, or for a state of another number of players, of
+                other levels, classes, weapons or monsters.
+        """
+        self._index(world)
+        if snapshot.fits != self._fits or snapshot.worlds["level"].item() >= len(self.levels):
+            raise ValueError(self._misfit(snapshot))
+        worlds, players, monsters = self._raw
+        worlds[world] = snapshot.worlds.view(worlds.dtype)[0]
+        players[world] = snapshot.players.view(players.dtype)[0]
+        monsters[world] = snapshot.monsters.view(monsters.dtype)[0]
+        self._raw_events[world] = _NO_EVENTS
+
+    def _index(self, world: int) -> int:
+        if not 0 <= world < len(self.worlds):
+            raise ValueError(f"world {world}: there are worlds 0 to {len(self.worlds) - 1}")
+        return world
+
+    def _misfit(self, snapshot: Snapshot) -> str:
+        """Say why a state cannot be put back here."""
         for name in ("players", "monsters"):
             own, other = getattr(self, name).shape[1], getattr(snapshot, name).shape[1]
             if own != other:
-                raise ValueError(f"a state of {other} {name} does not fit a world of {own}")
-        self.worlds[world] = snapshot.worlds[0]
-        self.players[world] = snapshot.players[0]
-        self.monsters[world] = snapshot.monsters[0]
+                return f"a state of {other} {name} does not fit a world of {own}"
+        return "a state of another level, class, weapon or kind of monster does not fit this world"
+
+    def _fingerprint(self) -> str:
+        """Return a digest of the levels and of who lives there: not of what is seen, paid or allowed."""
+        digest = hashlib.sha256(state.LAYOUT_DIGEST.encode())
+        for level in self.levels:
+            digest.update(repr((level.left, level.top, level.tile, level.terrain.shape)).encode())
+            digest.update(level.terrain.tobytes() + level.starts.tobytes())
+        for stats in (self.player_stats, self.monster_stats):
+            for name in stats.dtype.names or ():
+                if name not in _SEEN_OR_PAID:
+                    digest.update(stats[name].tobytes())
+        return digest.hexdigest()
 
     def observe(self) -> None:
         """Write all observations and masks from the state as it is."""
@@ -257,36 +325,41 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-def _refuse_bodies_off_the_grid(level: Level, players: np.ndarray, monsters: np.ndarray) -> None:
-    """Refuse a level in which a body would begin beyond the grid: the rules look up tiles unchecked.
-
-    Raises:
-        UserError: naming the start place or the monster.
-    """
-    rows, columns = level.terrain.shape
-    edges = (level.left, level.top, level.left + columns * level.tile, level.top + rows * level.tile)
-    bodies = [
-        (f"start place {i}", x, y, players["half_width"].max(), players["half_height"].max())
-        for i, (x, y) in enumerate(level.starts)
-    ]
-    bodies += [
-        (f"monster {i} ({name})", x, y, kind["half_width"], kind["half_height"])
-        for i, ((name, x, y), kind) in enumerate(zip(level.monsters, monsters, strict=True))
-    ]
-    for who, x, y, half_width, half_height in bodies:
-        inside = edges[0] <= x - half_width and x + half_width <= edges[2]
-        if not inside or y - half_height < edges[1] or y + half_height > edges[3]:
-            raise UserError(
-                f"level {level.name}: {who} at ({x:g}, {y:g}) has a body of {2 * half_width:g} x "
-                f"{2 * half_height:g} px, which reaches beyond the grid"
-            )
+def _resolved(config: EnvConfig) -> EnvConfig:
+    """Return a configuration checked and filled, however it was made."""
+    return make_env_config({item.name: getattr(config, item.name) for item in fields(EnvConfig)})
 
 
-def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:
+def _raw(array: np.ndarray) -> np.ndarray:
+    """Look at records as bytes of their size: NumPy copies those far faster than field by field."""
+    return array.view(np.dtype((np.void, array.dtype.itemsize)))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _no_events() -> Any:
+    events = np.zeros(1, state.EVENTS)
+    events["distance"] = np.inf
+    return _raw(events)[0]
+
+
+_ADDRESSES = ("_handle", "_arrays", "_shown", "_raw", "_raw_events")
+"""What of `Worlds` holds only where it is."""
+_NO_EVENTS = _no_events()
+_SEEN_OR_PAID = (
+    "reward", "perceived", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
+)  # fmt: skip
+"""Stats that no state depends on."""
+
+
+def _load_levels(config: EnvConfig, codes: dict[int, str], players: np.ndarray) -> list[Level]:
     """Load the level, or as many random ones as asked for, numbered from the first on."""
-    if config.random_levels == 1:
-        return [load_level(config.level, codes)]
+    body = 2 * float(players["half_width"].max()), 2 * float(players["half_height"].max())
     first, _, number = config.level.rpartition(":")
-    if not number.isdigit():
-        return [load_level(config.level, codes)]  # says what is wrong with the name
-    return [load_level(f"{first}:{int(number) + i}", codes) for i in range(config.random_levels)]
+    if config.random_levels == 1 or not number.isdigit():  # loading says what is wrong with the name
+        return [load_level(config.level, codes, body)]
+    return [load_level(f"{first}:{int(number) + i}", codes, body) for i in range(config.random_levels)]

@@ -17,9 +17,9 @@ GOLDEN = {
         "text": "0c620e3fcc451bbdc53959ac8e97100588c678dbe99bc3b65257e41da618fece",
         "everything": "023ad8b3ccaa4b44b3a9a3051052dd62efe721ab9431f0896a1242d227aa5748",
     },
-    2: {  # healing at full HP is no longer masked: it costs energy
+    2: {  # healing at full HP costs energy and is not masked; map and random levels are scaled by the grid
         "text": "0c620e3fcc451bbdc53959ac8e97100588c678dbe99bc3b65257e41da618fece",
-        "everything": "c162b6305af62c9ca7a8f3eb8a8b6df2ac23d3988140eb5a06fb5f3c61cea74a",
+        "everything": "0e96e99f5ff8fe5c51bd0a4ed2c2abaeb080331524d47e43cbf7432c7508afad",
     },
 }
 """SHA-256 of the golden traces by RULES_VERSION; see `test_the_rules_are_those_of_their_version`."""

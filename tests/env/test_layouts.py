@@ -108,10 +108,10 @@ def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None
     play(worlds, RIGHT)
     worlds.players["x"], worlds.players["energy"] = 0.0, 15
     worlds.observe()
-    # The land spans -576 … 576: the map is 1152 px wide and high. Of 100 HP, 60 energy.
+    # The map of 20 x 20 tiles is 1280 px wide and high. Of 100 HP, 60 energy.
     assert seen(worlds)[:6] == pytest.approx([0.5, 0.5, 1, 0, 0.43, 0.25])
     # The bamboo is 500 px away along (-0.6, 0.8); the dearest, the raccoon, is worth 25 XP.
-    assert rows(worlds)[0] == pytest.approx([500 / 1152, -0.6, 0.8, 1, 1 / 25])
+    assert rows(worlds)[0] == pytest.approx([500 / 1280, -0.6, 0.8, 1, 1 / 25])
 
 
 @pytest.mark.parametrize(("way", "facing"), [(0, (0, 1)), (LEFT, (-1, 0)), (UP, (0, -1)), (RIGHT, (1, 0))])
@@ -124,8 +124,8 @@ def test_pygame_sees_the_facing_as_a_direction(arena: str, way: int, facing: tup
 def test_pygame_sees_the_five_nearest() -> None:
     worlds = Worlds(1, make_env_config({"observation": "pygame"}))
     worlds.reset(starts=np.array([0]))
-    # From (204, -105): 357.82, 362.11 and 497.21 px, as the thesis's layout sees; the land is 2944 px wide.
-    assert (rows(worlds)[:3, 0] * 2944).tolist() == pytest.approx([357.815, 362.112, 497.213], abs=1e-2)
+    # From (204, -105): 357.82, 362.11 and 497.21 px, as the thesis's layout sees; 57 tiles are 3648 px.
+    assert (rows(worlds)[:3, 0] * 3648).tolist() == pytest.approx([357.815, 362.112, 497.213], abs=1e-2)
     assert rows(worlds).shape == (5, 5)
     assert (np.diff(rows(worlds)[:, 0]) > 0).all()
 
@@ -137,7 +137,7 @@ def test_pygame_sees_the_five_nearest() -> None:
     ("scale", "x", "y", "hp", "xp", "distance", "monster_hp"),
     [
         ("unit", -540 / 576, 270 / 576, 0.4, 3 / 4, 500 / 300, 0.5),
-        ("map", 36 / 1152, 846 / 1152, 0.4, 3 / 4, 500 / 1152, 0.5),
+        ("map", 100 / 1280, 910 / 1280, 0.4, 3 / 4, 500 / 1280, 0.5),
         ("raw", -540, 270, 40, 3, 500, 20),
     ],
 )

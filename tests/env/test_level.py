@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
-from pneuma.env.level import Level, load_level, room_for_bodies
+from pneuma.env.level import Level, level_files, load_level, room_for_bodies
 from pneuma.errors import UserError
 
 from .arena import HEADER, layer, write_level
@@ -110,12 +110,24 @@ def test_an_unknown_level_is_answered_with_the_nearest_name() -> None:
         load_level("thesiss", CODES)
 
 
-def test_a_folder_without_a_level_is_an_unknown_level(tmp_path: Path) -> None:
-    message = complaint(tmp_path)
-    assert message.startswith(f"unknown level '{tmp_path}'") and "thesis" in message
+def test_a_folder_without_layers_is_told_what_it_needs(tmp_path: Path) -> None:
+    needed = "obstacles.csv, and entities.csv or objects.csv"
+    assert complaint(tmp_path) == f"level '{tmp_path}': the folder holds no layers: {needed}"
 
 
-@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv", "objects.csv"])
+def test_a_folder_in_which_nobody_stands_is_told_that_it_needs_somebody(folder: Path) -> None:
+    (folder / "objects.csv").unlink()
+    told = "no entities.csv and no objects.csv; one must say where players start"
+    assert complaint(folder) == f"{folder}: {told}"
+
+
+def test_a_path_may_begin_at_home(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(folder.parent))
+    assert load_level("~/level", CODES).name == str(folder)
+    assert level_files("~/level")[0].parent == folder
+
+
+@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv"])
 def test_a_missing_layer_is_named(folder: Path, name: str) -> None:
     (folder / name).unlink()
     assert complaint(folder) == f"{folder / name}: no such layer"
@@ -210,7 +222,7 @@ def test_a_header_that_is_not_toml_is_named(folder: Path) -> None:
         ("title", (-576.0, -576.0, 576.0, 576.0)),
         ("tile", (-576.0, -576.0, 576.0, 576.0)),  # 64 px
         ("origin", (-576.0, -576.0, 576.0, 576.0)),  # the middle of 20 x 20 tiles is the corner (10, 10)
-        ("coast", (-640.0, -640.0, 640.0, 640.0)),  # none: land up to the edge of the grid
+        ("coast", (-576.0, -576.0, 576.0, 576.0)),  # code 0, which is drawn as water
     ],
 )
 def test_a_key_that_the_header_leaves_out_has_its_default(
@@ -221,6 +233,21 @@ def test_a_key_that_the_header_leaves_out_has_its_default(
     level = load_level(str(folder), CODES)
     assert level.land == land
     assert level.title == ("level" if key == "title" else "Arena")  # the folder's name
+
+
+@pytest.mark.parametrize(
+    ("header", "land"),
+    [
+        ("coast = []", 640.0),  # by name, none
+        ('[ground]\n0 = "water"\n2 = "grass"', 576.0),
+        ('[ground]\n0 = "sand"\n2 = "grass"', 640.0),  # no water: land up to the edge of the grid
+    ],
+)
+def test_what_is_drawn_as_water_is_the_coast_unless_said_otherwise(
+    folder: Path, header: str, land: float
+) -> None:
+    (folder / "level.toml").write_text(header)
+    assert load_level(str(folder), CODES).land == (-land, -land, land, land)
 
 
 def test_an_unknown_key_of_the_header_is_named_with_its_line(folder: Path) -> None:

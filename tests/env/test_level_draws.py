@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
+from pneuma.config import SCALES, make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -79,10 +79,23 @@ def test_observations_of_all_levels_share_a_scale_and_a_space() -> None:
         play(worlds, int(generator.integers(5)))
         assert (worlds.observations >= worlds.space.low).all()
         assert (worlds.observations <= worlds.space.high).all()
-    lands = np.array([level.land for level in worlds.levels])
-    left, right = lands[:, 0].min(), lands[:, 2].max()
-    expected = (worlds.players["x"][:, 0] - (left + right) / 2) * 2 / (right - left)
+    # The grid spans -1792 … 1856: its middle is 32, its half 1824.
+    expected = (worlds.players["x"][:, 0] - 32) / 1824
     assert worlds.observations[:, 0, 0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_place_is_seen_the_same_whichever_levels_are_played_together(scale: str) -> None:
+    """So that what was learned on some islands holds on others."""
+    alone, together, tested = (
+        Worlds(1, make_env_config({"level": level, "random_levels": count, "scale": scale}))
+        for level, count in ((LEVEL, 1), (LEVEL, 20), ("random:test:3", 2))
+    )
+    for other in (together, tested):
+        assert other.space == alone.space
+        names = ("middle_x", "middle_y", "scale_x", "scale_y", "xp_scale")
+        assert [other.settings[name] for name in names] == [alone.settings[name] for name in names]
+        assert other.monster_stats["distance_scale"][0, 0] == alone.monster_stats["distance_scale"][0, 0]
 
 
 @pytest.mark.parametrize(

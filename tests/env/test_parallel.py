@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 from pneuma.env.parallel import PneumaParallelEnv, parallel_env
 from pneuma.errors import UserError
@@ -129,6 +130,8 @@ def test_the_world_is_that_of_its_seed() -> None:
     env.reset(seed=9)
     generator = np.random.default_rng(0)
     for _ in range(200):
+        if not env.agents:
+            break
         actions = generator.integers(5, size=(1, 3))
         worlds.step(actions)
         observations, rewards, *_ = env.step({agent: actions[0, int(agent[-1])] for agent in env.agents})
@@ -269,7 +272,21 @@ def test_the_last_ones_death_ends_the_episode(arena: str) -> None:
     assert all(terminations.values()) and not any(truncations.values())
     assert {info["ending"] for info in infos.values()} == {"killed"}
     assert env.agents == []
-    assert env.step({}) == ({}, {}, {}, {}, {})
+    with pytest.raises(ResetNeeded):
+        env.step({})
+
+
+def test_stepping_before_the_first_reset_is_refused() -> None:
+    env = parallel_env(players=2)
+    with pytest.raises(ResetNeeded):
+        env.step(same(env.possible_agents, ATTACK))
+
+
+def test_a_living_player_without_an_action_is_named() -> None:
+    env = parallel_env(players=2)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="no action for player_1"):
+        env.step({"player_0": np.int64(ATTACK)})
 
 
 def test_actions_of_the_dead_are_ignored(arena: str) -> None:

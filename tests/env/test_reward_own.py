@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import MO_ENVIRONMENTS
@@ -134,7 +136,60 @@ def test_every_face_pays_it(folder: Path) -> None:
     assert vector.step(np.zeros(3, np.int64))[1].tolist() == [8.5] * 3
 
 
+def test_it_cannot_change_the_world(folder: Path) -> None:
+    for body in ('players["hp"][:] = 0', 'events["kills"] += 1', 'stats["damage"] = 99'):
+        assert re.search(r"line 5: ValueError: .* is read-only", told_of(write(folder, body)))
+
+
 # --- Mistakes in it ------------------------------------------------------------------------------
+
+
+def told_of(reward: str) -> str:
+    """Return what is said of a reward when a world is made with it."""
+    with pytest.raises(UserError) as caught:
+        Worlds(2, make_env_config({"reward": reward}))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "line", "told"),
+    [
+        ("x = 1\nreturn events['kilss']", 6, "ValueError: no field of name kilss"),
+        ("return 1 / 0", 5, "ZeroDivisionError: division by zero"),
+        ("raise KeyError", 5, "KeyError"),
+        ("raise SystemError('a\\nb')", 5, "SystemError: a b"),
+        ("return 'much'", 4, "ValueError: could not convert string to float: 'much'"),
+        ("return np.ones(2)", 4, "returned shape (2,), where (2, 1) was asked for"),
+        ("return np.full((2, 1), np.nan)", 4, "returned a number that is not finite"),
+        ("return -events['distance']", 4, "events['distance'] is infinite where no monster lives"),
+    ],
+)
+def test_a_mistake_is_told_at_once_with_file_and_line(folder: Path, body: str, line: int, told: str) -> None:
+    name = write(folder, body)
+    message = told_of(name)
+    file = folder / f"{name.partition(':')[0]}.py"
+    assert message.startswith(f"reward '{name}': {file}, line {line}: ") and told in message
+    assert "\n" not in message
+
+
+def test_a_mistake_in_a_later_step_is_told_with_file_and_line(folder: Path, arena: str) -> None:
+    body = 'assert not events["hits"].any(), "somebody was hit"\nreturn np.zeros(events.shape)'
+    worlds = stage(arena, (54.0, 0.0), still=True, settings={"reward": (name := write(folder, body))})
+    with pytest.raises(UserError) as caught:
+        play(worlds, ATTACK)
+    file = folder / f"{name.partition(':')[0]}.py"
+    assert str(caught.value) == f"reward '{name}': {file}, line 5: AssertionError: somebody was hit"
+
+
+def test_when_it_is_tried_every_player_stands_at_a_start_with_full_hp(folder: Path) -> None:
+    body = (
+        "assert (events['present'] == 8).all() and np.isinf(events['distance']).all()\n"
+        "assert (players['hp'] == stats['hp']).all() and players['x'][0].tolist() == [204, 389]\n"
+        "return np.zeros(events.shape)"
+    )
+    settings = {"reward": write(folder, body), "players": 2, "classes": ["tank", "mage"]}
+    worlds = Worlds(3, make_env_config(settings))
+    assert not worlds.events["present"].any() and not worlds.players["hp"].any()  # nothing is left of it
 
 
 def test_a_missing_module_or_function_is_told(folder: Path) -> None:
@@ -172,7 +227,7 @@ def test_what_it_returns_is_checked_at_every_step(folder: Path, body: str, told:
 
 @pytest.mark.parametrize("name", ["thessis", "my module:pay", "module:", ":pay", "module:pay:twice"])
 def test_a_name_of_another_form_is_refused(name: str) -> None:
-    with pytest.raises(UserError, match="is not allowed: one of thesis, .*or module:function"):
+    with pytest.raises(UserError, match="is not allowed.*: one of thesis, .*or module:function"):
         make_env_config({"reward": name})
 
 
@@ -271,6 +326,45 @@ def test_gymnasium_makes_it_without_a_warning() -> None:
     env = gymnasium.make(MO_ENVIRONMENTS[0])  # a warning would be an error here
     env.reset(seed=0)
     env.step(0)
+
+
+def test_a_reward_of_another_name_is_refused() -> None:
+    for make_it in (make, lambda name, **settings: gymnasium.make_vec(name, num_envs=2, **settings)):
+        with pytest.raises(UserError, match="reward = 'kills' is not allowed: vector rewards are always"):
+            make_it(MO_ENVIRONMENTS[0], reward="kills")
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("name", MO_ENVIRONMENTS)
+def test_worlds_side_by_side_pay_what_each_pays_alone(name: str, mode: AutoresetMode, pit: str) -> None:
+    settings: dict[str, Any] = {"level": pit, "episode_steps": 40, "start": "random"}
+    envs = gymnasium.make_vec(name, num_envs=3, autoreset_mode=mode, **settings)
+    singles = [make(name, **settings) for _ in range(3)]
+    assert envs.unwrapped.reward_space == singles[0].reward_space  # type: ignore[attr-defined]
+    envs.reset(seed=4)
+    for i, env in enumerate(singles):
+        env.reset(seed=4 + i)
+    generator = np.random.default_rng(1)
+    over = np.zeros(3, bool)
+    ended = 0
+    for _ in range(120):
+        actions = generator.choice([0, 1, 2, 3, ATTACK, ATTACK], size=3)
+        if mode == AutoresetMode.DISABLED and over.any():
+            envs.reset(options={"reset_mask": over})
+        rewards = envs.step(actions)[1]
+        assert rewards.shape == (3, 6) and rewards.dtype == np.float32
+        for i, env in enumerate(singles):
+            if over[i]:
+                env.reset()
+                if mode == AutoresetMode.NEXT_STEP:
+                    over[i] = False
+                    assert not rewards[i].any()
+                    continue
+            _, expected, terminated, truncated, _ = env.step(actions[i])
+            over[i] = terminated or truncated
+            ended += int(over[i])
+            assert np.array_equal(rewards[i], expected)
+    assert ended > 3
 
 
 def test_godots_xp_of_a_death_is_in_the_vector(pit: str) -> None:

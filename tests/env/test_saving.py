@@ -23,7 +23,7 @@ from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
-from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits
+from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits, write_level
 
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "thesis": (THESIS, {}),
@@ -190,6 +190,63 @@ def test_a_world_of_another_shape_is_refused(arena: str, pit: str) -> None:
         with pytest.raises((ValueError, UserError)):
             worlds.restore(0, saved)
         assert state_bits(worlds) == before
+
+
+def test_a_world_of_other_levels_or_characters_is_refused(pit: str) -> None:
+    """Equal in numbers of players and monsters, and in the size of the grid."""
+    worlds = begin(1)
+    others = [
+        begin(1, level="random:train:1"),
+        begin(1, level="random:train:1", random_levels=2),
+        begin(1, classes="tank"),
+        begin(1, weapons="axe"),
+        begin(1, characters="pygame"),
+    ]
+    for other in others:
+        with pytest.raises(ValueError, match="a state of another level, class, weapon or kind of monster"):
+            worlds.restore(0, other.save(0))
+        with pytest.raises(ValueError, match="a state of another level"):
+            other.restore(0, worlds.save(0))
+
+
+def test_a_level_that_there_is_not_is_refused() -> None:
+    saved = (worlds := begin(1)).save(0)
+    saved.worlds["level"] = 1
+    with pytest.raises(ValueError, match="a state of another level"):
+        worlds.restore(0, saved)
+
+
+def test_what_is_seen_paid_and_allowed_may_differ() -> None:
+    settings: dict[str, Any] = {
+        "reward": "kills", "observation": "godot", "magic": True, "episode_steps": 9, "coast": "deadly",
+    }  # fmt: skip
+    worlds, other = played("thesis", 1), begin(1, **settings)
+    other.restore(0, worlds.save(0))
+    assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)
+
+
+@pytest.mark.parametrize("world", [-1, 2, 5])
+def test_a_world_that_there_is_not_is_refused(world: int) -> None:
+    worlds = begin(2)
+    saved = worlds.save(0)
+    with pytest.raises(ValueError, match=f"world {world}: there are worlds 0 to 1"):
+        worlds.save(world)
+    with pytest.raises(ValueError, match=f"world {world}: there are worlds 0 to 1"):
+        worlds.restore(world, saved)
+
+
+def test_a_world_without_monsters_can_be_saved(tmp_path: Path) -> None:
+    worlds = begin(2, level=write_level(tmp_path / "level", [(0.0, 0.0), (99.0, 0.0)], []))
+    worlds.restore(1, worlds.save(0))
+    assert bits(worlds.players[0]) == bits(worlds.players[1])
+
+
+def test_what_the_last_step_told_of_another_world_is_gone() -> None:
+    worlds = played("three players", 2)
+    assert worlds.present.any()
+    worlds.restore(1, worlds.save(0))
+    assert not worlds.present[1].any() and worlds.present[0].any()
+    assert np.isinf(worlds.events["distance"][1]).all() and not worlds.events["reward"][1].any()
 
 
 # --- Copies of everything ------------------------------------------------------------------------

@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from pneuma.config import make_env_config
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Worlds, world_key
+from pneuma.errors import UserError
 
-from .arena import ATTACK, LEFT, RIGHT
+from .arena import ATTACK, GODOT, LEFT, RIGHT
 
 N = 4
 
@@ -161,6 +163,19 @@ def test_actions_out_of_range_are_refused(action: int) -> None:
         env.step(np.array([0, action]))
 
 
+@pytest.mark.parametrize("actions", [[0.0, np.nan], [3.7, 1.0], [1], [1, 2, 3], 1, [True, False]])
+def test_what_is_no_action_for_each_slot_is_refused(actions: Any) -> None:
+    env = PneumaVecEnv([0, 1])
+    env.reset()
+    with pytest.raises(ValueError, match="outside"):
+        env.step(np.array(actions))
+
+
+def test_stepping_before_the_first_reset_is_refused() -> None:
+    with pytest.raises(ResetNeeded):
+        PneumaVecEnv(2).step(np.array([0, 0]))
+
+
 @pytest.mark.parametrize("start", [-1, 6])
 def test_a_start_that_the_level_does_not_have_is_refused(start: int) -> None:
     env = PneumaVecEnv([0, 1])
@@ -188,6 +203,54 @@ def test_every_world_has_the_seed_it_is_given() -> None:
         worlds.seed([seed])
         worlds.reset()
         assert np.array_equal(observations[i], worlds.observations[0, 0])
+
+
+def test_settings_may_be_keywords_with_a_number_of_slots_and_a_seed() -> None:
+    env = PneumaVecEnv(4, seed=7, players=2, episode_steps=50)
+    assert (env.num_envs, len(env.state), env.state.config.episode_steps) == (4, 2, 50)
+    listed = PneumaVecEnv([7, 8], make_env_config({"players": 2, "episode_steps": 50}))
+    assert np.array_equal(env.reset(), listed.reset())
+    assert not np.array_equal(PneumaVecEnv(1).reset(), PneumaVecEnv(1).reset())  # of no seed
+    assert PneumaVecEnv(1, env_id=GODOT).state.config == make_env_config({}, GODOT)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "settings", "told"),
+    [
+        (([],), {}, "seeds is empty"),
+        ((0,), {}, "0 slots are not allowed"),
+        ((3,), {"players": 2}, "3 slots are not allowed: a multiple of the 2 players in a world"),
+        (([1, 2],), {"seed": 3}, "not both"),
+        (([1], make_env_config({})), {"episode_steps": 3}, "not both"),
+        ((1,), {"episode_step": 3}, "did you mean episode_steps?"),
+    ],
+)
+def test_worlds_that_cannot_be_made_are_told_in_one_line(
+    arguments: tuple[Any, ...], settings: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(UserError) as caught:
+        PneumaVecEnv(*arguments, **settings)
+    assert told in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_world_i_is_seeded_s_plus_i_with_several_players_too() -> None:
+    env = PneumaVecEnv(4, seed=0, players=2)
+    assert env.seed(5) == [5, 5, 6, 6]
+    env.reset()
+    assert env.state.worlds["key"].tolist() == [world_key(5), world_key(6)]
+    seeds = env.seed()
+    assert seeds[0] == seeds[1] == seeds[2] - 1  # type: ignore[operator]
+
+
+def test_a_picture_holds_a_picture_of_every_world() -> None:
+    env = PneumaVecEnv(4, seed=0, render_mode="rgb_array")
+    env.reset()
+    images = env.get_images()
+    assert len(images) == 4 and images[0].shape == images[3].shape
+    picture = env.render()
+    assert picture is not None and picture.shape[0] == 2 * images[0].shape[0]
+    assert np.array_equal(picture[: images[0].shape[0], : images[0].shape[1]], images[0])
+    assert env.metadata["render_fps"] == 8
 
 
 def test_seed_takes_effect_at_the_next_reset_and_only_there() -> None:

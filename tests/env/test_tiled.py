@@ -29,7 +29,7 @@ def test_a_folder_needs_no_header(folder: Path) -> None:
     assert level.starts.tolist() == [START]
     assert level.monsters == (BAMBOO,)
     assert np.array_equal(level.ground, GROUND)
-    assert (level.terrain == OPEN).all()  # no codes given, no coast
+    assert np.array_equal(level.terrain == COAST, GROUND == 0)  # no codes given: what is drawn as water
 
 
 def test_a_folder_needs_no_ground_and_has_no_coast_then(folder: Path) -> None:

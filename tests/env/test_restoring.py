@@ -1,0 +1,214 @@
+"""Every face saves and restores: a world put back goes on there as the saved one would have."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+
+from pneuma.env.parallel import PneumaParallelEnv
+from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.single import PneumaEnv
+from pneuma.env.vector import PneumaVectorEnv
+from pneuma.env.worlds import Snapshot
+
+from .arena import ATTACK
+
+STEPS = 30
+
+
+def plan(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).choice([0, 1, 2, 3, ATTACK, ATTACK], size=shape)
+
+
+def story(env: PneumaEnv, actions: np.ndarray) -> list[bytes]:
+    """Play a single environment through its endings; return all that it says."""
+    told = []
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        told.append(observation.tobytes() + repr((reward, terminated, truncated, info)).encode())
+        if terminated or truncated:
+            told.append(env.reset()[0].tobytes())
+    return told
+
+
+def saved_in(env: PneumaEnv, steps: int, seed: int = 0) -> Snapshot:
+    """Play an environment for some steps of its first episode and save it."""
+    env.reset(seed=seed, options={"start": 0})
+    for action in plan(seed, steps):
+        env.step(action)
+    return env.save()
+
+
+# --- The single face -----------------------------------------------------------------------------
+
+
+def test_a_single_environment_goes_on_as_it_would_have(pit: str) -> None:
+    env = PneumaEnv(level=pit, episode_steps=STEPS)
+    saved = saved_in(env, 5)
+    seen = env.state.observations[0, 0].copy()
+    told = story(env, plan(1, 100))
+    for again in (env, PneumaEnv(level=pit, episode_steps=STEPS)):  # the second was never reset
+        observation, info = again.restore(pickle.loads(pickle.dumps(saved)))
+        assert np.array_equal(observation, seen) and info["action_mask"].shape == (5,)
+        assert story(again, plan(1, 100)) == told
+
+
+def test_of_an_episode_that_had_ended_a_reset_is_needed(pit: str) -> None:
+    env = PneumaEnv(level=pit, episode_steps=1)
+    saved = saved_in(env, 1)
+    env.reset()
+    env.restore(saved)
+    with pytest.raises(ResetNeeded, match="the episode has ended"):
+        env.step(np.int64(0))
+
+
+def test_stepping_before_the_first_reset_is_refused() -> None:
+    with pytest.raises(ResetNeeded, match="call reset first"):
+        PneumaEnv().step(np.int64(0))
+    with pytest.raises(ResetNeeded, match="call reset first"):
+        PneumaVectorEnv(2).step(np.zeros(2, np.int64))
+
+
+# --- The vector face -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_an_ended_world_of_a_batch_is_brought_back_to_life(mode: AutoresetMode, pit: str) -> None:
+    """World 1 ends; before anything resets it, it is put back to where it was running."""
+    env = PneumaVectorEnv(3, autoreset_mode=mode, level=pit, episode_steps=STEPS)
+    single = PneumaEnv(level=pit, episode_steps=STEPS)
+    saved = saved_in(single, 5)
+    expected = [single.step(action)[0] for action in plan(2, 8)]
+    env.reset(seed=0, options={"start": 1})
+    env.state.players["hp"][1, 0] = 0.5
+    env.state.monsters["x"][1, 0], env.state.monsters["y"][1, 0] = 450.0, -450.0
+    assert env.step(np.full(3, ATTACK))[2].tolist() == [False, True, False]
+    observations, infos = env.restore(1, saved)
+    assert np.array_equal(observations[1], saved_seen(single, saved)) and infos["action_mask"].shape == (3, 5)
+    for action, seen in zip(plan(2, 8), expected, strict=True):
+        observations, _, terminated, *_ = env.step(np.array([ATTACK, action, ATTACK]))
+        assert np.array_equal(observations[1], seen) and not terminated[1]
+
+
+def saved_seen(env: PneumaEnv, saved: Snapshot) -> np.ndarray:
+    return env.restore(saved)[0]
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_world_put_back_at_its_end_begins_again_as_the_mode_has_it(mode: AutoresetMode, pit: str) -> None:
+    single = PneumaEnv(level=pit, episode_steps=3)
+    saved = saved_in(single, 3)
+    first = single.reset()[0]
+    env = PneumaVectorEnv(2, autoreset_mode=mode, level=pit, episode_steps=3)
+    env.reset(seed=0)
+    observations, _ = env.restore(1, saved)
+    if mode == AutoresetMode.DISABLED:
+        with pytest.raises(ValueError, match="reset_mask"):
+            env.step(np.zeros(2, np.int64))
+        observations, _ = env.reset(options={"reset_mask": np.array([False, True])})
+    elif mode == AutoresetMode.NEXT_STEP:
+        observations, rewards, terminated, truncated, _ = env.step(np.zeros(2, np.int64))
+        assert not (rewards[1] or terminated[1] or truncated[1])
+    assert np.array_equal(observations[1], first)
+
+
+def test_a_world_of_a_batch_goes_on_in_another_slot(pit: str) -> None:
+    env = PneumaVectorEnv(4, players=2, autoreset_mode="SameStep", level=pit, episode_steps=STEPS)
+    env.reset(seed=3)
+    for actions in plan(0, 20, 4):
+        env.step(actions)
+    env.restore(0, env.save(1))
+    for actions in plan(1, 100, 2):
+        observations, rewards, terminated, truncated, _ = env.step(np.tile(actions, 2))
+        for told in (observations, rewards, terminated, truncated):
+            assert np.array_equal(told[:2], told[2:])
+
+
+def test_a_slot_whose_player_was_dead_idles_where_everybody_lived(pit: str) -> None:
+    env = PneumaVectorEnv(4, players=2, level=pit)
+    env.reset(seed=3, options={"start": 0})
+    env.state.players["hp"][0, 0] = 7
+    env.step(np.full(4, ATTACK))
+    assert env.state.players["hp"][:, 0].tolist()[0] == 0
+    observations, infos = env.restore(1, env.save(0))
+    assert not observations[2].any() and observations[3].any()
+    assert infos["action_mask"][2].tolist() == [0, 0, 0, 0, 1]
+
+
+def test_the_other_worlds_must_have_begun(pit: str) -> None:
+    saved = saved_in(PneumaEnv(level=pit), 2)
+    for env in (PneumaVectorEnv(2, level=pit), PneumaVecEnv(2, level=pit)):
+        with pytest.raises(ResetNeeded, match="the other worlds"):
+            env.restore(0, saved)
+    with pytest.raises(ResetNeeded, match="the other worlds"):
+        PneumaVectorEnv(2, autoreset_mode="Disabled").reset(options={"reset_mask": np.array([True, False])})
+    PneumaVectorEnv(1, level=pit).restore(0, saved)
+
+
+# --- PettingZoo's face ---------------------------------------------------------------------------
+
+
+def test_who_lived_plays_on(pit: str) -> None:
+    env = PneumaParallelEnv(players=3, level=pit, episode_steps=STEPS)
+    env.reset(seed=0, options={"start": 0})
+    env.worlds.players["hp"][0, 0] = 7
+    env.step({agent: np.int64(ATTACK) for agent in env.agents})
+    assert env.agents == ["player_1", "player_2"]
+    saved = env.save()
+    told: list[Any] = []
+    for other in (env, PneumaParallelEnv(players=3, level=pit, episode_steps=STEPS)):
+        observations, infos = other.restore(saved)
+        assert list(observations) == list(infos) == other.agents == ["player_1", "player_2"]
+        steps = []
+        for actions in plan(1, 40, 3):
+            if other.agents:
+                steps.append(other.step({agent: actions[int(agent[-1])] for agent in other.agents}))
+        told.append(repr(steps))
+    assert told[0] == told[1] and env.agents == []
+    env.restore(env.save())
+    assert env.agents == []  # it had ended
+
+
+# --- Stable-Baselines3's face --------------------------------------------------------------------
+
+
+def test_a_learners_episode_counts_from_its_beginning(pit: str) -> None:
+    env = PneumaVecEnv(2, seed=1, level=pit, episode_steps=STEPS)
+    env.reset()
+    for actions in plan(0, 6, 2):
+        env.step(actions)
+    seen = env.restore(0, env.save(1))
+    assert np.array_equal(seen[0], seen[1])
+    endings = 0
+    for actions in plan(1, 100, 1):
+        observations, rewards, dones, infos = env.step(np.repeat(actions, 2))
+        assert np.array_equal(observations[0], observations[1])  # type: ignore[index]
+        assert rewards[0] == rewards[1] and dones[0] == dones[1]
+        assert infos[0].get("episode") == infos[1].get("episode")
+        endings += int(dones[0])
+    assert endings > 3
+
+
+def test_a_learner_counts_from_where_another_face_saved(pit: str) -> None:
+    saved = saved_in(PneumaEnv(level=pit, episode_steps=10), 4)
+    env = PneumaVecEnv(1, seed=1, level=pit, episode_steps=10)
+    env.restore(0, saved)
+    paid = 0.0
+    for action in plan(3, 6, 1):
+        _, rewards, dones, infos = env.step(action)
+        paid += float(rewards[0])
+    assert dones[0] and infos[0]["episode"]["l"] == 6
+    assert infos[0]["episode"]["r"] == pytest.approx(paid)
+
+
+def test_a_learner_begins_the_next_episode_of_one_that_had_ended(pit: str) -> None:
+    single = PneumaEnv(level=pit, episode_steps=3)
+    saved = saved_in(single, 3)
+    env = PneumaVecEnv(2, seed=1, level=pit, episode_steps=3)
+    env.reset()
+    assert np.array_equal(env.restore(1, saved)[1], single.reset()[0])
