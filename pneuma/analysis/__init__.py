@@ -6,3 +6,17 @@ RECORD_TABLES = ("episodes", "metrics", "evaluations")
 EXPORT_TABLES = (*RECORD_TABLES, "curves")
 EXPORT_FORMATS = ("csv", "parquet", "latex")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex"}
+
+EPISODE_QUANTITIES = ("return", "length", "kills")
+"""What a training curve may average over episodes."""
+
+UPDATE_QUANTITIES = (
+    "entropy",
+    "grad_norm",
+    "grad_norm_actor",
+    "grad_norm_critic",
+    "explained_variance",
+    "dead_units",
+    *(f"action_{i}" for i in range(5)),
+)
+"""What it may average over updates: columns of the metrics table."""

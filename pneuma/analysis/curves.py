@@ -13,13 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import WINDOWS
-from pneuma.analysis.tables import FinishedRun, StudyData
-
-GRID_POINTS = 200
-WINDOW_POINTS = 10
-"""A twentieth of the grid: the window of a training curve."""
-TRAILING_EPISODES = 100
+from pneuma.analysis.tables import StudyData
 
 
 @dataclass(frozen=True)
@@ -89,28 +83,24 @@ BANDS = {
 }
 
 
-def training_curves(data: StudyData, column: str, window: str = WINDOWS[0]) -> list[Curve]:
-    """Return the training curve of an episode column (`return`, `length`, `kills`) of every condition.
+def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
+    """Return the training curve of a quantity of `StudyData.quantities` of every condition.
 
     Args:
         data: the study's finished runs.
-        column: what to average.
+        quantity: `return`, `length`, `kills`, or what updates have, such as `entropy`.
         window: 'budget-5%', or 'trailing-100' for the mean of the last 100 episodes of a run, which
-            is what Stable-Baselines3 logs.
+            is what Stable-Baselines3 logs; the study's usual one when left out.
+
+    Raises:
+        UserError: for a quantity or window that the study's data does not have.
     """
-    grid = data.budget * np.arange(1, GRID_POINTS + 1) / GRID_POINTS
-    table = data.table("episodes")
-    episodes = {key: own for key, own in table.groupby(["condition", "run_id"], sort=False)}
-    curves = []
-    for condition in data.conditions:
-        runs = data.of_condition(condition)
-        values = [
-            _run_curve(run, episodes.get((condition, run.run_id), table[:0]), column, grid, window)
-            for run in runs
-        ]
-        if runs:
-            curves.append(Curve(condition, grid, np.stack(values)))
-    return curves
+    groups = {condition: data.of_condition(condition) for condition in data.conditions}
+    return [
+        Curve(condition, data.grid, np.stack([data.curve(run, quantity, window) for run in runs]))
+        for condition, runs in groups.items()
+        if runs
+    ]
 
 
 def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
@@ -147,22 +137,3 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
                 )
             )
     return pd.concat(frames, ignore_index=True)
-
-
-def _run_curve(
-    run: FinishedRun, episodes: pd.DataFrame, column: str, grid: np.ndarray, window: str
-) -> np.ndarray:
-    """Return one run's curve on the grid, (points,); blank before its first episodes and past its end."""
-    episodes = episodes.sort_values("step", kind="stable")
-    step = episodes["step"].to_numpy()
-    total = np.concatenate([[0.0], np.cumsum(episodes[column].to_numpy(float))])
-    last = np.searchsorted(step, grid, side="right")  # episodes that ended at or before t
-    if window == "trailing-100":
-        first = np.maximum(last - TRAILING_EPISODES, 0)
-    else:
-        before = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
-        first = np.searchsorted(step, before, side="right")
-    begins = episodes.groupby("slot")["step"].min()
-    from_step = begins.max() if len(begins) == run.slots else np.inf
-    valid = (last > first) & (grid >= from_step) & (grid <= run.end)
-    return np.divide(total[last] - total[first], last - first, out=np.full(grid.shape, np.nan), where=valid)

@@ -8,8 +8,10 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.analysis import EPISODE_QUANTITIES
 from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
 from pneuma.study.store import write_whole
 
 
@@ -30,9 +32,16 @@ def encode_table(data: StudyData, table: str, form: str) -> tuple[bytes, int]:
 
 
 def _curves(data: StudyData) -> pd.DataFrame:
-    curves = {name: training_curves(data, name) for name in ("return", "length", "kills")}
-    curves["share_killed"] = evaluation_curves(data)
-    return curves_table(curves, "std")
+    """Return every curve there is; returns that were averaged when they were recorded say so."""
+    curves = {name: training_curves(data, name) for name in EPISODE_QUANTITIES if name in data.quantities}
+    if "evaluations" in data.tables:
+        curves["share_killed"] = evaluation_curves(data)
+    if not curves:
+        raise UserError(f"study {data.study}: {data.source.what} holds no returns, and so no curves")
+    table = curves_table(curves, "std")
+    if data.averaged_over is not None:
+        table["averaged_over"] = data.averaged_over
+    return table
 
 
 def _encode(frame: pd.DataFrame, form: str) -> bytes:

@@ -1,16 +1,22 @@
-"""Tidy tables: the records of a study's runs in one frame, a row for each episode, update or evaluation."""
+"""A study's data: its finished runs, their tables and their curves, wherever these come from.
+
+There are three sources: the runs of a results folder, logs that were imported, and a study's
+published table. `StudyData` is what all further steps read; it asks one `Source` for one run at a time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Protocol
 
+import numpy as np
 import pandas as pd
 
+from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
-from pneuma.study.store import Store
-from pneuma.study.tables import from_parquet
+from pneuma.study.store import Status
 
 
 @dataclass(frozen=True)
@@ -18,33 +24,83 @@ class FinishedRun:
     """A run that counts in every statistic, done or diverged.
 
     Attributes:
-        slots: worlds that it collected from.
+        slots: worlds that it collected from; None where that is not known.
         budget: agent steps that it was to train.
         end: agent steps that it trained; less than the budget where it diverged.
+        status: 'done' or 'diverged'.
     """
 
     condition: str
     seed: int
     run_id: str
-    slots: int
+    slots: int | None
     budget: int
     end: int
+    status: str = "done"
+
+
+class Source(Protocol):
+    """Where the records of runs come from."""
+
+    @property
+    def what(self) -> str:
+        """What it is, for people."""
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Those of `RECORD_TABLES` that it holds."""
+
+    @property
+    def windows(self) -> tuple[str, ...]:
+        """Those of `WINDOWS` that its curves can be had with, the usual one first."""
+
+    @property
+    def averaged_over(self) -> int | None:
+        """Episodes that every return and length was already averaged over when it was recorded.
+
+        None where each is one episode's.
+        """
+
+    def status(self, run_id: str) -> Status:
+        """Return how a run stands; one that is not there, or not sound, is not finished."""
+        ...
+
+    def quantities(self, run: FinishedRun) -> tuple[str, ...]:
+        """Return what curves a run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
+        ...
+
+    def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
+        """Return one of its `tables` of a run."""
+        ...
+
+    def curve(self, run: FinishedRun, quantity: str, window: str, grid: np.ndarray) -> np.ndarray:
+        """Return one of a run's `quantities` on the grid, (points,), NaN where it has no value."""
+        ...
+
+    def final(self, run: FinishedRun, quantity: str) -> float:
+        """Return the mean of a run's last 100 episodes (of its last update, for what updates have)."""
+        ...
+
+    def provenance(self, run: FinishedRun) -> dict[str, Any]:
+        """Return what produced a run."""
+        ...
 
 
 class StudyData:
-    """The finished runs of a study's selection and their records.
+    """The finished runs of a study's selection, and their records. `open_study` makes it.
 
     Args:
-        store: the results folder.
+        source: what holds the records.
         record: a selection, as `pneuma.study.execute.selection_record` makes it.
+        where: the results folder, for people.
 
     Raises:
         UserError: when no run of the selection has finished.
     """
 
-    def __init__(self, store: Store, record: Mapping[str, Any]) -> None:
-        self._store = store
-        self._tables: dict[str, pd.DataFrame] = {}
+    def __init__(self, source: Source, record: Mapping[str, Any], where: str = "") -> None:
+        self.source = source
+        self.record = record
         self.study: str = record["study"]
         self.title: str = record["title"]
         self.figure: str = record["figure"]
@@ -55,23 +111,48 @@ class StudyData:
         self.left_out = len(record["runs"]) - len(self.runs)
         if not self.runs:
             raise UserError(
-                f"no run of this selection of study {self.study} has finished in {store.root}: "
+                f"no run of this selection of study {self.study} has finished in {where}: "
                 f"run `pneuma study run {self.study}` with the same options first"
             )
 
     def _finished(self, run: Mapping[str, Any]) -> FinishedRun | None:
-        status = self._store.status(run["run_id"])
+        status = self.source.status(run["run_id"])
         if not status.finished:
             return None
-        settings = run["run"]
+        slots, budget = run["run"]["slots"], run["run"]["steps"]
         return FinishedRun(
-            run["condition"], run["seed"], run["run_id"], settings["slots"], settings["steps"], status.step
+            run["condition"], run["seed"], run["run_id"], slots, budget, status.step, status.name
         )
 
-    @property
+    @cached_property
     def budget(self) -> int:
-        """The largest budget of the runs, in agent steps."""
-        return max(run.budget for run in self.runs)
+        """The largest budget of the runs, in agent steps; in a published table, of all that it holds."""
+        return self.record.get("budget") or max(run.budget for run in self.runs)
+
+    @property
+    def grid(self) -> np.ndarray:
+        """The steps at which curves have their points, (points,)."""
+        return make_grid(self.budget)
+
+    @property
+    def windows(self) -> tuple[str, ...]:
+        """Those of `WINDOWS` that its curves can be had with, the usual one first."""
+        return self.source.windows
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Those of `RECORD_TABLES` that there are."""
+        return self.source.tables
+
+    @property
+    def averaged_over(self) -> int | None:
+        """Episodes that every return was already averaged over when it was recorded; None for none."""
+        return self.source.averaged_over
+
+    @cached_property
+    def quantities(self) -> list[str]:
+        """What curves some run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
+        return list(dict.fromkeys(name for run in self.runs for name in self.source.quantities(run)))
 
     def of_condition(self, condition: str) -> list[FinishedRun]:
         """Return the finished runs of a condition, in the selection's order."""
@@ -81,16 +162,69 @@ class StudyData:
         """Return one of `RECORD_TABLES` for every finished run, in the selection's order.
 
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.base`).
-        """
-        if name not in self._tables:
-            self._tables[name] = self._load(name)
-        return self._tables[name]
 
-    def _load(self, name: str) -> pd.DataFrame:
+        Raises:
+            UserError: where the source has no such table.
+        """
+        if name not in self.tables:
+            raise UserError(
+                f"study {self.study}: {self.source.what} holds no {name}; "
+                f"there are {', '.join((*self.tables, 'curves'))}"
+            )
         frames = []
         for run in self.runs:
-            frame = from_parquet(self._store.read_file(run.run_id, f"{name}.parquet")).to_pandas()
+            frame = self.source.table(run, name).copy()
             for place, column in enumerate(("condition", "seed", "run_id")):
                 frame.insert(place, column, getattr(run, column))
             frames.append(frame)
         return pd.concat(frames, ignore_index=True)
+
+    def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
+        """Return a run's training curve on the study's grid, (points,), NaN where it has no value.
+
+        Args:
+            run: one of the finished runs.
+            quantity: one of `quantities`; a run that lacks it is blank throughout.
+            window: one of `windows`, the first when left out; what updates have has only one.
+
+        Raises:
+            UserError: for a quantity or window that there is not.
+        """
+        self._check(quantity)
+        window = self.checked_window(window)
+        if quantity not in self.source.quantities(run):
+            return np.full(self.grid.shape, np.nan)
+        return self.source.curve(run, quantity, window, self.grid)
+
+    def final(self, run: FinishedRun, quantity: str) -> float:
+        """Return the mean of a run's last 100 episodes (of its last update, for what updates have).
+
+        At the run's own end, also where that came early; NaN where there is no value.
+
+        Raises:
+            UserError: for a quantity that there is not.
+        """
+        self._check(quantity)
+        return self.source.final(run, quantity) if quantity in self.source.quantities(run) else float("nan")
+
+    def checked_window(self, window: str | None) -> str:
+        """Return a window of `windows`, the first for None.
+
+        Raises:
+            UserError: for another.
+        """
+        if window is None:
+            return self.windows[0]
+        if window not in self.windows:
+            raise UserError(
+                f"window {window} cannot be had of study {self.study}: {self.source.what} holds returns that "
+                f"were averaged over {self.averaged_over} episodes; {', '.join(self.windows)} can"
+            )
+        return window
+
+    def _check(self, quantity: str) -> None:
+        if quantity not in self.quantities:
+            held = ", ".join(self.quantities) or "none"
+            raise UserError(
+                f"study {self.study}: {self.source.what} holds no {quantity}; its curves are: {held}"
+            )

@@ -39,6 +39,7 @@ UNWELL = ("crashed", "killed")
 
 app.command()(study_output.plot)
 app.command()(study_output.export)
+app.command()(study_output.publish)
 
 
 @app.command("list")

@@ -1,4 +1,4 @@
-"""`pneuma study plot` and `pneuma study export`: what people take away from a study."""
+"""`pneuma study plot`, `export` and `publish`: what people take away from a study."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,15 +25,17 @@ from pneuma.cli.options import (
     read_selection,
     say,
 )
+from pneuma.cli.study_records import study_record as study_record
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study import execute, plan, spec
-from pneuma.study.store import Store
+from pneuma.study.store import Store, write_whole
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
 
 RESULTS = Path("results")
+MOST_PUBLISHED_BYTES = 20_000_000
+"""Over all studies (design section 4)."""
 
 
 def plot(
@@ -47,8 +49,9 @@ def plot(
         str, typer.Option("--band", metavar="|".join(BAND_NAMES), help="What the band shows.")
     ] = "std",
     window: Annotated[
-        str, typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages.")
-    ] = WINDOWS[0],
+        str | None,
+        typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages."),
+    ] = None,
     format: Annotated[
         list[str] | None,
         typer.Option(
@@ -68,20 +71,24 @@ def plot(
 ) -> None:
     """Draw a study's figure: mean over seeds with a band, return and monsters killed."""
     _check_choice("--band", band, BAND_NAMES)
-    _check_choice("--window", window, WINDOWS)
+    if window is not None:
+        _check_choice("--window", window, WINDOWS)
     formats = tuple(format or ("png", "svg"))
     for form in formats:
         _check_choice("--format", form, FIGURE_FORMATS)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    names = names or store.studies()
+    from pneuma.analysis.published import published_studies
+    from pneuma.analysis.sources import open_study
+    from pneuma.figures.curves import draw_study
+
+    names = names or sorted({*store.studies(), *published_studies(store)})
     if not names:
         raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
     records = [study_record(store, name, selection) for name in names]
-    from pneuma.analysis.tables import StudyData
-    from pneuma.figures.curves import draw_study
-
-    studies = [StudyData(store, record) for record in records]
+    studies = [open_study(store, record) for record in records]
+    for data in studies:
+        data.checked_window(window)
     folder = out or results / "figures"
     _check_folder("--out", folder)
     for data in studies:
@@ -127,9 +134,9 @@ def export(
     store = Store(results)
     record = study_record(store, name, selection)
     from pneuma.analysis.export import encode_table, export_table
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.sources import open_study
 
-    data = StudyData(store, record)
+    data = open_study(store, record)
     _tell_left_out(data)
     if str(out) == "-":
         sys.stdout.buffer.write(encode_table(data, table, form)[0])
@@ -144,27 +151,40 @@ def export(
     return None
 
 
-def study_record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
-    """Return a study's latest record, or the one of a selection; what that leaves open is the latest's."""
-    stem = Path(name).stem if name.endswith(".toml") else name
-    record = store.selection(stem)
-    if selection is not None:
-        own = name if name.endswith(".toml") or not record else record["path"] or name
-        study = spec.load_study(own)
-        latest = execute.recorded_selection(record) if record else plan.Selection()
-        return execute.selection_record(plan.make_plan(study, selection.over(latest)))
-    if record is None:
-        if (store.root / "studies" / f"{stem}.json").exists():
-            raise UserError(
-                f"{store.root / 'studies' / stem}.json: damaged; `pneuma study run {name}` writes it anew"
-            )
-        if stem not in spec.list_studies() and not name.endswith(".toml"):
-            raise unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
-        raise UserError(
-            f"study {stem} has no runs in {store.root}: run `pneuma study run {name}` first, "
-            "or name the folder with --results"
-        )
-    return record
+def publish(
+    name: StudyName,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Write a study's runs as one small table, from which it is drawn and judged without them."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    record = study_record(store, name, selection)
+    from pneuma.analysis.published import PublishedRuns, encode_study, published_path, published_studies
+    from pneuma.analysis.sources import open_study
+
+    data = open_study(store, record)
+    if isinstance(data.source, PublishedRuns):
+        raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
+    _tell_left_out(data)
+    encoded = encode_study(data)
+    path = published_path(store, data.study)
+    _check_folder("--results", path.parent)
+    write_whole(path, encoded)
+    size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
+    if size > MOST_PUBLISHED_BYTES:
+        say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)
+    if json:
+        document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
+        return print_json({**document, "runs": len(data.runs)})
+    print(f"wrote {path}: {len(data.runs)} runs, {len(encoded) / 1000:.0f} kB")
+    return None
 
 
 def _tell_left_out(data: StudyData) -> None:

@@ -25,29 +25,55 @@ def draw_study(
     data: StudyData,
     folder: Path,
     band: str = "std",
-    window: str = WINDOWS[0],
+    window: str | None = None,
     formats: tuple[str, ...] = ("png", "svg"),
 ) -> list[Path]:
-    """Draw a study's figure from its finished runs; return the files written."""
-    evaluations = data.table("evaluations")
-    returns, killed = training_curves(data, "return", window), evaluation_curves(data)
+    """Draw a study's figure from its finished runs; return the files written.
+
+    Args:
+        data: the study; without evaluations, as imported logs are, its return alone is drawn.
+        folder: where to write.
+        band: one of `BANDS`.
+        window: one of the study's windows, the usual one when left out.
+        formats: of `FIGURE_FORMATS`.
+
+    Raises:
+        UserError: for a window that the study's data does not have, or data without returns.
+    """
+    window = data.checked_window(window)
+    returns = training_curves(data, "return", window)
+    evaluations = data.table("evaluations") if "evaluations" in data.tables else None
     with house_style():
         rows = -(-(len(data.conditions) + 1) // LEGEND_COLUMNS)
         height = HEIGHT_INCHES + LEGEND_ROW_INCHES * (rows - 1)
         figure = Figure(figsize=(WIDTH_INCHES, height), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        _draw_panel(left, data, returns, band)
-        _draw_panel(right, data, killed, band, marked=True)
-        if len(evaluations):
-            level = evaluations["random_share_killed"].mean()
-            right.axhline(level, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)), label="random player")
-        left.set(title="Return in training", xlabel="Environment steps", ylabel="Return of an episode")
-        right.set(title="Monsters killed in evaluation", xlabel="Environment steps", ylabel="Share killed")
-        right.set_ylim(0, max(right.get_ylim()[1], 0.01))
-        decimals = 0 if right.get_ylim()[1] > 0.05 else 1
-        right.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=decimals))
-        _add_words(figure, right, _headline(data), _caption(data, evaluations, band, window))
+        panels = figure.subplots(1, 1 if evaluations is None else 2, squeeze=False)[0]
+        _draw_returns(panels[0], data, returns, band)
+        if evaluations is not None:
+            _draw_killed(panels[1], data, evaluations, band)
+        _add_words(figure, panels[-1], _headline(data), _caption(data, evaluations, band, window))
         return save_figure(figure, folder, data.figure, formats)
+
+
+def _draw_returns(axes: Axes, data: StudyData, curves: Sequence[Curve], band: str) -> None:
+    _draw_panel(axes, data, curves, band)
+    averaged = data.averaged_over
+    axes.set(
+        title="Return in training",
+        xlabel="Environment steps",
+        ylabel=f"Return, mean of {averaged} episodes" if averaged else "Return of an episode",
+    )
+
+
+def _draw_killed(axes: Axes, data: StudyData, evaluations: pd.DataFrame, band: str) -> None:
+    _draw_panel(axes, data, evaluation_curves(data), band, marked=True)
+    if len(evaluations):
+        level = evaluations["random_share_killed"].mean()
+        axes.axhline(level, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)), label="random player")
+    axes.set(title="Monsters killed in evaluation", xlabel="Environment steps", ylabel="Share killed")
+    axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
+    decimals = 0 if axes.get_ylim()[1] > 0.05 else 1
+    axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=decimals))
 
 
 def _add_words(figure: Figure, axes: Axes, headline: str, caption: str) -> None:
@@ -77,7 +103,7 @@ def _draw_panel(
         low, high = curve.band(band)
         axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
         at_end = int(curve.count[-1]) if len(curve.count) else 0
-        fewer = f", {at_end} at the end" if at_end < len(curve.runs) and marked else ""
+        fewer = f", {at_end} at the end" if at_end < len(curve.runs) else ""
         label = f"{curve.condition} (n = {len(curve.runs)}{fewer})"
         look["marker"] = look["marker"] if marked else ""
         whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
@@ -95,16 +121,20 @@ def _headline(data: StudyData) -> str:
     return data.title + (f"   (A/A: {same} are one configuration)" if same else "")
 
 
-def _caption(data: StudyData, evaluations: pd.DataFrame, band: str, window: str) -> str:
+def _caption(data: StudyData, evaluations: pd.DataFrame | None, band: str, window: str) -> str:
+    words = (
+        f"{', '.join(data.environments)}. Lines: mean over n runs, faint where fewer have a value; "
+        f"bands: {BANDS[band].label}.\n"
+    )
+    if data.averaged_over:
+        logger = f"averaged over its last {data.averaged_over} episodes by Stable-Baselines3"
+        return f"{words}Returns are as they were logged: each run's is already {logger}."
     episodes = {
         WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
         WINDOWS[1]: "each run's last 100 episodes",
     }[window]
-    words = (
-        f"{', '.join(data.environments)}. Lines: mean over n runs, faint where fewer have a value; "
-        f"bands: {BANDS[band].label}.\nReturn averages {episodes}."
-    )
-    if len(evaluations):
+    words += f"Return averages {episodes}."
+    if evaluations is not None and len(evaluations):
         hunter = evaluations["hunter_share_killed"].mean()
         words += f" On the right the scripted hunter would be at {hunter:.0%}."
     return words

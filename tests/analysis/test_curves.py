@@ -16,7 +16,9 @@ from pneuma.analysis.curves import (
     evaluation_curves,
     training_curves,
 )
+from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.study.store import Status
 
 NAN = float("nan")
 TRAILING = "trailing-100"
@@ -24,16 +26,35 @@ TRAILING = "trailing-100"
 Episode = tuple[int, float]  # step at which it ended, and its return
 
 
-class _Data(StudyData):
-    """Finished runs given by hand, as (condition, id, budget, slots), and their tables."""
+class _Records(RunRecords):
+    """Tables given by hand, of all runs together."""
 
-    def __init__(self, runs: Sequence[tuple[str, str, int, int]], **tables: pd.DataFrame) -> None:
-        self.runs = [
-            FinishedRun(condition, seed, name, slots, budget, budget)
-            for seed, (condition, name, budget, slots) in enumerate(runs)
-        ]
-        self.conditions = list(dict.fromkeys(run.condition for run in self.runs))
+    def __init__(self, budgets: dict[str, int], tables: dict[str, pd.DataFrame]) -> None:
+        self._budgets = budgets
         self._tables = tables
+
+    def status(self, run_id: str) -> Status:
+        return Status("done", self._budgets[run_id])
+
+    def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
+        table = self._tables[name]
+        own = table[(table["run_id"] == run.run_id) & (table["condition"] == run.condition)]
+        return own.drop(columns=["condition", "run_id"])
+
+
+def _data(runs: Sequence[tuple[str, str, int, int]], **tables: pd.DataFrame) -> StudyData:
+    """Return finished runs given by hand, as (condition, id, budget, slots), and their tables."""
+    rows = [
+        {
+            "condition": condition,
+            "seed": seed,
+            "run_id": name,
+            "run": {"env": "any", "slots": slots, "steps": budget},
+        }
+        for seed, (condition, name, budget, slots) in enumerate(runs)
+    ]
+    record = {"study": "mine", "title": "Mine", "figure": "fig-mine", "same": [], "runs": rows}
+    return StudyData(_Records({name: budget for _, name, budget, _ in runs}, tables), record)
 
 
 def _episodes(condition: str, name: str, slots: dict[int, list[Episode]]) -> pd.DataFrame:
@@ -50,7 +71,7 @@ def _one_run(
 ) -> dict[float, float]:
     """Return the curve of a single run as {t: value}."""
     table = _episodes("a", "r", slots)
-    (curve,) = training_curves(_Data([("a", "r", budget, slot_count)], episodes=table), "return", window)
+    (curve,) = training_curves(_data([("a", "r", budget, slot_count)], episodes=table), "return", window)
     assert curve.runs.shape == (1, 200)
     return dict(zip(curve.step.tolist(), curve.runs[0].tolist(), strict=True))
 
@@ -143,7 +164,7 @@ def test_runs_of_different_ends_are_averaged_where_they_are() -> None:
         [_episodes("a", "long", {0: [(40, 2.0), (80, 4.0)]}), _episodes("a", "short", {0: [(40, 6.0)]})]
     )
     runs = [("a", "long", 200, 1), ("a", "short", 200, 1)]
-    (curve,) = training_curves(_Data(runs, episodes=table), "return")
+    (curve,) = training_curves(_data(runs, episodes=table), "return")
     at = {int(t): i for i, t in enumerate(curve.step)}
     assert [curve.count[at[t]] for t in (39, 40, 49, 50, 80, 90)] == [0, 2, 2, 0, 1, 0]
     assert curve.mean[at[40]] == 4.0  # of 2 and 6
@@ -155,7 +176,7 @@ def test_a_shorter_budget_is_not_extrapolated() -> None:
     """Design section 7: no extrapolation. One run was asked for 100 steps, the other for 200."""
     table = pd.concat([_episodes("a", name, {0: [(50, 2.0), (90, 4.0)]}) for name in ("long", "short")])
     runs = [("a", "long", 200, 1), ("a", "short", 100, 1)]
-    (curve,) = training_curves(_Data(runs, episodes=table), "return", TRAILING)
+    (curve,) = training_curves(_data(runs, episodes=table), "return", TRAILING)
     long, short = curve.runs
     assert long[149] == 3.0  # at 150
     assert short[99] == 3.0  # at 100, its end
@@ -166,7 +187,7 @@ def test_conditions_keep_their_order_and_their_runs() -> None:
     tables = [_episodes("b", "r1", {0: [(5, 1.0)]}), _episodes("a", "r2", {0: [(5, 2.0)]})]
     tables.append(_episodes("b", "r3", {0: [(5, 3.0)]}))
     runs = [("b", "r1", 200, 1), ("a", "r2", 200, 1), ("b", "r3", 200, 1)]
-    curves = training_curves(_Data(runs, episodes=pd.concat(tables)), "return")
+    curves = training_curves(_data(runs, episodes=pd.concat(tables)), "return")
     assert [(curve.condition, curve.runs[:, 4].tolist()) for curve in curves] == [
         ("b", [1.0, 3.0]),
         ("a", [2.0]),
@@ -176,7 +197,7 @@ def test_conditions_keep_their_order_and_their_runs() -> None:
 def test_one_configuration_under_two_names_is_two_equal_curves() -> None:
     table = pd.concat([_episodes(name, "same", {0: EXAMPLE}) for name in ("a", "b")])
     runs = [("a", "same", 200, 1), ("b", "same", 200, 1)]
-    first, second = training_curves(_Data(runs, episodes=table), "return")
+    first, second = training_curves(_data(runs, episodes=table), "return")
     np.testing.assert_equal(first.runs, second.runs)
 
 
@@ -247,7 +268,7 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps() -> None:
     ]
     table = pd.DataFrame(rows, columns=["condition", "run_id", "step", "share_killed"])
     runs = [("b", "r1", 128, 1), ("b", "r2", 128, 1), ("a", "r3", 128, 1)]
-    first, second = evaluation_curves(_Data(runs, evaluations=table))
+    first, second = evaluation_curves(_data(runs, evaluations=table))
     assert (first.condition, second.condition) == ("b", "a")
     np.testing.assert_array_equal(first.step, [64, 128])
     np.testing.assert_array_equal(first.runs, [[0.25, 0.5], [0.75, NAN]])
@@ -258,7 +279,7 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps() -> None:
 
 def test_another_column_of_the_evaluations_can_be_asked_for() -> None:
     table = pd.DataFrame({"condition": ["a"], "run_id": ["r"], "step": [64], "score": [0.5]})
-    (curve,) = evaluation_curves(_Data([("a", "r", 64, 1)], evaluations=table), "score")
+    (curve,) = evaluation_curves(_data([("a", "r", 64, 1)], evaluations=table), "score")
     np.testing.assert_array_equal(curve.runs, [[0.5]])
 
 

@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 
 from pneuma.analysis.export import export_table
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.sources import open_study
 from pneuma.engines.base import EPISODE_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
+
+DONE, DIVERGED, EMPTY, CRASHED, UNKNOWN = "d0" * 8, "d1" * 8, "e0" * 8, "c0" * 8, "f0" * 8
 
 
 def _episode(episode: int, **values: Any) -> dict[str, Any]:
@@ -38,45 +40,45 @@ def _save(store: Store, run_id: str, status: str, *rows: dict[str, Any]) -> None
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "results")
-    _save(store, "r-done", "done", _episode(0), _episode(1, ending="killed"))
-    _save(store, "r-diverged", "diverged", _episode(0, kills=2))
-    _save(store, "r-empty", "diverged")
-    _save(store, "r-crashed", "crashed", _episode(0))
+    _save(store, DONE, "done", _episode(0), _episode(1, ending="killed"))
+    _save(store, DIVERGED, "diverged", _episode(0, kills=2))
+    _save(store, EMPTY, "diverged")
+    _save(store, CRASHED, "crashed", _episode(0))
     return store
 
 
 def test_rows_stand_in_the_selections_order_with_what_they_belong_to(store: Store) -> None:
-    frame = StudyData(store, _record(("b", 1, "r-diverged"), ("a", 0, "r-done"))).table("episodes")
+    frame = open_study(store, _record(("b", 1, DIVERGED), ("a", 0, DONE))).table("episodes")
     assert list(frame.columns) == ["condition", "seed", "run_id", *EPISODE_COLUMNS]
     assert frame[["condition", "seed", "run_id", "episode", "kills"]].to_numpy().tolist() == [
-        ["b", 1, "r-diverged", 0, 2],
-        ["a", 0, "r-done", 0, 0],
-        ["a", 0, "r-done", 1, 0],
+        ["b", 1, DIVERGED, 0, 2],
+        ["a", 0, DONE, 0, 0],
+        ["a", 0, DONE, 1, 0],
     ]
 
 
 def test_a_run_without_rows_leaves_the_others_types_alone(store: Store) -> None:
-    frame = StudyData(store, _record(("a", 0, "r-empty"), ("a", 1, "r-done"))).table("episodes")
+    frame = open_study(store, _record(("a", 0, EMPTY), ("a", 1, DONE))).table("episodes")
     assert len(frame) == 2
     assert {str(frame[name].dtype) for name in ("slot", "episode", "step", "length", "kills")} == {"int64"}
 
 
 def test_runs_that_are_not_finished_are_left_out(store: Store) -> None:
-    record = _record(("a", 0, "r-crashed"), ("a", 1, "r-done"), ("a", 2, "r-unknown"))
-    assert set(StudyData(store, record).table("episodes")["seed"]) == {1}
+    record = _record(("a", 0, CRASHED), ("a", 1, DONE), ("a", 2, UNKNOWN))
+    assert set(open_study(store, record).table("episodes")["seed"]) == {1}
 
 
 def test_a_study_without_a_finished_run_is_told(store: Store) -> None:
     with pytest.raises(
         UserError, match="no run of this selection of study mine has finished in .*results.*pneuma study run"
     ):
-        StudyData(store, _record(("a", 0, "r-crashed"))).table("episodes")
+        open_study(store, _record(("a", 0, CRASHED))).table("episodes")
 
 
 def test_a_damaged_table_is_not_read(store: Store) -> None:
-    (store.run_folder("r-done") / "episodes.parquet").write_bytes(b"damaged")
+    (store.run_folder(DONE) / "episodes.parquet").write_bytes(b"damaged")
     with pytest.raises(UserError):
-        StudyData(store, _record(("a", 0, "r-done"))).table("episodes")
+        open_study(store, _record(("a", 0, DONE))).table("episodes")
 
 
 # --- In a file -----------------------------------------------------------------------------------
@@ -84,22 +86,22 @@ def test_a_damaged_table_is_not_read(store: Store) -> None:
 
 def test_a_csv_file_is_what_a_spreadsheet_reads(store: Store, tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
-    assert export_table(StudyData(store, _record(("a,b", 1, "r-diverged"))), "episodes", "csv", path) == 1
+    assert export_table(open_study(store, _record(("a,b", 1, DIVERGED))), "episodes", "csv", path) == 1
     assert path.read_bytes() == (
         b"condition,seed,run_id,slot,episode,step,return,length,kills,hp,ending\n"
-        b'"a,b",1,r-diverged,0,0,50,-1.5,50,2,12.0,time-limit\n'
+        b'"a,b",1,d1d1d1d1d1d1d1d1,0,0,50,-1.5,50,2,12.0,time-limit\n'
     )
 
 
 def test_a_latex_table_is_what_latex_reads(store: Store, tmp_path: Path) -> None:
     path = tmp_path / "x.tex"
-    export_table(StudyData(store, _record(("50 %_a&b", 1, "r-diverged"))), "episodes", "latex", path)
+    export_table(open_study(store, _record(("50 %_a&b", 1, DIVERGED))), "episodes", "latex", path)
     assert path.read_text().splitlines() == [
         r"\begin{tabular}{lrlrrrrrrrl}",  # l for words, r for numbers
         r"\hline",
         r"condition & seed & run\_id & slot & episode & step & return & length & kills & hp & ending \\",
         r"\hline",
-        r"50 \%\_a\&b & 1 & r-diverged & 0 & 0 & 50 & -1.5 & 50 & 2 & 12 & time-limit \\",
+        r"50 \%\_a\&b & 1 & d1d1d1d1d1d1d1d1 & 0 & 0 & 50 & -1.5 & 50 & 2 & 12 & time-limit \\",
         r"\hline",
         r"\end{tabular}",
     ]

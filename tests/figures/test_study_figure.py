@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.sources import open_study
 from pneuma.engines.base import EPISODE_COLUMNS, EVALUATION_COLUMNS
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS, curves, style
@@ -21,6 +22,11 @@ from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
 BUDGET = 1000
+
+
+def _id(condition: str, seed: int) -> str:
+    """Return sixteen hexadecimal digits for a run."""
+    return hashlib.sha256(f"{condition} {seed}".encode()).hexdigest()[:16]
 
 
 class _Study:
@@ -46,7 +52,7 @@ class _Study:
         run_id: str = "",
     ) -> None:
         """Store a run that finished an episode every 50 steps and was evaluated every 250."""
-        run_id = run_id or f"{condition}-{seed}"
+        run_id = run_id or _id(condition, seed)
         settings = {"steps": BUDGET, "slots": 1, "env": "pneuma/Pneuma-v0"}
         self.record["runs"].append({"condition": condition, "seed": seed, "run_id": run_id, "run": settings})
         files = {
@@ -58,7 +64,7 @@ class _Study:
         self.store.save_run(run_id, Status(status, BUDGET), files)
 
     def draw(self, folder: Path, **options: Any) -> list[Path]:
-        return draw_study(StudyData(self.store, self.record), folder, **options)
+        return draw_study(open_study(self.store, self.record), folder, **options)
 
 
 def _episode(k: int, seed: int) -> dict[str, Any]:
@@ -140,7 +146,7 @@ def test_a_persons_own_style_changes_no_byte(study: _Study, tmp_path: Path) -> N
 
 def test_other_numbers_give_other_bytes(study: _Study, tmp_path: Path) -> None:
     (first,) = study.draw(tmp_path / "first", formats=("svg",))
-    study.store.save_run("tanh-0", Status("planned"), {})
+    study.store.save_run(_id("tanh", 0), Status("planned"), {})
     study.record["runs"].pop(0)
     study.add("tanh", 0, evaluations=(0.1, 0.2, 0.3, 0.9))
     (second,) = study.draw(tmp_path / "second", formats=("svg",))
@@ -185,8 +191,8 @@ def test_an_a_a_comparison_is_noted_in_the_headline(
     study: _Study, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.record["same"] = [["tanh", "again"]]
-    study.add("again", 0, run_id="tanh-0")
-    study.add("again", 1, run_id="tanh-1")
+    study.add("again", 0, run_id=_id("tanh", 0))
+    study.add("again", 1, run_id=_id("tanh", 1))
     study.draw(tmp_path)
     assert "A/A" in _headline(drawn[0])
     assert "tanh = again" in _headline(drawn[0])
