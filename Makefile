@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
-.PHONY: help install study figures test test-all lint clean
+.PHONY: help install study figures test storm test-all lint clean
 
 help:            ## Say what each target does
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 16
@@ -27,6 +27,9 @@ figures: install  ## Draw everything in paper_figures/
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'
+
+storm: install  ## Kill and damage studies at random, and compare every bit
+	$(BIN)/python -m tests.study.storm
 
 test-all: install lint  ## The same with the slow tests
 	$(BIN)/python -m pytest

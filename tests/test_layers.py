@@ -28,7 +28,10 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.env": (),
     "pneuma.engines": ("pneuma.env",),
     "pneuma.study": (),
-    "pneuma.study.worker": ("pneuma.engines.base",),  # runs in the worker's own process
+    # what runs in the worker's own process:
+    "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
+    "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
+    "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),
     "pneuma.analysis": ("pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables"),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
@@ -60,7 +63,7 @@ def _imports(path: Path) -> Iterator[tuple[int, str]]:
 
 def _allowed(module: str, imported: str) -> bool:
     layer = _layer(module)
-    own = "pneuma.study" if layer == "pneuma.study.worker" else layer
+    own = "pneuma.study" if _belongs(layer, "pneuma.study") else layer
     if layer in BASE:
         return layer == "pneuma.config" and imported in BASE
     within = layer != "pneuma" and _belongs(imported, own)

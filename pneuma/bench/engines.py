@@ -101,7 +101,7 @@ def _seconds(run: Run, alone: bool) -> float:
     if alone:
         sb3.make_model(run, env).learn(run.steps, log_interval=None)  # type: ignore[arg-type]
     else:
-        sb3.train_one(run, lambda progress: True, env)
+        sb3.train_one(run, lambda progress: True, env=env)
     return time.process_time() - start
 
 

@@ -45,6 +45,9 @@ Steps = Annotated[
 EngineName = Annotated[
     str | None, typer.Option("--engine", metavar="NAME", help="What trains the runs: sb3.")
 ]
+Workers = Annotated[
+    str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
+]
 Conditions = Annotated[
     list[str] | None,
     typer.Option("--condition", metavar="NAME", help="Only this condition (may be repeated)."),
@@ -91,6 +94,19 @@ def read_count(option: str, text: str) -> int:
     if count < 1:
         raise UserError(f"{option} {text}: must be a whole number of at least 1")
     return count
+
+
+def read_seconds(option: str, text: str | None, default: float | None) -> float | None:
+    """Read a positive number of seconds; `default` where the option was not given."""
+    if text is None:
+        return default
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not 0 < seconds < float("inf"):
+        raise UserError(f"{option} {text}: must be a positive number of seconds")
+    return seconds
 
 
 def _read_seeds(text: str) -> tuple[int, ...]:

@@ -1,25 +1,47 @@
-"""Progress of a study: a bar per condition on a terminal, plain lines elsewhere."""
+"""Progress of a study: a bar per condition on a terminal, plain lines elsewhere, and the time left."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from types import TracebackType
 
+from pneuma.config import Run
 from pneuma.study.execute import Progress
+from pneuma.study.foresight import TimeLeft
 from pneuma.study.plan import Plan
 
 LINE_SECONDS = 10.0
 """How often a plain line is printed."""
 
 
-class ProgressDisplay:
-    """Shows on standard error how far a plan's runs are; use as a context manager."""
+def duration(seconds: float) -> str:
+    """Return a length of time for people: 45 s, 12 min, 3 h 20 min."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 100:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60:02} min"
 
-    def __init__(self, plan: Plan, to_train: set[str], quiet: bool) -> None:
+
+class ProgressDisplay:
+    """Shows on standard error how far a plan's runs are; use as a context manager.
+
+    Args:
+        plan: what is executed.
+        to_train: the runs that are missing, by id.
+        workers: how many train at once.
+        quiet: whether to show nothing but notes.
+    """
+
+    def __init__(self, plan: Plan, to_train: Mapping[str, Run], workers: int, quiet: bool) -> None:
         self._cells = [cell for cell in plan.cells if cell.run_id in to_train]
         self._steps = dict.fromkeys((cell.run_id for cell in self._cells), 0)
+        self._total = sum(run.steps for run in to_train.values())
         self._ended: dict[str, str] = {}
+        self._left = TimeLeft(to_train, workers)
         self._show = bool(self._cells) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
@@ -43,6 +65,10 @@ class ProgressDisplay:
     def update(self, progress: Progress) -> None:
         """Take one event of `execute`."""
         name = progress.cell.run_id
+        self._left.update(progress)
+        if progress.note and not progress.status:
+            self._print_note(progress)
+            return
         if progress.status:
             self._ended[name] = progress.status
         self._steps[name] = progress.cell.run.steps if progress.status else progress.step
@@ -53,45 +79,54 @@ class ProgressDisplay:
 
     def _start_bars(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
         from rich.progress import Progress as Bars
 
         self._bars = Bars(
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.fields[runs]} runs"),
+            TextColumn("{task.fields[runs]}"),
             MofNCompleteColumn(),
-            TextColumn("steps"),
-            TimeRemainingColumn(compact=True),
+            TextColumn("{task.fields[left]}"),
             console=Console(stderr=True),
         )
         self._tasks = {}
         for condition in dict.fromkeys(cell.condition for cell in self._cells):
             runs = [cell for cell in self._cells if cell.condition == condition]
             total = sum(cell.run.steps for cell in runs)
-            self._tasks[condition] = self._bars.add_task(condition, total=total, runs=f"0/{len(runs)}")
+            told = f"0/{len(runs)} runs"
+            self._tasks[condition] = self._bars.add_task(condition, total=total, runs=told, left="steps")
+        self._whole = self._bars.add_task("all", total=self._total, runs="", left="steps")
         self._bars.start()
 
     def _move_bar(self, condition: str) -> None:
         runs = [cell.run_id for cell in self._cells if cell.condition == condition]
         ended = sum(name in self._ended for name in runs)
-        self._bars.update(
-            self._tasks[condition],
-            completed=sum(self._steps[name] for name in runs),
-            runs=f"{ended}/{len(runs)}",
-        )
+        done = sum(self._steps[name] for name in runs)
+        self._bars.update(self._tasks[condition], completed=done, runs=f"{ended}/{len(runs)} runs")
+        self._bars.update(self._whole, completed=sum(self._steps.values()), left=f"steps{self._time_left()}")
+
+    def _time_left(self) -> str:
+        seconds = self._left.seconds()
+        return f", {duration(seconds)} left" if seconds else ""
+
+    def _print_note(self, progress: Progress) -> None:
+        line = f"{progress.cell.condition} seed {progress.cell.seed}: {progress.note}"
+        if self._live:
+            self._bars.console.print(line, highlight=False, markup=False)
+        else:
+            print(line, file=sys.stderr, flush=True)
 
     def _print_line(self, progress: Progress) -> None:
         now = time.monotonic()
         if not progress.status and now < self._next_line:
             return
         self._next_line = now + LINE_SECONDS
-        total = sum(cell.run.steps for cell in {cell.run_id: cell for cell in self._cells}.values())
-        share = sum(self._steps.values()) / total
+        share = sum(self._steps.values()) / self._total
         ended = f"{len(self._ended)}/{len(self._steps)} runs ended"
         what = (
             f"{progress.cell.condition} seed {progress.cell.seed}: {progress.status}; "
             if progress.status
             else ""
         )
-        print(f"{what}{ended}, {share:.0%} of all steps", file=sys.stderr, flush=True)
+        print(f"{what}{ended}, {share:.0%} of all steps{self._time_left()}", file=sys.stderr, flush=True)

@@ -8,35 +8,31 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import study_output
+from pneuma.cli import study_output, study_run
 from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
     Preset,
-    Quiet,
     Results,
     Seeds,
     Settings,
     Steps,
     StudyName,
     print_json,
-    read_count,
     read_selection,
-    say,
 )
-from pneuma.cli.progress import ProgressDisplay
 from pneuma.cli.study_output import study_record
 from pneuma.config import as_settings, make_run
-from pneuma.study import execute, plan, spec
-from pneuma.study.executors.local import available_cores
+from pneuma.study import plan, spec
 from pneuma.study.store import Store
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
 RESULTS = Path("results")
-UNWELL = ("crashed", "killed")
 
+app.command("plan")(study_run.plan_)
+app.command()(study_run.run)
 app.command()(study_output.plot)
 app.command()(study_output.export)
 app.command()(study_output.publish)
@@ -91,81 +87,6 @@ def show(name: StudyName, json: Json = False) -> None:
     return None
 
 
-@app.command("plan")
-def plan_(
-    name: StudyName,
-    preset: Preset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    results: Results = RESULTS,
-    json: Json = False,
-) -> None:
-    """Say which runs are stored and which would be trained; train nothing."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
-    planned = plan.make_plan(spec.load_study(name), selection)
-    store = Store(results)
-    execute.check_environments(list(execute.missing(planned, store).values()))
-    state = {
-        cell.run_id: "stored" if store.status(cell.run_id).finished else "to-train" for cell in planned.cells
-    }
-    seconds = execute.expected_seconds(planned, store)
-    if json:
-        cells = [
-            {**_cell(cell), "state": state[cell.run_id], "expected_seconds": seconds[cell.run_id]}
-            for cell in planned.cells
-        ]
-        return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
-    for note in planned.notes:
-        print(f"Note: {note}.")
-    for key, values in plan.differing_settings(planned).items():
-        print(f"Conditions differ in {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
-    for cell in planned.cells:
-        budget = f"{cell.run.steps:>12,} steps"
-        print(f"{cell.condition:<18} seed {cell.seed:<6} {budget}  {cell.run_id}  {state[cell.run_id]}")
-    counts = Counter(state.values())
-    print(f"{counts['stored']} stored, {counts['to-train']} to train.")
-    return None
-
-
-@app.command()
-def run(
-    name: StudyName,
-    preset: Preset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    workers: Annotated[
-        str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
-    ] = None,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> int:
-    """Train a study's runs that are not stored yet."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
-    planned = plan.make_plan(spec.load_study(name), selection)
-    at_once = available_cores() if workers is None else read_count("--workers", workers)
-    store = Store(results)
-    todo = execute.prepare(planned, store)
-    for note in planned.notes:
-        say(f"Note: {note}.", as_json=True, quiet=quiet)
-    try:
-        with ProgressDisplay(planned, set(todo), quiet) as display:
-            outcomes = execute.execute(planned, todo, store, at_once, display.update)
-    except KeyboardInterrupt:
-        say("Stopped. Finished runs are kept; the same command goes on with the others.", as_json=True)
-        return 130
-    _tell_outcomes(planned, outcomes, store, json, quiet)
-    if json:
-        _print_runs(planned.study.name, [(o.cell, o.status.name, o.trained) for o in outcomes])
-    return 1 if any(outcome.status.name in UNWELL for outcome in outcomes) else 0
-
-
 @app.command()
 def status(
     name: Annotated[
@@ -204,36 +125,5 @@ def status(
 # --- Helpers -------------------------------------------------------------------------------------
 
 
-def _cell(cell: plan.Cell) -> dict[str, Any]:
-    return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
-
-
 def _identity(run: dict[str, Any]) -> dict[str, Any]:
     return {key: run[key] for key in ("run_id", "condition", "seed")}
-
-
-def _print_runs(study: str, runs: list[tuple[plan.Cell, str, bool]]) -> None:
-    rows = [{**_cell(cell), "status": state, "trained": trained} for cell, state, trained in runs]
-    print_json({"schema": 1, "study": study, "runs": rows})
-
-
-def _tell_outcomes(
-    planned: plan.Plan, outcomes: list[execute.Outcome], store: Store, as_json: bool, quiet: bool
-) -> None:
-    for outcome in outcomes:
-        cell, state = outcome.cell, outcome.status
-        if state.name == "diverged":
-            say(
-                f"{cell.condition} seed {cell.seed} diverged at step {state.step:,}; its records count",
-                as_json,
-            )
-        if state.name in UNWELL:
-            trace = store.run_folder(cell.run_id) / "error.txt"
-            say(f"{cell.condition} seed {cell.seed} {state.name}: {trace}", as_json)
-    trained = sum(outcome.trained for outcome in outcomes)
-    counts = Counter(outcome.status.name for outcome in outcomes)
-    states = ", ".join(f"{n} {state}" for state, n in counts.items())
-    kept = len(outcomes) - trained
-    say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
-    if not any(counts[name] for name in UNWELL):
-        say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", as_json, quiet)

@@ -9,66 +9,34 @@ not on its neighbours in the group, on the number of workers, or on the order.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Protocol
 
-from pneuma.config import ACTION_NAMES, Run
+from pneuma.config import Run
+from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy
+from pneuma.engines.records import Records
 
 EVALUATIONS = 20
 """Times that the frozen policy is evaluated over a run."""
 
-EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
-METRIC_COLUMNS = (
-    "step",
-    "policy_loss",
-    "value_loss",
-    "entropy",
-    "approx_kl",
-    "clip_fraction",
-    "grad_norm",
-    "grad_norm_actor",
-    "grad_norm_critic",
-    "explained_variance",
-    "dead_units",
-    *(f"action_{i}" for i in range(len(ACTION_NAMES))),
-)
-EVALUATION_COLUMNS = (
-    "step",
-    "episodes",
-    "share_killed",
-    "score",
-    "return",
-    "length",
-    "died",
-    "argmax_starts",
-    "argmax_share_killed",
-    "argmax_score",
-    "argmax_return",
-    "random_share_killed",
-    "hunter_share_killed",
-)
-
-Row = Mapping[str, Any]
-
-
-@dataclass
-class Records:
-    """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order."""
-
-    episodes: list[Row] = field(default_factory=list)
-    metrics: list[Row] = field(default_factory=list)
-    evaluations: list[Row] = field(default_factory=list)
-
 
 @dataclass(frozen=True)
 class Progress:
-    """Where one run of a group stands after an update; `step` counts agent steps over all slots."""
+    """Where one run of a group stands after an update.
+
+    Attributes:
+        run: the run.
+        step: agent steps trained, over all slots.
+        records: everything up to now; the engine goes on writing to it.
+        checkpoint: takes a checkpoint of this moment, if called before the next update.
+    """
 
     run: Run
     step: int
     records: Records
+    checkpoint: Callable[[], Checkpoint]
 
 
 @dataclass(frozen=True)
@@ -98,12 +66,12 @@ class Engine(Protocol):
     """What `load_engine` returns: a module with this function."""
 
     def train(
-        self, runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate
+        self, runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
     ) -> Iterator[Result]:
         """Train every run of a group; `checkpoints` maps an index of `runs` to where to go on from.
 
         Raises:
-            ValueError: for a checkpoint that the engine cannot go on from.
+            CheckpointError: for a checkpoint that the engine cannot go on from.
         """
         ...
 
@@ -118,4 +86,14 @@ def evaluation_updates(run: Run) -> set[int]:
 
     Evenly spread, the last update among them; fewer than `EVALUATIONS` in a run of fewer updates.
     """
-    return {-(-run.updates * k // EVALUATIONS) for k in range(1, EVALUATIONS + 1)}
+    return _spread(run.updates, EVALUATIONS)
+
+
+def checkpoint_steps(run: Run, count: int) -> set[int]:
+    """Return the agent steps at which `count` checkpoints of a run are to be kept, the last at its end."""
+    return {update * run.steps_per_update for update in _spread(run.updates, count)}
+
+
+def _spread(updates: int, count: int) -> set[int]:
+    """Return `count` of the numbers from 1 to `updates`, evenly spread, the last among them."""
+    return {-(-updates * k // count) for k in range(1, count + 1)}

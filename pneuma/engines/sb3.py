@@ -7,6 +7,7 @@ gradients before clipping, to rollouts, to the learner's own log) and evaluates 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.config import ACTION_NAMES, OPTIMIZER_SETTINGS, Run, env_config, stream_seed
-from pneuma.engines.base import EPISODE_COLUMNS, OnUpdate, Progress, Records, Result, evaluation_updates
+from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import LEAKY_SLOPE, Policy, dead_share
+from pneuma.engines.records import EPISODE_COLUMNS, Records
+from pneuma.engines.sb3_state import restore_checkpoint, take_checkpoint
 from pneuma.env.sb3 import PneumaVecEnv
 
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
@@ -46,31 +50,45 @@ _LOGGED = {
 _TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 
 
-def train(runs: Sequence[Run], checkpoints: Mapping[int, Any], on_update: OnUpdate) -> Iterator[Result]:
-    """Train every run from its start, one after the other; see `pneuma.engines.base`."""
-    if checkpoints:
-        raise ValueError("this engine trains from the start alone; give it no checkpoints")
+def train(
+    runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
+) -> Iterator[Result]:
+    """Train every run, one after the other; see `pneuma.engines.base`."""
     torch.set_num_threads(1)
-    for run in runs:
-        yield train_one(run, on_update)
+    for index, run in enumerate(runs):
+        yield train_one(run, on_update, checkpoints.get(index))
 
 
-def train_one(run: Run, on_update: OnUpdate, env: VecEnv | None = None) -> Result:
-    """Train one run from its start; `env` stands in for the run's own environment in benchmarks."""
+def train_one(
+    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, env: VecEnv | None = None
+) -> Result:
+    """Train one run, from its start or from a checkpoint.
+
+    `env` stands in for the run's own environment in benchmarks; then nothing is evaluated.
+    """
     model = make_model(run, env or make_env(run))
     with GradientNorms(model, run) as norms:
-        return _train_model(model, run, norms, on_update, Evaluation(run) if env is None else None)
+        evaluation = Evaluation(run) if env is None else None
+        return _train_model(model, run, norms, on_update, checkpoint, evaluation)
 
 
 def _train_model(
-    model: PPO, run: Run, norms: GradientNorms, on_update: OnUpdate, evaluation: Evaluation | None
+    model: PPO,
+    run: Run,
+    norms: GradientNorms,
+    on_update: OnUpdate,
+    checkpoint: Checkpoint | None,
+    evaluation: Evaluation | None,
 ) -> Result:
     """Collect, learn, record and evaluate, update by update."""
     evaluated = evaluation_updates(run) if evaluation else set()
-    records = Records()
-    status, policy, step = "done", extract_policy(model, run), 0
+    records, step = Records(), 0
     _, callback = model._setup_learn(run.steps, callback=CallbackList([]))
-    for update in range(1, run.updates + 1):
+    if checkpoint:
+        restore_checkpoint(model, checkpoint)
+        records, step = checkpoint.records.copy(), checkpoint.step
+    status, policy = "done", extract_policy(model, run)
+    for update in range(step // run.steps_per_update + 1, run.updates + 1):
         step = update * run.steps_per_update
         model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)  # type: ignore[arg-type]
         rollout = rollout_metrics(model, policy)
@@ -83,7 +101,7 @@ def _train_model(
         policy = extract_policy(model, run)
         if evaluation and update in evaluated:
             records.evaluations.append(evaluation.evaluate(policy, step))
-        if not on_update(Progress(run, step, records)):
+        if not on_update(Progress(run, step, records, partial(take_checkpoint, model, step, records))):
             status = "done" if update == run.updates else "stopped"
             break
     return Result(run, status, step, records, policy)

@@ -5,8 +5,6 @@ Plan → groups of runs → executor → store
 
 from __future__ import annotations
 
-import json
-import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -15,6 +13,7 @@ from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
 from pneuma.study.executors import local
+from pneuma.study.executors.local import Supervision
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
@@ -30,49 +29,101 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """Sent while a plan is executed: a cell's steps, and its status once it has ended."""
+    """Sent while a plan is executed, of one cell.
+
+    Attributes:
+        cell: the cell.
+        step: agent steps trained so far; 0 where there is only something to say.
+        status: once it has ended, how.
+        note: what a person should know, such as that it goes on after a kill.
+    """
 
     cell: Cell
     step: int
     status: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Todo:
+    """What `prepare` found to be done: runs to train, by id, and sentences about damage and failures."""
+
+    runs: Mapping[str, Run]
+    notes: tuple[str, ...]
 
 
 OnProgress = Callable[[Progress], None]
 
 
-def prepare(plan: Plan, store: Store) -> dict[str, Run]:
-    """Check all that can be checked, record the selection, and return the runs to train, by id.
+def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> Todo:
+    """Check all that can be checked, record the selection, and return what is to be done.
 
     Raises:
         UserError: before anything is written, for an environment that cannot be made or a results
             folder that cannot be written.
     """
-    todo = missing(plan, store)
+    statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
+    todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
-    return todo
+    return Todo(todo, tuple(_notes(plan, statuses, todo)))
 
 
 def execute(
-    plan: Plan, todo: Mapping[str, Run], store: Store, workers: int, on_progress: OnProgress
+    plan: Plan, todo: Mapping[str, Run], store: Store, supervision: Supervision, on_progress: OnProgress
 ) -> list[Outcome]:
-    """Train the runs that `prepare` returned; return the outcomes of all the plan's cells."""
+    """Train the runs that `prepare` found missing; return the outcomes of all the plan's cells.
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
+    """
     cells: dict[str, list[Cell]] = {}
     for cell in plan.cells:
         cells.setdefault(cell.run_id, []).append(cell)
+    ended: dict[str, local.Event] = {}
 
     def report(event: local.Event) -> None:
+        if event["event"] == "end":
+            ended[event["run_id"]] = event
+        told = event.get("step", 0), event.get("status", ""), event.get("text", event.get("reason", ""))
         for cell in cells[event["run_id"]]:
-            on_progress(Progress(cell, event["step"], event.get("status", "")))
+            on_progress(Progress(cell, *told))
 
-    local.run_groups([{name: run} for name, run in todo.items()], store, workers, report)
-    return [Outcome(cell, store.status(cell.run_id), cell.run_id in todo) for cell in plan.cells]
+    local.run_groups([{name: run} for name, run in todo.items()], store, supervision, report)
+    return [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
 
 
-def missing(plan: Plan, store: Store) -> dict[str, Run]:
-    """Return the plan's runs that are not finished in the store, by id, each once."""
-    return {cell.run_id: cell.run for cell in plan.cells if not store.status(cell.run_id).finished}
+def _outcome(cell: Cell, stored: Status, end: local.Event | None) -> Outcome:
+    """Return how a cell stands; an end that could not be stored counts as it was told."""
+    if end and not stored.finished:
+        stored = Status(end["status"], stored.step)
+    return Outcome(cell, stored, bool(end and end["trained"]))
+
+
+def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:
+    """Return the plan's runs that are to be trained, by id, each once: neither results nor failures."""
+    return {
+        cell.run_id: cell.run
+        for cell in plan.cells
+        for status in [statuses[cell.run_id]]
+        if not status.finished and (retry_failed or not status.failed)
+    }
+
+
+def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) -> list[str]:
+    """Return what a person should know of stored runs: damage, and failures that are not tried again."""
+    told = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
+    notes = [
+        f"{told[name]}: {status.detail} is damaged; the run is trained again"
+        for name, status in statuses.items()
+        if status.name == "damaged"
+    ]
+    failed = [name for name, status in statuses.items() if status.failed and name not in todo]
+    if failed:
+        kinds = ", ".join(sorted({statuses[name].name for name in failed}))
+        notes.append(f"{len(failed)} runs failed before ({kinds}); --retry-failed tries them again")
+    return notes
 
 
 def check_environments(runs: list[Run]) -> None:
@@ -105,22 +156,6 @@ def selection_record(plan: Plan) -> dict[str, Any]:
             for cell in plan.cells
         ],
     }
-
-
-def expected_seconds(plan: Plan, store: Store) -> dict[str, float | None]:
-    """Return how long each run of a plan takes here, by id, judged by stored ones; None without any.
-
-    A run is judged by the finished runs of its condition, or failing that by all of the plan's.
-    """
-    rates: dict[str, list[float]] = {}
-    for cell in plan.cells:
-        if store.status(cell.run_id).finished:
-            seconds = json.loads(store.read_file(cell.run_id, "provenance.json"))["wall_seconds"]
-            for group in (cell.condition, ""):
-                rates.setdefault(group, []).append(seconds / cell.run.steps)
-    known = {group: statistics.fmean(own) for group, own in rates.items()}
-    rate = {cell.run_id: known.get(cell.condition, known.get("")) for cell in plan.cells}
-    return {cell.run_id: r and r * cell.run.steps for cell in plan.cells for r in [rate[cell.run_id]]}
 
 
 def recorded_selection(record: Mapping[str, Any]) -> Selection:

@@ -15,13 +15,29 @@ from typing import Any
 
 from pneuma.config import BASES, ENVIRONMENT_SLOTS, OPTIMIZER_SETTINGS, Run, make_run, read_setting
 from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.study.toml_file import TomlFile, Where, read_toml
+from pneuma.study.faults import (
+    JUDGED_BY_THE_ENVIRONMENT,
+    Check,
+    check_environment,
+    check_run,
+    fault,
+    setting_at_fault,
+)
+from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.values import Number
 
 PRESETS = ("quick", "standard", "paper")
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
-_TOP_KEYS = ("title", "section", "about", "figure", "base", "baseline", "run", "conditions", "presets")
+_TOP_KEYS = (
+    "title", "section", "about", "figure", "base", "baseline", "keep_checkpoints", "run", "conditions",
+    "presets",
+)  # fmt: skip
+KEPT_CHECKPOINTS = Number(0, 1000, whole=True)
+_TEXTS = {"base": f"one of {', '.join(BASES)}", "baseline": "the name of a condition"}
+"""What the texts at the top are that are not for people."""
+
 _PLANNED = {"seed": "seeds", "steps": "steps"}
 """Fields of a run that a selection decides, and the key of a preset that does."""
 
@@ -47,6 +63,7 @@ class Study:
         shared: settings of every condition on top of the base.
         conditions: what each condition sets on top.
         presets: by name.
+        keep_checkpoints: of each run, evenly spread, for `pneuma run fork`.
     """
 
     name: str
@@ -60,6 +77,7 @@ class Study:
     shared: Mapping[str, Any]
     conditions: Mapping[str, Mapping[str, Any]]
     presets: Mapping[str, Preset] = field(default_factory=dict)
+    keep_checkpoints: int = 0
 
     def settings(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return what a condition sets, base and shared settings included, `over` on top of all."""
@@ -139,14 +157,16 @@ def _read_study(file: TomlFile) -> Study:
             raise UserError(f"{file.path}: the key {key!r} is missing")
     texts = {key: _text(file, key) for key in ("title", "section", "about", "figure", "base", "baseline")}
     if texts["base"] not in BASES:
-        raise file.mistake((), str(unknown_name("base", texts["base"], BASES)), "base")
-    if not re.fullmatch(r"[\w.-]*", texts["figure"]):
-        raise file.mistake((), f"figure = {texts['figure']!r} must be a plain file name", "figure")
+        raise file.mistake((), f"base: {unknown_name('base', texts['base'], BASES)}", "base")
+    if not re.fullmatch(r"([\w-][\w.-]*)?", texts["figure"]):
+        allowed = "a plain file name, without folders and ending"
+        raise file.mistake((), f"figure = {shown(texts['figure'])} is not allowed: {allowed}", "figure")
     shared = _read_settings(file, ("run",))
     conditions = _read_conditions(file, texts["base"], shared)
+    _check_environments(file, texts["base"], shared, conditions)
     baseline = texts["baseline"] or next(iter(conditions))
     if baseline not in conditions:
-        raise file.mistake((), str(unknown_name("condition", baseline, conditions)), "baseline")
+        raise file.mistake((), f"baseline: {unknown_name('condition', baseline, conditions)}", "baseline")
     return Study(
         name=file.path.stem,
         path=file.path,
@@ -159,13 +179,23 @@ def _read_study(file: TomlFile) -> Study:
         shared=shared,
         conditions=conditions,
         presets=_read_presets(file),
+        keep_checkpoints=_read_kept(file),
     )
+
+
+def _read_kept(file: TomlFile) -> int:
+    value = file.data.get("keep_checkpoints", 0)
+    try:
+        return int(KEPT_CHECKPOINTS.read(value) or 0)
+    except (ValueError, TypeError):
+        message = f"keep_checkpoints = {value!r} is not allowed: {KEPT_CHECKPOINTS.allowed}"
+        raise file.mistake((), message, "keep_checkpoints") from None
 
 
 def _text(file: TomlFile, key: str) -> str:
     value = file.data.get(key, "")
-    if not isinstance(value, str):
-        raise file.mistake((), f"{key} must be text, not {value!r}", key)
+    if not isinstance(value, str) or (key == "title" and not value.strip()):
+        raise file.mistake((), f"{key} = {shown(value)} is not allowed: {_TEXTS.get(key, 'a text')}", key)
     return value
 
 
@@ -177,15 +207,50 @@ def _read_conditions(file: TomlFile, base: str, shared: Mapping[str, Any]) -> di
     for name in names:
         where = ("conditions", name)
         conditions[name] = _read_settings(file, where)
-        try:
-            runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))
-        except UserError as error:
-            raise file.mistake(where, str(error)) from None
+        _refuse_faults(file, base, shared, name, conditions[name], check_run)
+        runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))
         for key in unread_settings(runs[-1:], conditions[name]):
             raise file.mistake(where, does_nothing(key, runs[-1:]), key)
     for key in unread_settings(runs, file.table(("run",))):
         raise file.mistake(("run",), does_nothing(key, runs), key)
     return conditions
+
+
+def _check_environments(
+    file: TomlFile, base: str, shared: Mapping[str, Any], conditions: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Refuse what only an environment can judge, in a file of the user's own; shipped ones are tested."""
+    if file.path.parent == studies_folder():
+        return
+    for name, own in conditions.items():
+        if {*shared, *own} & {*JUDGED_BY_THE_ENVIRONMENT}:
+            _refuse_faults(file, base, shared, name, own, check_environment)
+
+
+def _refuse_faults(
+    file: TomlFile, base: str, shared: Mapping[str, Any], name: str, own: Mapping[str, Any], check: Check
+) -> None:
+    """Refuse a condition whose settings do not go together, at the line of the one at fault."""
+
+    def joined(settings: Mapping[str, Any]) -> object:
+        return check(join_settings(base, settings))
+
+    settings = {**shared, **own}
+    error = fault(settings, joined)
+    if error is None:
+        return
+    suspects = [*own, *(key for key in shared if key not in own)]
+    named = next((key for key in suspects if str(error).startswith(f"{key} ")), None)
+    key = setting_at_fault(settings, suspects, joined) or named
+    where = ("run",) if key in shared and key not in own else ("conditions", name)
+    raise file.mistake(where, _naming(key, settings, str(error)), key or "")
+
+
+def _naming(key: str | None, settings: Mapping[str, Any], message: str) -> str:
+    """Return a message that names the key at fault and its value."""
+    if key is None or message.startswith(f"{key} = "):
+        return message
+    return f"{key} = {shown(settings[key])}: {message}"
 
 
 def unread_settings(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
@@ -240,7 +305,7 @@ def _preset_seeds(file: TomlFile, where: Where, table: Mapping[str, Any]) -> tup
     try:
         return read_seeds(table["seeds"])
     except (ValueError, UserError, TypeError):
-        message = f"seeds = {table['seeds']!r} is not allowed: {SEEDS_ALLOWED}"
+        message = f"seeds = {shown(table['seeds'])} is not allowed: {SEEDS_ALLOWED}"
         raise file.mistake(where, message, "seeds") from None
 
 

@@ -6,17 +6,18 @@
                             policy.safetensors
                             error.txt        a crash's traceback
                             status.json      status, step, and the checksum of every other file
+                            checkpoints/     where a run that has not ended goes on from
     results/studies/NAME.json  the latest selection of a study and its run ids
 
 Every file appears whole or not at all, and status.json comes last: a run that it does not vouch
-for, checksum by checksum, is not there.
+for, checksum by checksum, is not there. A stranger's folder is safe to read: names that would lead
+out of it are refused, and nothing in it is ever run.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,24 +26,47 @@ from typing import Any
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
+from pneuma.study.files import SCHEMA, checksum, read_sealed, replace_file, seal, to_json, write_whole
+from pneuma.study.locks import is_held
 
-SCHEMA = 1
-STATUSES = ("planned", "done", "diverged", "crashed", "killed", "damaged")
+__all__ = ["FINISHED", "STATUSES", "Status", "Store", "run_document", "to_json", "write_whole"]
+
+STATUSES = (
+    "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",
+)  # fmt: skip
 FINISHED = ("done", "diverged")
 """Statuses that are results: such a run is not trained again."""
+FAILED = ("crashed", "timeout")
+"""Statuses of runs that are trained again only when asked for."""
+
+_RUN_ID = re.compile(r"[0-9a-f]{16}")
+_FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
 
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run stands, one of `STATUSES`, and agent steps trained."""
+    """Where a run stands, one of `STATUSES`, and agent steps trained.
+
+    Attributes:
+        name: planned where nothing is stored; running while a process trains it; partial where only
+            checkpoints are; damaged where a file is not what was written.
+        step: agent steps of the records, or of the latest checkpoint.
+        detail: the file that is damaged.
+    """
 
     name: str
     step: int = 0
+    detail: str = ""
 
     @property
     def finished(self) -> bool:
         """Whether there is nothing left to train."""
         return self.name in FINISHED
+
+    @property
+    def failed(self) -> bool:
+        """Whether it is trained again only when asked for."""
+        return self.name in FAILED
 
 
 class Store:
@@ -71,37 +95,59 @@ class Store:
     # --- Runs ---------------------------------------------------------------------------------
 
     def run_folder(self, run_id: str) -> Path:
-        """Return the folder of a run."""
+        """Return the folder of a run.
+
+        Raises:
+            UserError: for what is no run's id.
+        """
+        if not _RUN_ID.fullmatch(run_id):
+            raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
         return self.root / "runs" / run_id
 
+    def runs(self) -> list[str]:
+        """Return the ids of all runs of which anything is stored, sorted."""
+        names = os.listdir(self.root / "runs") if (self.root / "runs").is_dir() else []
+        return sorted(name for name in names if _RUN_ID.fullmatch(name))
+
     def status(self, run_id: str) -> Status:
-        """Return how far a run is; 'planned' where nothing is stored, 'damaged' where a checksum is wrong."""
+        """Return how far a run is, judged by the checksums of all its files."""
         manifest = self._manifest(run_id)
         if manifest is None:
-            return Status("planned")
-        try:
-            for name in manifest["files"]:
-                self.read_file(run_id, name)
-        except UserError:
-            return Status("damaged")
-        return Status(manifest["status"], manifest["step"])
+            return self._unfinished(run_id)
+        damaged = [name for name in manifest["files"] if self._read(run_id, name, manifest) is None]
+        if damaged:
+            return Status("damaged", 0, damaged[0])
+        status = Status(manifest["status"], manifest["step"])
+        return status if status.finished or not is_held(self.run_folder(run_id)) else Status("running")
+
+    def _unfinished(self, run_id: str) -> Status:
+        """Return how far a run is that nothing vouches for."""
+        folder = self.run_folder(run_id)
+        step = max((int(path.name[:13]) for path in folder.glob("checkpoints/*-*.safetensors")), default=0)
+        if is_held(folder):
+            return Status("running", step)
+        if (folder / "status.json").exists():
+            return Status("damaged", step, "status.json")
+        return Status("partial" if step else "planned", step)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that vouches for them; other files of the run go.
 
         A finished run is never replaced by one that is not: another process may have trained it.
+
+        Raises:
+            UserError: when the folder cannot be written.
         """
         if not status.finished and self.status(run_id).finished:
             return
         folder = self.run_folder(run_id)
-        folder.mkdir(parents=True, exist_ok=True)
         for name, data in files.items():
-            write_whole(folder / name, data)
-        checksums = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-        manifest = {"schema": SCHEMA, "status": status.name, "step": status.step, "files": checksums}
-        write_whole(folder / "status.json", to_json(manifest))
+            self.write(folder / name, data)
+        checksums = {name: checksum(data) for name, data in files.items()}
+        manifest = {"status": status.name, "step": status.step, "files": checksums}
+        self.write(folder / "status.json", seal(manifest))
         for path in folder.glob("[!.]*"):
-            if path.name not in (*files, "status.json"):
+            if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
 
     def read_file(self, run_id: str, name: str) -> bytes:
@@ -111,71 +157,69 @@ class Store:
             UserError: when it is missing or not what was written.
         """
         manifest = self._manifest(run_id) or {"files": {}}
-        path = self.run_folder(run_id) / name
-        data = path.read_bytes() if path.is_file() else b""
-        if hashlib.sha256(data).hexdigest() != manifest["files"].get(name):
+        data = self._read(run_id, name, manifest)
+        if data is None:
+            path = self.run_folder(run_id) / name
             raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
         return data
 
+    def file_names(self, run_id: str) -> list[str]:
+        """Return the names of the files that a run's status vouches for."""
+        return list((self._manifest(run_id) or {"files": {}})["files"])
+
+    def _read(self, run_id: str, name: str, manifest: Mapping[str, Any]) -> bytes | None:
+        """Return a file if it is what was written."""
+        if name not in manifest["files"] or not _FILE_NAME.fullmatch(name):
+            return None
+        try:
+            data = (self.run_folder(run_id) / name).read_bytes()
+        except OSError:
+            return None
+        return data if checksum(data) == manifest["files"][name] else None
+
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
-        manifest = _read_document(self.run_folder(run_id) / "status.json")
-        return manifest if manifest and {"status", "step", "files"} <= manifest.keys() else None
+        manifest = read_sealed(self.run_folder(run_id) / "status.json")
+        sound = manifest is not None and {"status", "step", "files"} <= manifest.keys()
+        return manifest if sound and manifest and manifest["status"] in STATUSES else None
 
     # --- Studies ------------------------------------------------------------------------------
 
     def save_selection(self, study: str, record: Mapping[str, Any]) -> None:
-        """Record a study's latest selection and its run ids."""
-        folder = self.root / "studies"
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / f"{study}.json", to_json({"schema": SCHEMA, **record}))
+        """Record a study's latest selection and its run ids.
+
+        Raises:
+            UserError: when the folder cannot be written.
+        """
+        self.write(self.root / "studies" / f"{study}.json", seal(record))
 
     def selection(self, study: str) -> dict[str, Any] | None:
-        """Return a study's latest record, or None when it was never run here."""
-        record = _read_document(self.root / "studies" / f"{study}.json")
+        """Return a study's latest record, or None when it was never run here, or it is damaged."""
+        record = read_sealed(self.root / "studies" / f"{study}.json")
         return record if record and {"study", "runs", "selection"} <= record.keys() else None
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
         return sorted(path.stem for path in (self.root / "studies").glob("*.json"))
 
+    # --- Writing ------------------------------------------------------------------------------
 
-def _read_document(path: Path) -> dict[str, Any] | None:
-    """Return a JSON document of this schema, or None where there is no sound one."""
-    try:
-        document = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return None
-    sound = isinstance(document, dict) and document.get("schema") == SCHEMA
-    return document if sound else None
+    def write(self, path: Path, data: bytes) -> None:
+        """Put a file into the results folder, whole or not at all, making its folder if need be.
+
+        A link in its place is replaced, never followed.
+
+        Raises:
+            UserError: when that fails, or leads out of the results folder.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not path.parent.resolve().is_relative_to(self.root.resolve()):
+                raise UserError(f"{path}: a link leads out of the results folder; remove it")
+            replace_file(path, data)
+        except OSError as error:
+            raise UserError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def run_document(run: Run, run_id: str) -> bytes:
     """Return the contents of run.json."""
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_settings(run)})
-
-
-def to_json(value: object) -> bytes:
-    """Return a value as indented JSON with a final newline."""
-    return (json.dumps(value, indent=2) + "\n").encode()
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens meanwhile.
-
-    A link is followed; what is no ordinary file, such as a pipe or a terminal, is written to.
-    """
-    path = path.resolve()
-    if path.exists() and not path.is_file():
-        path.write_bytes(data)
-        return
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

@@ -2,34 +2,38 @@
 
     python -m pneuma.study.worker < job
 
-The job is one line of JSON. Events go out as lines of JSON: `step` now and then, `end` for every
-run. Standard input stays open as a lifeline: when the parent goes, the worker goes.
+The job is one line of JSON: the results folder, the runs by id, how often to take checkpoints. Events
+go out as lines of JSON: `step` now and then, `note` for people, `busy` where another process holds a
+run, `end` for every run. Standard input stays open: a line `stop` asks for a checkpoint and an end,
+and when it closes, because the parent has gone, the worker goes.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import signal
 import sys
 import threading
 import time
 import traceback
 from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
-from pneuma.engines.base import (
-    EPISODE_COLUMNS,
-    EVALUATION_COLUMNS,
-    METRIC_COLUMNS,
-    Progress,
-    Result,
-    load_engine,
-)
+from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.checkpoint import CheckpointError
+from pneuma.errors import UserError
+from pneuma.study.checkpoints import TABLES
 from pneuma.study.identity import run_id
-from pneuma.study.provenance import provenance
+from pneuma.study.locks import RunLock
+from pneuma.study.provenance import Attempt, finished_provenance
+from pneuma.study.resume import Resume
 from pneuma.study.store import Status, Store, run_document, to_json
 from pneuma.study.tables import to_parquet
 
@@ -37,86 +41,164 @@ REPORT_SECONDS = 0.25
 THREADS = 1
 
 
+@dataclass(frozen=True)
+class Job:
+    """What a worker is to do.
+
+    Attributes:
+        store: the results folder.
+        runs: by id; of equal shapes.
+        checkpoint_seconds: time between two checkpoints of a run.
+        keep: how many checkpoints of each run to keep when it has ended.
+    """
+
+    store: Store
+    runs: Mapping[str, Run]
+    checkpoint_seconds: float = 15.0
+    keep: int = 0
+
+
 def main() -> int:
     """Read the job, train it, report; return the exit code."""
     job = json.loads(sys.stdin.readline())
-    threading.Thread(target=_die_with_parent, args=(sys.stdin,), daemon=True).start()
+    _die_with(job["parent"])
+    stop = threading.Event()
+    threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # whatever a library prints is no event
     runs = {name: make_run(settings) for name, settings in job["runs"].items()}
-    return train_group(runs, Store(Path(job["results"])), events)
+    store = Store(Path(job["results"]))
+    return train_group(Job(store, runs, job["checkpoint_seconds"], job["keep"]), Reporter(events), stop)
 
 
-def train_group(runs: Mapping[str, Run], store: Store, events: TextIO) -> int:
-    """Train runs of equal shapes, given by id, with their engine; store each as it ends.
+class Reporter:
+    """Sends events: a run's progress, a few times a second at most, and its end."""
 
-    A crash is stored as the end of every run that had not ended.
+    def __init__(self, events: TextIO) -> None:
+        self._events = events
+        self._next = 0.0
+
+    def step(self, name: str, step: int) -> None:
+        """Tell how far a run is, unless that was told just now."""
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + REPORT_SECONDS
+            self.send("step", name, step=step)
+
+    def send(self, event: str, name: str, **about: Any) -> None:
+        """Send one event of a run."""
+        self._events.write(json.dumps({"event": event, "run_id": name, **about}) + "\n")
+
+
+def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
+    """Train runs of equal shapes with their engine; store each as it ends.
+
+    Runs that another process holds or has finished meanwhile are left out. A crash is stored as the
+    end of every run that had not ended.
     """
-    names = list(runs)
-    group = [runs[name] for name in names]
-    started, clock = datetime.now(UTC), time.perf_counter()
-    reporter = _Reporter(events, dict(zip(group, names, strict=True)))
+    with ExitStack() as locks:
+        mine = {}
+        for name, run in job.runs.items():
+            if not locks.enter_context(RunLock(job.store.run_folder(name))):
+                reporter.send("busy", name)
+            elif (status := job.store.status(name)).finished:
+                reporter.send("end", name, status=status.name, step=status.step, trained=False)
+            else:
+                mine[name] = run
+        return _train(job, mine, reporter, stop) if mine else 0
+
+
+def _train(job: Job, runs: Mapping[str, Run], reporter: Reporter, stop: threading.Event) -> int:
     waiting = dict(runs)
     try:
         for name, run in runs.items():
             if run_id(run) != name:
                 raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")
-        for result in load_engine(group[0].engine).train(group, {}, reporter.update):
-            name = reporter.names[result.run]
-            about = provenance(started, time.perf_counter() - clock, THREADS)
-            store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
-            del waiting[name]
-            reporter.end(name, result.status, result.step)
-    except Exception:
-        error = traceback.format_exc().encode()
-        for name, run in waiting.items():
-            files = {"run.json": run_document(run, name), "error.txt": error}
-            store.save_run(name, Status("crashed"), files)
-            reporter.end(name, "crashed", 0)
-        return 1
+        resumes = {
+            name: Resume(job.store, name, run, job.checkpoint_seconds, job.keep, reporter.send)
+            for name, run in runs.items()
+        }
+        while waiting:
+            try:
+                _train_waiting(job.store, waiting, resumes, reporter, stop)
+            except CheckpointError:
+                for name in waiting:
+                    resumes[name].discard()
+    except Exception as error:
+        return _store_crash(job.store, waiting, reporter, error)
     return 0
+
+
+def _train_waiting(
+    store: Store,
+    waiting: dict[str, Run],
+    resumes: Mapping[str, Resume],
+    reporter: Reporter,
+    stop: threading.Event,
+) -> None:
+    """Train the runs of `waiting`, from their checkpoints where there are any, and take out what ends."""
+    names = list(waiting)
+    group = list(waiting.values())
+    name_of = dict(zip(group, names, strict=True))
+    checkpoints = {i: start for i, name in enumerate(names) if (start := resumes[name].latest())}
+    attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS)
+
+    def update(progress: Progress) -> bool:
+        name = name_of[progress.run]
+        reporter.step(name, progress.step)
+        resumes[name].update(progress, attempt, stop.is_set())
+        return not stop.is_set()
+
+    for result in load_engine(group[0].engine).train(group, checkpoints, update):
+        name = name_of[result.run]
+        if result.status != "stopped":
+            about = finished_provenance(attempt, resumes[name].history)
+            store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
+            resumes[name].finish()
+        del waiting[name]
+        reporter.send("end", name, status=result.status, step=result.step, trained=True)
+
+
+def _store_crash(store: Store, waiting: Mapping[str, Run], reporter: Reporter, error: Exception) -> int:
+    """Store a crash as the end of the runs that had not ended; say at least so where that fails too."""
+    trace = traceback.format_exc().encode()
+    for name, run in waiting.items():
+        reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        try:
+            files = {"run.json": run_document(run, name), "error.txt": trace}
+            store.save_run(name, Status("crashed"), files)
+        except UserError as unwritten:
+            reason = str(unwritten)
+        reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
+    return 1
 
 
 def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:
     """Return every file of a finished run by name."""
-    files = {
-        "run.json": run_document(result.run, name),
-        "provenance.json": to_json(about),
-        "episodes.parquet": to_parquet(result.records.episodes, EPISODE_COLUMNS),
-        "metrics.parquet": to_parquet(result.records.metrics, METRIC_COLUMNS),
-        "evaluations.parquet": to_parquet(result.records.evaluations, EVALUATION_COLUMNS),
-    }
+    files = {"run.json": run_document(result.run, name), "provenance.json": to_json(about)}
+    for table, columns in TABLES.items():
+        files[f"{table}.parquet"] = to_parquet(getattr(result.records, table), columns)
     if result.policy is not None:
         files["policy.safetensors"] = result.policy.to_bytes()
     return files
 
 
-class _Reporter:
-    """Sends events: a run's progress, a few times a second at most, and its end."""
-
-    def __init__(self, events: TextIO, names: Mapping[Run, str]) -> None:
-        self.names = names
-        self._events = events
-        self._next = 0.0
-
-    def update(self, progress: Progress) -> bool:
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + REPORT_SECONDS
-            self._send(event="step", run_id=self.names[progress.run], step=progress.step)
-        return True
-
-    def end(self, name: str, status: str, step: int) -> None:
-        self._send(event="end", run_id=name, status=status, step=step)
-
-    def _send(self, **event: Any) -> None:
-        self._events.write(json.dumps(event) + "\n")
-
-
-def _die_with_parent(lifeline: TextIO) -> None:
-    """Leave at once when the parent's end of the pipe closes."""
-    lifeline.read()
+def _listen(lifeline: TextIO, stop: threading.Event) -> None:
+    """Heed what the parent says; leave at once when its end of the pipe closes."""
+    for line in lifeline:
+        if line.strip() == "stop":
+            stop.set()
     os._exit(1)
+
+
+def _die_with(parent: int) -> None:
+    """Let the system kill this process when its parent goes, even while one long computation runs."""
+    if sys.platform != "linux":
+        return  # the lifeline must do
+    parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
+    ctypes.CDLL(None).prctl(parent_death_signal, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)  # it went before
 
 
 if __name__ == "__main__":

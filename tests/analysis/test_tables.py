@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.analysis.export import export_table
 from pneuma.analysis.sources import open_study
-from pneuma.engines.base import EPISODE_COLUMNS
+from pneuma.engines.records import EPISODE_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet

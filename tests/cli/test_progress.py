@@ -8,8 +8,10 @@ import sys
 import pytest
 
 from pneuma.cli import progress
-from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay
+from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay, duration
+from pneuma.config import Run
 from pneuma.study.execute import Progress
+from pneuma.study.foresight import TimeLeft, wall_seconds
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 
@@ -39,15 +41,15 @@ def plan() -> Plan:
     return make_plan(load_study("activation"), Selection(seeds=(0,), steps=2560, conditions=("tanh", "relu")))
 
 
-def _ids(plan: Plan) -> set[str]:
-    return {cell.run_id for cell in plan.cells}
+def _runs(plan: Plan) -> dict[str, Run]:
+    return {cell.run_id: cell.run for cell in plan.cells}
 
 
 def test_a_log_gets_a_line_now_and_then_and_one_for_every_end(
     plan: Plan, clock: _Clock, capsys: Captured
 ) -> None:
     tanh, relu = plan.cells
-    with ProgressDisplay(plan, _ids(plan), quiet=False) as display:
+    with ProgressDisplay(plan, _runs(plan), 1, quiet=False) as display:
         display.update(Progress(tanh, 256))  # too early for a line
         clock.now = LINE_SECONDS
         display.update(Progress(relu, 1024))
@@ -64,7 +66,7 @@ def test_a_log_gets_a_line_now_and_then_and_one_for_every_end(
 def test_nothing_is_shown_when_asked_for_quiet_or_when_nothing_is_trained(
     plan: Plan, quiet: bool, capsys: Captured
 ) -> None:
-    with ProgressDisplay(plan, _ids(plan) if quiet else set(), quiet) as display:
+    with ProgressDisplay(plan, _runs(plan) if quiet else {}, 1, quiet) as display:
         if quiet:
             display.update(Progress(plan.cells[0], 2560, "done"))
     assert capsys.readouterr() == ("", "")
@@ -80,10 +82,46 @@ def test_a_terminal_gets_a_bar_for_each_condition(plan: Plan, monkeypatch: pytes
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
     tanh, relu = plan.cells
-    with ProgressDisplay(plan, _ids(plan), quiet=False) as display:
+    with ProgressDisplay(plan, _runs(plan), 1, quiet=False) as display:
         display.update(Progress(tanh, 2560, "done"))
         display.update(Progress(relu, 1280))
     last = screen.getvalue().split("\n")
-    text = "\n".join(last[-3:])
+    text = "\n".join(last[-4:])
     assert "tanh" in text and "1/1 runs" in text and "2560/2560" in text
     assert "relu" in text and "0/1 runs" in text and "1280/2560" in text
+
+
+# --- Time left -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"),
+    [(0.4, "0 s"), (99, "99 s"), (120, "2 min"), (5_940, "99 min"), (12_000, "3 h 20 min")],
+)
+def test_a_length_of_time_is_told_for_people(seconds: float, told: str) -> None:
+    assert duration(seconds) == told
+
+
+def test_two_workers_share_what_waits() -> None:
+    assert wall_seconds([4, 3, 2], 1) == 9
+    assert wall_seconds([4, 3, 2], 2) == 5  # 4 by one; 3, then 2 by the other
+    assert wall_seconds([], 2) == 0
+
+
+def test_the_time_left_follows_from_the_pace_of_the_steps(plan: Plan) -> None:
+    clock = _Clock()
+    left = TimeLeft(_runs(plan), workers=1, clock=clock.monotonic)
+    tanh, relu = plan.cells
+    assert left.seconds() is None
+    clock.now = 3.0
+    left.update(Progress(tanh, 256))
+    assert left.seconds() is None  # one report has no pace
+    clock.now = 4.0
+    left.update(Progress(tanh, 512))  # 256 steps a second; 2 s went before the first step
+    assert left.seconds() == pytest.approx(8 + 2 + 10)  # 2,048 steps here, then all of the other
+    clock.now = 6.0  # nothing new: the rest of this run gets shorter all the same
+    assert left.seconds() == pytest.approx(6 + 2 + 10)
+    left.update(Progress(tanh, 2560, "done"))
+    assert left.seconds() == pytest.approx(2 + 10)
+    left.update(Progress(relu, 2560, "done"))
+    assert left.seconds() == 0

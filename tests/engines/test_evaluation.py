@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pneuma.config import BASES, Run, make_run
-from pneuma.engines.base import EVALUATION_COLUMNS, evaluation_updates
+from pneuma.engines.base import evaluation_updates
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy
+from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.engines.sb3 import make_env
 
 

@@ -14,7 +14,8 @@ from stable_baselines3.common.utils import obs_as_tensor
 
 from pneuma.config import ACTIVATIONS, BASES, OPTIMIZER_SETTINGS, Run, make_run
 from pneuma.engines import sb3
-from pneuma.engines.base import EPISODE_COLUMNS, METRIC_COLUMNS, Progress, Result, load_engine
+from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.records import EPISODE_COLUMNS, METRIC_COLUMNS
 
 SMALL = {
     "actor": [16],
@@ -251,11 +252,6 @@ def test_time_limits_are_bootstrapped_with_the_value_of_the_last_observation() -
     assert not rest
     value = sb3.extract_policy(model, run).values(last[None])[0]
     assert model.rollout_buffer.rewards[9, 0] == pytest.approx(reward + 0.99 * value, abs=1e-5)
-
-
-def test_a_checkpoint_is_refused_rather_than_ignored() -> None:
-    with pytest.raises(ValueError, match="no checkpoints"):
-        next(load_engine("sb3").train([small_run()], {0: b"a checkpoint"}, lambda progress: True))
 
 
 def test_a_trained_network_is_let_go() -> None:

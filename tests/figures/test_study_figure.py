@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from pneuma.analysis.sources import open_study
-from pneuma.engines.base import EPISODE_COLUMNS, EVALUATION_COLUMNS
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS, curves, style
 from pneuma.figures.curves import draw_study

@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
-from pneuma.config import as_settings
-from pneuma.engines.base import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.config import Run, as_settings
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.execute import (
     OnProgress,
@@ -30,9 +30,10 @@ from pneuma.study.execute import (
     prepare,
     recorded_selection,
 )
+from pneuma.study.executors.local import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
+from pneuma.study.store import Store, to_json
 from pneuma.study.tables import from_parquet
 
 TINY = """\
@@ -72,7 +73,12 @@ def _plan(folder: Path, **selection: Any) -> Plan:
 
 
 def _run(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> list[Outcome]:
-    return execute(plan, prepare(plan, store), store, workers, on_progress)
+    todo = prepare(plan, store).runs
+    return execute(plan, todo, store, Supervision(workers, checkpoint_seconds=0.2), on_progress)
+
+
+def _missing(plan: Plan, store: Store) -> dict[str, Run]:
+    return missing(plan, {cell.run_id: store.status(cell.run_id) for cell in plan.cells})
 
 
 def _execute(plan: Plan, folder: Path, workers: int) -> Executed:
@@ -140,7 +146,9 @@ def test_every_file_is_there_with_its_checksum(together: Executed) -> None:
         folder = together.store.run_folder(_run_id(together, seed))
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
         assert set(files) == FILES
-        status = json.loads(files.pop("status.json"))
+        sealed = json.loads(files.pop("status.json"))
+        status = {key: value for key, value in sealed.items() if key != "sha256"}
+        assert sealed["sha256"] == hashlib.sha256(to_json(status)).hexdigest()
         assert status["files"] == {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
         assert (status["schema"], status["status"], status["step"]) == (1, "done", 256)
 
@@ -205,7 +213,7 @@ def test_progress_reaches_every_cell_and_ends_each_once(together: Executed) -> N
     assert sorted(ends) == [
         (condition, seed, "done", 256) for condition in ("one", "other") for seed in (0, 1)
     ]
-    steps = [p.step for p in together.progress if not p.status]
+    steps = [p.step for p in together.progress if not p.status and not p.note]
     assert steps and set(steps) <= {64, 128, 192, 256}
 
 
@@ -239,7 +247,7 @@ def test_only_new_seeds_are_trained(alone: tuple[Executed, Executed]) -> None:
 
 
 def test_a_second_time_nothing_is_trained(together: Executed, workers: list[subprocess.Popen[bytes]]) -> None:
-    assert missing(together.plan, together.store) == {}
+    assert _missing(together.plan, together.store) == {}
     outcomes = _run(together.plan, together.store, 2, lambda _: pytest.fail("something happened"))
     assert [(o.status.name, o.trained) for o in outcomes] == [("done", False)] * 4
     assert workers == []
@@ -269,20 +277,22 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
 # --- When a worker goes --------------------------------------------------------------------------
 
 
-def test_a_killed_worker_is_a_crash_with_a_reason_and_is_trained_again(
+def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
     plan = _plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 40)
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
     seen: list[Progress] = []
 
-    def kill_at_first_sign(progress: Progress) -> None:
+    def kill_whoever_trains(progress: Progress) -> None:
         seen.append(progress)
-        if len(seen) == 1:
-            os.kill(workers[0].pid, signal.SIGKILL)
+        if progress.step:
+            os.kill(workers[-1].pid, signal.SIGKILL)
 
-    (outcome,) = _run(plan, store, 1, kill_at_first_sign)
+    (outcome,) = _run(plan, store, 1, kill_whoever_trains)
     assert (outcome.status.name, outcome.trained) == ("killed", True)
+    assert len(workers) == 2
+    assert any("killed by SIGKILL" in progress.note for progress in seen)
     assert seen[-1].status == "killed"
     assert b"killed by SIGKILL" in store.read_file(name, "error.txt")
     assert json.loads(store.read_file(name, "run.json"))["run"] == as_settings(plan.cells[0].run)
@@ -290,7 +300,7 @@ def test_a_killed_worker_is_a_crash_with_a_reason_and_is_trained_again(
     (outcome,) = _run(plan, store, 1, lambda _: None)
     assert (outcome.status.name, outcome.status.step, outcome.trained) == ("done", 2560, True)
     assert {path.name for path in store.run_folder(name).iterdir()} == FILES
-    assert len(workers) == 2
+    assert len(workers) == 3
 
 
 def test_a_worker_that_dies_before_it_reads_its_job_is_a_crash(
@@ -326,8 +336,8 @@ def test_an_interrupt_ends_the_workers_and_leaves_nothing_half(
         _run(plan, store, 2, interrupt)
     assert len(workers) == 2
     assert all(process.poll() is not None for process in workers)
-    assert len(missing(plan, store)) == 2
-    assert not list((tmp_path / "results").glob("runs/*/*"))
+    assert len(_missing(plan, store)) == 2
+    assert not list((tmp_path / "results").glob("runs/*/[!c.]*"))
 
 
 def test_a_run_whose_numbers_explode_has_diverged_and_not_crashed(tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
-    "tanh": "0d0c575bdb8304a5",
-    "relu": "be195cb307962ba3",
-    "leaky-relu": "d887aff72606de67",
+    "tanh": "326a4633cf7f0b9d",
+    "relu": "644d0e9690dc1713",
+    "leaky-relu": "4a44d4647878481b",
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 
@@ -120,7 +120,7 @@ def test_two_ways_to_write_one_training_have_one_name(one: dict[str, Any], other
 @pytest.mark.parametrize("version", ["RULES_VERSION", "ENGINE_VERSIONS"])
 def test_a_raised_version_changes_the_name(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
     before = run_id(make_run({}))
-    monkeypatch.setattr(identity, version, 2 if version == "RULES_VERSION" else {"sb3": 2})
+    monkeypatch.setattr(identity, version, 99 if version == "RULES_VERSION" else {"sb3": 99})
     assert run_id(make_run({})) != before
 
 

@@ -13,19 +13,47 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
 from pneuma.config import Run, as_settings
+from pneuma.errors import UserError
+from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.store import Status, Store, run_document
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
 
+BUSY_SECONDS = 1.0
+"""How long to wait before asking again for a run that another process holds."""
+STOP_SECONDS = 30.0
+"""How long a run past its time-out may take to come to a checkpoint."""
+TRIES = 2
+"""How often a run is begun or gone on with before a crash counts."""
+
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """How runs are looked after.
+
+    Attributes:
+        workers: how many train at once.
+        checkpoint_seconds: between two checkpoints of a run.
+        timeout_seconds: the longest that a run may train in one go; None for ever.
+        keep_checkpoints: how many of each run to keep for forks.
+    """
+
+    workers: int
+    checkpoint_seconds: float = 15.0
+    timeout_seconds: float | None = None
+    keep_checkpoints: int = 0
 
 
 def available_cores() -> int:
@@ -42,33 +70,43 @@ def one_thread_environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), "PYTHONPATH": path}
 
 
-def run_groups(groups: Iterable[Mapping[str, Run]], store: Store, workers: int, on_event: OnEvent) -> None:
-    """Train every group of runs by id, `workers` at a time; hand every event of theirs to `on_event`.
+def run_groups(
+    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
+) -> None:
+    """Train every group of runs by id, some at a time; hand every event of theirs to `on_event`.
 
-    Events are `{"event": "step" | "end", "run_id", "step", …}`; an end has a `status`. Leaving by
-    an exception (Ctrl-C among them) ends the workers.
+    Events are `{"event": "step" | "note" | "end", "run_id", …}`: a step has a `step`, a note a `text`,
+    an end a `status` and `trained`, whether it was trained here. A crashed or killed worker is tried
+    once more. The first Ctrl-C lets every run come to a checkpoint, the second ends all at once.
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C, when every worker has gone.
     """
-    waiting = list(groups)[::-1]
-    selector = selectors.DefaultSelector()
-    try:
-        while waiting or selector.get_map():
-            while waiting and len(selector.get_map()) < workers:
-                worker = _start(waiting.pop(), store)
-                selector.register(worker.events, selectors.EVENT_READ, worker)
-            for key, _ in selector.select():
-                _read(key.data, selector, store, on_event)
-    finally:
-        for key in list(selector.get_map().values()):
-            _kill(key.data)
-        selector.close()
+    with Interrupts() as interrupts:
+        _Supervisor(groups, store, supervision, on_event, interrupts).work()
+        if interrupts.count:
+            raise KeyboardInterrupt
+
+
+@dataclass
+class _Task:
+    """A group of runs that waits to be trained, from some time on."""
+
+    group: Mapping[str, Run]
+    tries: int = 1
+    not_before: float = 0.0
 
 
 @dataclass
 class _Worker:
     process: subprocess.Popen[bytes]
-    group: Mapping[str, Run]
+    task: _Task
     errors: IO[bytes]
-    ended: set[str]
+    started: float
+    ended: dict[str, str] = field(default_factory=dict)
+    busy: set[str] = field(default_factory=set)
+    asked_to_stop: float | None = None
+    timed_out: bool = False
 
     @property
     def events(self) -> IO[bytes]:
@@ -76,7 +114,167 @@ class _Worker:
         return self.process.stdout
 
 
-def _start(group: Mapping[str, Run], store: Store) -> _Worker:
+class _Supervisor:
+    """Keeps workers busy until every task has ended."""
+
+    def __init__(
+        self,
+        groups: Iterable[Mapping[str, Run]],
+        store: Store,
+        supervision: Supervision,
+        on_event: OnEvent,
+        interrupts: Interrupts,
+    ) -> None:
+        self._tasks = deque(_Task(group) for group in groups)
+        self._store = store
+        self._how = supervision
+        self._on_event = on_event
+        self._interrupts = interrupts
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
+
+    def work(self) -> None:
+        """Work off all tasks; leaving by an exception ends the workers."""
+        try:
+            while self._tasks or self._workers():
+                self._heed_interrupts()
+                self._start_what_may()
+                for key, _ in self._selector.select(self._patience()):
+                    if key.data is None:
+                        self._interrupts.wake()
+                    else:
+                        self._read(key.data)
+                self._end_overdue()
+        finally:
+            for worker in self._workers():
+                _kill(worker)
+            self._selector.close()
+
+    def _workers(self) -> list[_Worker]:
+        return [key.data for key in self._selector.get_map().values() if key.data is not None]
+
+    def _heed_interrupts(self) -> None:
+        if self._interrupts.count:
+            self._tasks.clear()
+        for worker in self._workers():
+            if self._interrupts.count > 1:
+                worker.process.kill()
+            elif self._interrupts.count:
+                _ask_to_stop(worker)
+
+    def _start_what_may(self) -> None:
+        now = time.monotonic()
+        ready = [task for task in self._tasks if task.not_before <= now]
+        for task in ready[: max(0, self._how.workers - len(self._workers()))]:
+            self._tasks.remove(task)
+            worker = _start(task, self._store, self._how)
+            self._selector.register(worker.events, selectors.EVENT_READ, worker)
+
+    def _patience(self) -> float | None:
+        """Return how long nothing but an event can be of interest, in seconds."""
+        now = time.monotonic()
+        due = [
+            worker.started + self._how.timeout_seconds
+            for worker in self._workers()
+            if self._how.timeout_seconds
+        ]
+        due += [
+            worker.asked_to_stop + STOP_SECONDS
+            for worker in self._workers()
+            if worker.timed_out and worker.asked_to_stop
+        ]
+        if len(self._workers()) < self._how.workers:
+            due += [task.not_before for task in self._tasks]
+        return max(0.0, min(due) - now) + 0.01 if due else None
+
+    def _end_overdue(self) -> None:
+        """Ask runs past their time-out for a checkpoint; kill those that have not come to one in time."""
+        if self._how.timeout_seconds is None:
+            return
+        now = time.monotonic()
+        for worker in self._workers():
+            if not worker.timed_out and now >= worker.started + self._how.timeout_seconds:
+                worker.timed_out = True
+                _ask_to_stop(worker)
+            elif worker.timed_out and worker.asked_to_stop and now >= worker.asked_to_stop + STOP_SECONDS:
+                worker.process.kill()
+
+    def _read(self, worker: _Worker) -> None:
+        """Take one event line of a worker, or note that it has gone."""
+        line = worker.events.readline()
+        if not line:
+            self._selector.unregister(worker.events)
+            self._bury(worker)
+            return
+        try:
+            event = json.loads(line)
+        except ValueError:
+            worker.process.kill()  # it has gone astray; reading on finds its end
+            return
+        if event["event"] == "busy":
+            worker.busy.add(event["run_id"])
+        elif event["event"] == "end":
+            self._end(worker, event)
+        else:
+            self._on_event(event)
+
+    def _end(self, worker: _Worker, event: dict[str, Any]) -> None:
+        """Take the end of a run: it counts, unless it crashed and is to be tried once more."""
+        name, status = event["run_id"], event["status"]
+        worker.ended[name] = status
+        if status == "crashed" and worker.task.tries < TRIES and not self._interrupts.count:
+            reason = event.get("reason", "")
+            self._on_event({"event": "note", "run_id": name, "text": f"crashed ({reason}); tried once more"})
+            return
+        if status == "stopped" and worker.timed_out:
+            event = {**event, "status": "timeout"}
+            self._save_end(worker, name, Status("timeout", event["step"]), b"")
+        self._on_event(event)
+
+    def _bury(self, worker: _Worker) -> None:
+        """Reap a worker; see to its runs that crashed with it, were busy, or are to be tried again."""
+        code = worker.process.wait()
+        _close(worker)
+        worker.errors.seek(0)
+        last_words = worker.errors.read()
+        worker.errors.close()
+        lost = [name for name in worker.task.group if name not in worker.ended and name not in worker.busy]
+        crashed = [name for name, status in worker.ended.items() if status == "crashed"]
+        if not self._interrupts.count:
+            self._try_again(worker, worker.busy, worker.task.tries, BUSY_SECONDS)
+            if worker.task.tries < TRIES and not worker.timed_out:
+                self._try_again(worker, [*lost, *crashed], worker.task.tries + 1, 0.0)
+                for name in lost:
+                    text = f"the worker process {_reason(code)}; goes on"
+                    self._on_event({"event": "note", "run_id": name, "text": text})
+                return
+        for name in lost:
+            self._end_lost(worker, name, code, last_words)
+
+    def _try_again(self, worker: _Worker, names: Iterable[str], tries: int, seconds: float) -> None:
+        group = {name: worker.task.group[name] for name in names}
+        if group:
+            self._tasks.append(_Task(group, tries, time.monotonic() + seconds))
+
+    def _end_lost(self, worker: _Worker, name: str, code: int, last_words: bytes) -> None:
+        """End a run whose worker went without a word of it."""
+        if self._interrupts.count:
+            status = "stopped"
+        else:
+            status = "timeout" if worker.timed_out else "killed" if code < 0 else "crashed"
+            message = f"the worker process {_reason(code)}\n".encode() + last_words
+            self._save_end(worker, name, Status(status), message)
+        self._on_event({"event": "end", "run_id": name, "status": status, "step": 0, "trained": True})
+
+    def _save_end(self, worker: _Worker, name: str, status: Status, message: bytes) -> None:
+        files = {"run.json": run_document(worker.task.group[name], name)}
+        try:
+            self._store.save_run(name, status, {**files, "error.txt": message} if message else files)
+        except UserError as error:
+            self._on_event({"event": "note", "run_id": name, "text": str(error)})
+
+
+def _start(task: _Task, store: Store, how: Supervision) -> _Worker:
     errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the worker is buried)
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "pneuma.study.worker"],
@@ -89,46 +287,24 @@ def _start(group: Mapping[str, Run], store: Store) -> _Worker:
     )
     job = {
         "results": str(store.root.resolve()),
-        "runs": {name: as_settings(run) for name, run in group.items()},
+        "runs": {name: as_settings(run) for name, run in task.group.items()},
+        "checkpoint_seconds": how.checkpoint_seconds,
+        "keep": how.keep_checkpoints,
+        "parent": os.getpid(),
     }
     assert process.stdin is not None
     with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
         process.stdin.write(json.dumps(job).encode() + b"\n")
-    return _Worker(process, group, errors, set())
+    return _Worker(process, task, errors, time.monotonic())
 
 
-def _read(worker: _Worker, selector: selectors.BaseSelector, store: Store, on_event: OnEvent) -> None:
-    """Take one event line of a worker, or note that it has gone."""
-    line = worker.events.readline()
-    if not line:
-        selector.unregister(worker.events)
-        _bury(worker, store, on_event)
-        return
-    try:
-        event = json.loads(line)
-    except ValueError:
-        worker.process.kill()  # it has gone astray; reading on finds its end
-        return
-    if event["event"] == "end":
-        worker.ended.add(event["run_id"])
-    on_event(event)
-
-
-def _bury(worker: _Worker, store: Store, on_event: OnEvent) -> None:
-    """Reap a worker; runs that it did not report on have crashed with it."""
-    code = worker.process.wait()
-    _close(worker)
-    worker.errors.seek(0)
-    last_words = worker.errors.read()
-    worker.errors.close()
-    status = "killed" if code < 0 else "crashed"
-    for name, run in worker.group.items():
-        if name in worker.ended:
-            continue
-        message = f"the worker process {_reason(code)}\n".encode() + last_words
-        files = {"run.json": run_document(run, name), "error.txt": message}
-        store.save_run(name, Status(status), files)
-        on_event({"event": "end", "run_id": name, "status": status, "step": 0})
+def _ask_to_stop(worker: _Worker) -> None:
+    """Ask a worker, once, to take a checkpoint and end."""
+    if worker.asked_to_stop is None:
+        worker.asked_to_stop = time.monotonic()
+        assert worker.process.stdin is not None
+        with suppress(BrokenPipeError):
+            worker.process.stdin.write(b"stop\n")
 
 
 def _reason(code: int) -> str:

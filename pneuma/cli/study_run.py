@@ -1,0 +1,210 @@
+"""`pneuma study plan` and `pneuma study run`: what would be trained, and training it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    Conditions,
+    EngineName,
+    Json,
+    Preset,
+    Quiet,
+    Results,
+    Seeds,
+    Settings,
+    Steps,
+    StudyName,
+    Workers,
+    print_json,
+    read_count,
+    read_seconds,
+    read_selection,
+    say,
+)
+from pneuma.cli.progress import ProgressDisplay, duration
+from pneuma.study import execute, plan, spec
+from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.store import Status, Store
+
+RESULTS = Path("results")
+UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
+"""Statuses that a cell should not have when a study has been run."""
+
+_STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed": "partial"}
+
+
+def plan_(
+    name: StudyName,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    workers: Workers = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Say which runs are stored and which would be trained, and how long that takes; train nothing."""
+    from pneuma.study import foresight
+
+    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
+    planned = plan.make_plan(spec.load_study(name), selection)
+    at_once = available_cores() if workers is None else read_count("--workers", workers)
+    store = Store(results)
+    statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
+    todo = execute.missing(planned, statuses)
+    execute.check_environments(list(todo.values()))
+    paces = foresight.known_paces(planned, store)
+    if any(foresight.kind(run) not in paces for run in todo.values()):
+        paces = foresight.calibrate(planned, store, paces, lambda text: say(text, as_json=True))
+    seconds: dict[str, float | None] = {}
+    for cell in planned.cells:
+        pace = paces.get(foresight.kind(cell.run))
+        seconds[cell.run_id] = (
+            pace.seconds(cell.run.steps - _kept_steps(statuses[cell.run_id])) if pace else None
+        )
+    if json:
+        cells = [
+            {**_cell(cell), "state": _state(statuses[cell.run_id]), "expected_seconds": seconds[cell.run_id]}
+            for cell in planned.cells
+        ]
+        return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
+    _print_plan(planned, statuses, seconds)
+    if todo:
+        known = [own for name in todo if (own := seconds[name]) is not None]
+        wall = (
+            f"about {duration(foresight.wall_seconds(known, at_once))} with {at_once} at once, "
+            if known
+            else ""
+        )
+        room = sum(foresight.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
+        print(f"To train: {wall}{room / 1e6:,.0f} MB of disk.")
+    return None
+
+
+def run(
+    name: StudyName,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    workers: Workers = None,
+    checkpoint_seconds: Annotated[
+        str,
+        typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
+    ] = "15",
+    timeout: Annotated[
+        str | None,
+        typer.Option("--timeout", metavar="S", help="The longest that one run may train, in seconds."),
+    ] = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try runs again that crashed or timed out before.")
+    ] = False,
+    results: Results = RESULTS,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Train a study's runs that are not stored yet, going on where they were stopped."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
+    planned = plan.make_plan(spec.load_study(name), selection)
+    supervision = Supervision(
+        workers=available_cores() if workers is None else read_count("--workers", workers),
+        checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds, None) or 15.0,
+        timeout_seconds=read_seconds("--timeout", timeout, None),
+        keep_checkpoints=planned.study.keep_checkpoints,
+    )
+    return train(planned, Store(results), supervision, retry_failed, json, quiet)
+
+
+def train(
+    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+) -> int:
+    """Train what a plan lacks, showing how far it is; return the exit code."""
+    todo = execute.prepare(planned, store, retry_failed)
+    for note in (*planned.notes, *todo.notes):
+        say(f"Note: {note}.", as_json=True, quiet=quiet)
+    try:
+        with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
+            outcomes = execute.execute(planned, todo.runs, store, how, display.update)
+    except KeyboardInterrupt:
+        say("Stopped. The same command goes on where every run was stopped.", as_json=True)
+        return 130
+    _tell_outcomes(planned, outcomes, store, json, quiet)
+    if json:
+        rows = [{**_cell(o.cell), "status": o.status.name, "trained": o.trained} for o in outcomes]
+        print_json({"schema": 1, "study": planned.study.name, "runs": rows})
+    return 1 if any(outcome.status.name in UNWELL for outcome in outcomes) else 0
+
+
+def _cell(cell: plan.Cell) -> dict[str, Any]:
+    return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
+
+
+def _state(status: Status) -> str:
+    return _STATES.get(status.name, "partial" if status.step else "to-train")
+
+
+def _kept_steps(status: Status) -> int:
+    """Return from which step a run would go on."""
+    return 0 if status.finished else status.step
+
+
+def _print_plan(
+    planned: plan.Plan, statuses: Mapping[str, Status], seconds: Mapping[str, float | None]
+) -> None:
+    for note in planned.notes:
+        print(f"Note: {note}.")
+    for key, values in plan.differing_settings(planned).items():
+        print(f"Conditions differ in {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
+    for cell in planned.cells:
+        status, expected = statuses[cell.run_id], seconds[cell.run_id]
+        state = _state(status)
+        if status.failed:
+            state = f"{status.name}: --retry-failed trains it again"
+        elif state == "partial":
+            state = f"partial, {status.step:,} steps"
+        time = duration(expected) if expected is not None and not status.finished else ""
+        budget = f"{cell.run.steps:>12,} steps"
+        print(f"{cell.condition:<18} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
+    counts = Counter(_state(statuses[cell.run_id]) for cell in planned.cells)
+    print(
+        f"{counts['stored']} stored, "
+        + (f"{counts['partial']} partial, " if counts["partial"] else "")
+        + f"{counts['to-train']} to train."
+    )
+
+
+def _tell_outcomes(
+    planned: plan.Plan, outcomes: list[execute.Outcome], store: Store, as_json: bool, quiet: bool
+) -> None:
+    for outcome in outcomes:
+        told, state = f"{outcome.cell.condition} seed {outcome.cell.seed}", outcome.status
+        trace = store.run_folder(outcome.cell.run_id) / "error.txt"
+        if state.name == "diverged":
+            say(f"{told} diverged at step {state.step:,}; its records count", as_json)
+        elif state.name in ("crashed", "killed") and trace.is_file():
+            say(f"{told} {state.name}: {_cause(trace)}({trace})", as_json)
+        elif state.name in UNWELL:
+            say(f"{told} {state.name} at step {state.step:,}", as_json)
+    trained = sum(outcome.trained for outcome in outcomes)
+    counts = Counter(outcome.status.name for outcome in outcomes)
+    states = ", ".join(f"{n} {state}" for state, n in counts.items())
+    kept = len(outcomes) - trained
+    say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
+    if not any(counts[name] for name in UNWELL):
+        say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", as_json, quiet)
+
+
+def _cause(trace: Path) -> str:
+    """Return the last line of a traceback."""
+    lines = trace.read_text(errors="replace").strip().splitlines()
+    return f"{lines[-1]} " if lines else ""

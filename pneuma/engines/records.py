@@ -1,0 +1,55 @@
+"""What a run writes down while it trains: rows of episodes, updates and evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pneuma.config import ACTION_NAMES
+
+EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
+METRIC_COLUMNS = (
+    "step",
+    "policy_loss",
+    "value_loss",
+    "entropy",
+    "approx_kl",
+    "clip_fraction",
+    "grad_norm",
+    "grad_norm_actor",
+    "grad_norm_critic",
+    "explained_variance",
+    "dead_units",
+    *(f"action_{i}" for i in range(len(ACTION_NAMES))),
+)
+EVALUATION_COLUMNS = (
+    "step",
+    "episodes",
+    "share_killed",
+    "score",
+    "return",
+    "length",
+    "died",
+    "argmax_starts",
+    "argmax_share_killed",
+    "argmax_score",
+    "argmax_return",
+    "random_share_killed",
+    "hunter_share_killed",
+)
+
+Row = Mapping[str, Any]
+
+
+@dataclass
+class Records:
+    """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order."""
+
+    episodes: list[Row] = field(default_factory=list)
+    metrics: list[Row] = field(default_factory=list)
+    evaluations: list[Row] = field(default_factory=list)
+
+    def copy(self) -> Records:
+        """Return records that further rows do not reach."""
+        return Records(list(self.episodes), list(self.metrics), list(self.evaluations))

@@ -1,0 +1,69 @@
+"""Files of a results folder: there whole or not at all, and documents that notice their own damage."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+SCHEMA = 1
+_SEAL = "sha256"
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it is there whole or not at all, whatever happens meanwhile.
+
+    A link is followed; what is no ordinary file, such as a pipe or a terminal, is written to.
+    """
+    path = path.resolve()
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
+    replace_file(path, data)
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Put a new file in the place of whatever file or link is there, whole or not at all."""
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def to_json(value: object) -> bytes:
+    """Return a value as indented JSON with a final newline."""
+    return (json.dumps(value, indent=2) + "\n").encode()
+
+
+def seal(document: Mapping[str, Any]) -> bytes:
+    """Return a document as JSON with its schema and its own checksum."""
+    whole = {"schema": SCHEMA, **document}
+    return to_json({**whole, _SEAL: checksum(to_json(whole))})
+
+
+def read_sealed(path: Path) -> dict[str, Any] | None:
+    """Return a document that `seal` wrote; None where there is none, or not as it was written."""
+    try:
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        return None
+    told = document.pop(_SEAL, None)
+    return document if told == checksum(to_json(document)) else None
+
+
+def checksum(data: bytes) -> str:
+    """Return the SHA-256 of some bytes, in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,212 @@
+"""Foresight: how long runs take on this machine, and how much of a study is left.
+
+A run's pace is judged by finished runs like it, or by a short calibration: the first seconds of the
+run itself, trained into a folder that is thrown away.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import json
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pneuma.config import Run, as_settings
+from pneuma.study.execute import Progress
+from pneuma.study.executors.local import Event, Supervision, run_groups
+from pneuma.study.files import read_sealed, seal
+from pneuma.study.identity import run_id
+from pneuma.study.plan import Plan
+from pneuma.study.provenance import machine
+from pneuma.study.store import Store
+
+CALIBRATION_SECONDS = 4.0
+BYTES_PER_STEP = 3.0
+"""Room that the records of one agent step take, compressed."""
+
+_SCALARS = (
+    "seed", "steps", "learning_rate", "clip_range", "gamma", "gae_lambda", "value_coefficient",
+    "entropy_coefficient", "gradient_limit", "betas", "epsilon", "momentum", "dampening", "smoothing",
+    "weight_decay", "activation",
+)  # fmt: skip
+"""Settings that hardly change how long an update takes."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long a run takes: `start` seconds before its first update, then so long for each agent step."""
+
+    start: float
+    per_step: float
+
+    def seconds(self, steps: int) -> float:
+        """Return how long so many agent steps take, start included."""
+        return self.start + steps * self.per_step
+
+
+def known_paces(plan: Plan, store: Store) -> dict[str, Pace]:
+    """Return the pace of every kind of run in a plan that is known here, by `kind`."""
+    rates: dict[str, list[float]] = {}
+    for cell in plan.cells:
+        if store.status(cell.run_id).finished:
+            told = json.loads(store.read_file(cell.run_id, "provenance.json"))
+            rates.setdefault(kind(cell.run), []).append(told["wall_seconds"] / cell.run.steps)
+    calibrated = _calibrations(store)
+    known = {name: Pace(*calibrated[name]) for name in calibrated}
+    return known | {name: Pace(0.0, statistics.fmean(own)) for name, own in rates.items()}
+
+
+def calibrate(
+    plan: Plan, store: Store, paces: Mapping[str, Pace], say: Callable[[str], None]
+) -> dict[str, Pace]:
+    """Measure the pace of those kinds of runs that `paces` lacks; keep it for this machine."""
+    unknown = {kind(cell.run): cell.run for cell in plan.cells if kind(cell.run) not in paces}
+    measured = {}
+    for i, (name, run) in enumerate(unknown.items()):
+        say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
+        pace = _measure(run)
+        if pace:
+            measured[name] = pace
+    kept = {**_calibrations(store), **{name: (pace.start, pace.per_step) for name, pace in measured.items()}}
+    if measured:
+        store.check_writable()
+        store.write(_calibration_path(store), seal({"paces": {_machine(): kept}}))
+    return {**paces, **measured}
+
+
+def kind(run: Run) -> str:
+    """Return a digest of all that decides how long a step of a run takes."""
+    settings = {key: value for key, value in as_settings(run).items() if key not in _SCALARS}
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _measure(run: Run) -> Pace | None:
+    """Train the first seconds of a run and time them; None where that fails."""
+    moments: list[tuple[float, int]] = []
+    begun = time.monotonic()
+
+    def note(event: Event) -> None:
+        if event["event"] == "step":
+            moments.append((time.monotonic(), event["step"]))
+
+    with tempfile.TemporaryDirectory() as folder:
+        how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=_calibration_timeout())
+        run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
+    if len(moments) < 2 or moments[-1][1] == moments[0][1]:
+        return None
+    (first, early), (last, late) = moments[0], moments[-1]
+    per_step = (last - first) / (late - early)
+    return Pace(max(0.0, first - begun - early * per_step), per_step)
+
+
+def _calibration_timeout() -> float:
+    return CALIBRATION_SECONDS + 4.0  # besides what a worker takes to start
+
+
+def _calibration_path(store: Store) -> Path:
+    return store.root / "calibration.json"
+
+
+def _calibrations(store: Store) -> dict[str, list[float]]:
+    document = read_sealed(_calibration_path(store)) or {"paces": {}}
+    paces: dict[str, list[float]] = document["paces"].get(_machine(), {})
+    return paces
+
+
+def _machine() -> str:
+    here = machine(threads=1)
+    return hashlib.sha256(json.dumps([here["cpu"], here["packages"]]).encode()).hexdigest()[:16]
+
+
+# --- Disk ----------------------------------------------------------------------------------------
+
+
+def disk_bytes(run: Run, keep_checkpoints: int = 0) -> int:
+    """Return about how much room a run takes when it has ended; while it trains, two checkpoints more."""
+    weights = 0
+    for hidden in (run.actor, run.critic):
+        layers = [64, *hidden, 5]
+        weights += sum(a * b for a, b in zip(layers, layers[1:], strict=False))
+    return int(4 * weights * (1 + 3 * keep_checkpoints) + BYTES_PER_STEP * run.steps)
+
+
+# --- Time left -----------------------------------------------------------------------------------
+
+
+def wall_seconds(seconds: Iterable[float], workers: int) -> float:
+    """Return how long runs of such lengths take, begun in this order by whichever worker is free."""
+    free = [0.0] * max(workers, 1)
+    for own in seconds:
+        heapq.heappush(free, heapq.heappop(free) + own)
+    return max(free)
+
+
+class TimeLeft:
+    """Judges from the progress of runs how long the rest of them takes.
+
+    Args:
+        runs: to be trained, by id, in the order in which they are begun.
+        workers: how many at once.
+        clock: a monotonic clock in seconds.
+    """
+
+    def __init__(
+        self, runs: Mapping[str, Run], workers: int, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._runs = dict(runs)
+        self._workers = workers
+        self._clock = clock
+        self._begun = clock()
+        self._first: dict[str, tuple[float, int]] = {}
+        self._last: dict[str, tuple[float, int]] = {}
+        self._ended: set[str] = set()
+
+    def update(self, progress: Progress) -> None:
+        """Take one event of `execute`."""
+        name = progress.cell.run_id
+        if progress.status:
+            self._ended.add(name)
+        elif progress.step:
+            self._first.setdefault(name, (self._clock(), progress.step))
+            self._last[name] = (self._clock(), progress.step)
+
+    def seconds(self) -> float | None:
+        """Return how long all runs that have not ended still take; None before anything can be said."""
+        paces = {name: pace for name in self._first if (pace := self._pace(name))}
+        if not paces:
+            return None
+        usual = statistics.fmean(paces.values())
+        start = statistics.fmean(self._start(name, paces.get(name, usual)) for name in self._first)
+        now = self._clock()
+        running, waiting = [], []
+        for name, run in self._runs.items():
+            if name in self._ended:
+                continue
+            pace = paces.get(name, self._like(name, paces, usual))
+            if name in self._last:
+                then, step = self._last[name]
+                running.append(max(0.0, (run.steps - step) * pace - (now - then)))
+            else:
+                waiting.append(start + run.steps * pace)
+        return wall_seconds([*sorted(running), *waiting], self._workers)
+
+    def _pace(self, name: str) -> float | None:
+        """Return the seconds a step of a run takes; None before its second report."""
+        (first, early), (last, late) = self._first[name], self._last[name]
+        return (last - first) / (late - early) if late > early else None
+
+    def _start(self, name: str, pace: float) -> float:
+        """Return about how long a worker took before the run's first step: of the first ones, as seen."""
+        first, step = self._first[name]
+        return min(max(0.0, first - self._begun - step * pace), 10.0)
+
+    def _like(self, name: str, paces: Mapping[str, float], usual: float) -> float:
+        """Return the mean pace of runs of the same kind, or of all."""
+        own = kind(self._runs[name])
+        alike = [pace for other, pace in paces.items() if kind(self._runs[other]) == own]
+        return statistics.fmean(alike) if alike else usual

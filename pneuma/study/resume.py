@@ -1,0 +1,110 @@
+"""Going on after a kill: when to take checkpoints of a run, which to keep, and where to start from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pneuma.config import Run
+from pneuma.engines.base import Progress, checkpoint_steps
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.errors import UserError
+from pneuma.study.checkpoints import (
+    FOLDER,
+    CheckpointFile,
+    checkpoint_files,
+    encode,
+    file_name,
+    outdated,
+    read_checkpoint,
+)
+from pneuma.study.provenance import Attempt, differences
+from pneuma.study.store import Store
+
+WRITE_SHARE = 40
+"""Checkpoints are at least so many times apart as the last one took to write."""
+
+Send = Callable[..., None]
+
+
+class Resume:
+    """The checkpoints of one run while it trains.
+
+    Attributes:
+        history: what earlier attempts left: a list `attempts`, and `resumes` where this one went on.
+    """
+
+    def __init__(self, store: Store, name: str, run: Run, seconds: float, keep: int, send: Send) -> None:
+        self._store = store
+        self._name = name
+        self._send = send
+        self._seconds = seconds
+        self._kept = checkpoint_steps(run, keep)
+        self._next = time.monotonic() + seconds
+        self._files = checkpoint_files(store.run_folder(name))
+        self.history: dict[str, Any] = {"attempts": [], "resumes": []}
+
+    def latest(self) -> Checkpoint | None:
+        """Return the latest whole checkpoint, saying which were damaged; None to start anew."""
+        while self._files:
+            file = self._files[0]
+            read = read_checkpoint(file)
+            if read is not None:
+                checkpoint, self.history = read
+                self._note_resume(checkpoint.step)
+                return checkpoint
+            self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
+            self.discard()
+        return None
+
+    def discard(self) -> None:
+        """Give up the latest checkpoint."""
+        if self._files:
+            self._remove(self._files[:1])
+        self.history = {"attempts": [], "resumes": []}
+
+    def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
+        """Take a checkpoint after an update if it is time, or to be kept, or asked for `at_once`.
+
+        One that cannot be written is said, and tried again later: training goes on without it.
+        """
+        now = time.monotonic()
+        if now < self._next and not at_once and progress.step not in self._kept:
+            return
+        history = {**self.history, "attempts": [*self.history["attempts"], attempt.so_far(progress.step)]}
+        try:
+            self._write(encode(progress.checkpoint(), history), progress.step)
+        except UserError as error:
+            self._say(f"no checkpoint at step {progress.step:,}: {error}")
+        took = time.monotonic() - now
+        self._next = now + took + max(self._seconds, WRITE_SHARE * took)
+
+    def finish(self) -> None:
+        """Remove the checkpoints that are not to be kept."""
+        self._remove([file for file in self._files if file.step not in self._kept])
+        folder = self._store.run_folder(self._name) / FOLDER
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+    def _write(self, data: bytes, step: int) -> None:
+        path = self._store.run_folder(self._name) / FOLDER / file_name(step, data)
+        self._store.write(path, data)
+        self._files = checkpoint_files(self._store.run_folder(self._name))
+        self._remove(outdated(self._files, self._kept))
+
+    def _remove(self, files: list[CheckpointFile]) -> None:
+        for file in files:
+            file.path.unlink(missing_ok=True)
+        self._files = [file for file in self._files if file not in files]
+
+    def _note_resume(self, step: int) -> None:
+        """Keep in the history where this attempt goes on, and what has changed since."""
+        changed = differences(self.history["attempts"][-1]["machine"]) if self.history["attempts"] else []
+        self.history["resumes"].append({"step": step, "at": Attempt.now(), "differences": changed})
+        self._say(f"goes on from step {step:,}")
+        if changed:
+            self._say(f"goes on with another {', '.join(changed)}: it may end with other bits")
+
+    def _say(self, text: str) -> None:
+        self._send("note", self._name, text=text)

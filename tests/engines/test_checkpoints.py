@@ -1,0 +1,153 @@
+"""Going on from a checkpoint, in this process or through a file, ends with the bits of never stopping."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pneuma.config import Run, make_run
+from pneuma.engines.base import Progress, Result, checkpoint_steps, load_engine
+from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.records import Records
+from pneuma.study.checkpoints import (
+    TABLES,
+    checkpoint_files,
+    decode,
+    encode,
+    file_name,
+    outdated,
+    read_checkpoint,
+)
+from pneuma.study.tables import to_parquet
+
+SMALL: dict[str, object] = {
+    "horizon": 64,
+    "minibatch": 32,
+    "epochs": 2,
+    "steps": 384,
+    "evaluation_episodes": 2,
+}
+CASES: dict[str, dict[str, object]] = {
+    "adam": {"betas": (0.9, 0.9)},
+    "momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9},
+    "plain": {"optimizer": "sgd"},
+    "rmsprop": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
+    "slots": {"slots": 3, "steps": 1152, "env": "pneuma/PneumaGodot-v0", "episode_steps": 50},
+    "players": {"players": 2, "steps": 768, "episode_steps": 40, "clip": "separate"},
+    "magic": {"magic": True, "classes": "mage", "episode_steps": 70},
+    "islands": {"level": "random:train:0", "random_levels": 3, "episode_steps": 30},
+}
+
+
+def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
+    """Train a run; return its end and a checkpoint of every update."""
+    taken: list[Checkpoint] = []
+
+    def keep(progress: Progress) -> bool:
+        taken.append(progress.checkpoint())
+        return True
+
+    start = {0: checkpoint} if checkpoint else {}
+    return next(load_engine("sb3").train([run], start, keep)), taken
+
+
+def same_end(one: Result, other: Result) -> bool:
+    assert one.policy is not None and other.policy is not None
+    tables = [
+        [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
+        for result in (one, other)
+    ]
+    return (
+        tables[0] == tables[1] and one.policy.to_bytes() == other.policy.to_bytes() and one.step == other.step
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str) -> None:
+    run = make_run({**SMALL, **CASES[name]})
+    whole, taken = train(run)
+    for checkpoint in (taken[0], taken[3], taken[-1]):
+        np.random.seed(1)
+        torch.manual_seed(1)  # whatever other runs drew meanwhile
+        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
+        assert same_end(whole, resumed), checkpoint.step
+
+
+def test_a_checkpoint_does_not_change_while_its_run_goes_on() -> None:
+    run = make_run(SMALL)
+    kept: list[tuple[Checkpoint, bytes]] = []
+
+    def keep(progress: Progress) -> bool:
+        kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {})))
+        return True
+
+    next(load_engine("sb3").train([run], {}, keep))
+    assert all(encode(checkpoint, {}) == at_once for checkpoint, at_once in kept)
+
+
+@pytest.mark.parametrize("settings", [{"actor": (64,)}, {"optimizer": "sgd", "momentum": 0.9}, {"slots": 2}])
+def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object]) -> None:
+    _, taken = train(make_run(SMALL))
+    with pytest.raises(CheckpointError, match="cannot go on from step 64"):
+        train(make_run({**SMALL, **settings}), taken[0])
+
+
+# --- As files --------------------------------------------------------------------------------------
+
+
+def a_checkpoint(step: int = 64) -> Checkpoint:
+    arrays = {
+        "scalar": np.array(1.5, np.float32),
+        "matrix": np.arange(6.0).reshape(2, 3),
+        "none": np.zeros(0),
+    }
+    episode = {"slot": 0, "episode": 0, "step": 5, "return": 0.1, "length": 5, "kills": 1, "hp": 0.0}
+    records = Records(episodes=[{**episode, "ending": "killed"}])
+    return Checkpoint(step, arrays, {"seed": 2**64 - 1, "pair": [1, 0.1]}, records)
+
+
+def test_a_checkpoint_comes_back_from_its_bytes() -> None:
+    checkpoint = a_checkpoint()
+    back, history = decode(encode(checkpoint, {"attempts": [1]}))
+    assert (back.step, back.numbers, back.records, history) == (
+        64, checkpoint.numbers, checkpoint.records, {"attempts": [1]},
+    )  # fmt: skip
+    assert {name: array.shape for name, array in back.arrays.items()} == {
+        "scalar": (), "matrix": (2, 3), "none": (0,),
+    }  # fmt: skip
+    assert all(np.array_equal(back.arrays[name], array) for name, array in checkpoint.arrays.items())
+
+
+def store_files(folder: Path, steps: list[int]) -> None:
+    (folder / "checkpoints").mkdir()
+    for step in steps:
+        data = encode(a_checkpoint(step), {})
+        (folder / "checkpoints" / file_name(step, data)).write_bytes(data)
+
+
+def test_the_latest_is_told_first_and_strangers_are_left_alone(tmp_path: Path) -> None:
+    store_files(tmp_path, [64, 10_000, 192])
+    (tmp_path / "checkpoints" / "other.safetensors").write_bytes(b"")
+    files = checkpoint_files(tmp_path)
+    assert [file.step for file in files] == [10_000, 192, 64]
+    assert [file.step for file in outdated(files, kept=[])] == [64]
+    assert [file.step for file in outdated(files, kept=[64])] == []
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"", lambda data: data + b"\0"])
+def test_a_file_that_is_not_what_its_name_says_is_not_read(tmp_path: Path, damage: object) -> None:
+    store_files(tmp_path, [64])
+    (file,) = checkpoint_files(tmp_path)
+    assert read_checkpoint(file) is not None
+    file.path.write_bytes(damage(file.path.read_bytes()))  # type: ignore[operator]
+    assert read_checkpoint(file) is None
+
+
+def test_checkpoints_to_keep_are_spread_over_the_run() -> None:
+    run = make_run({**SMALL, "steps": 640})  # 10 updates of 64
+    assert checkpoint_steps(run, 4) == {192, 320, 512, 640}  # updates 3, 5, 8 and 10
+    assert checkpoint_steps(run, 0) == set()
+    assert checkpoint_steps(run, 100) == {64 * update for update in range(1, 11)}
