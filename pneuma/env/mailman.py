@@ -45,7 +45,7 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
         self.observation_space = spaces.Discrete(3)
         self.action_space = spaces.Discrete(2)
         self.slip, self.noise, self.render_mode = slip, noise, render_mode
-        self._place = POST_OFFICE
+        self._place = HOME  # no day has begun
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -60,7 +60,7 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if self._place == HOME:
-            raise gymnasium.error.ResetNeeded("the day is over: call reset first")
+            raise gymnasium.error.ResetNeeded("no day is under way: call reset first")
         slipped = bool(self.slip) and self.np_random.random() < self.slip
         home = (action == GO_HOME) != slipped
         there = LETTERS if self._place == POST_OFFICE and not home else HOME

@@ -1,0 +1,65 @@
+"""docs/environment.md does what it says: its files are written, its Python is run, in order."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pneuma.config import OBSERVATIONS, REWARDS, SHIPPED_LEVELS, make_env_config
+from pneuma.env import REGISTERED, state
+from pneuma.env.worlds import Worlds
+
+PAGE = Path(__file__).parents[2] / "docs" / "environment.md"
+BLOCK = re.compile(
+    r"(?:^`(?P<file>[\w./]+)`\n)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with all the files of the page."""
+    for block in BLOCK.finditer(PAGE.read_text(encoding="utf-8")):
+        if block["file"]:
+            path = tmp_path / block["file"]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(block["text"])
+    return tmp_path
+
+
+def test_the_pages_python_runs(folder: Path) -> None:
+    blocks = BLOCK.finditer(PAGE.read_text(encoding="utf-8"))
+    code = [block["text"] for block in blocks if block["language"] == "python" and not block["file"]]
+    code = [text for text in code if not text.startswith("# needs ")]
+    assert len(code) >= 7
+    (folder / "page.py").write_text("\n".join(code))
+    command = [sys.executable, "-W", "error", "page.py"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_pages_level_class_monster_and_weapon_are_what_it_says(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    mine = {"characters": "mine.toml", "classes": "knight"}
+    isle, wolfs = (Worlds(1, make_env_config({"level": level, **mine})) for level in ("isle", "isle.tmx"))
+    assert isle.level.title == "Two rocks" and wolfs.level.title == "The wolf's isle"
+    # 8 x 5 tiles of 64 px around the middle: the first tile's centre is at (-224, -128).
+    assert isle.level.starts.tolist() == [[-160.0, -64.0]]
+    assert isle.level.monsters == (("bamboo", 96.0, 0.0), ("wolf", 160.0, 64.0))
+    assert isle.monster_stats["hp"].tolist() == [[60, 60]]
+    assert wolfs.level.starts.tolist() == [[-96.0, -32.0]]
+    assert wolfs.level.monsters == (("wolf", 96.0, 32.0),)
+    assert (isle.player_stats["hp"][0], isle.player_stats["damage"][0]) == (200, 35)
+
+
+def test_the_page_names_all_that_there_is() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for name in (*REGISTERED, *REWARDS, *OBSERVATIONS, *SHIPPED_LEVELS):
+        assert f"`{name}`" in page, name
+    for name in state.EVENTS.names or ():
+        assert f"`{name}`" in page or name == "reward", name
