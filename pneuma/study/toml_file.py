@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -38,7 +39,7 @@ class TomlFile:
         for key in where:
             value = value.get(key, {})
             if not isinstance(value, dict):
-                raise self.mistake(where[:-1], f"{key} must be a table, not {value!r}", key)
+                raise self.mistake(where[:-1], f"{key} must be a table, not {shown(value)}", key)
         return dict(value)
 
     def refuse_unknown(self, where: Where, given: Mapping[str, Any], allowed: tuple[str, ...]) -> None:
@@ -48,6 +49,11 @@ class TomlFile:
                 hint = nearest_name(key, allowed)
                 message = f"unknown key {key!r}{hint}; known are {', '.join(allowed)}"
                 raise self.mistake(where, message, key)
+
+
+def shown(value: object) -> str:
+    """Return a value about as it stands in the file."""
+    return json.dumps(value, default=str, ensure_ascii=False)
 
 
 def read_toml(path: Path) -> TomlFile:
@@ -68,10 +74,11 @@ def read_toml(path: Path) -> TomlFile:
 
 
 def _line_of(text: str, wanted: Where) -> int | None:
-    """Return the line, from 1, where `wanted` is set, or failing that the closest table around it."""
+    """Return the line, from 1, where `wanted` is set or begins, or else the closest table around it."""
     best, best_depth = None, 0
     for number, path in _paths(text):
-        depth = len(path) if path == wanted[: len(path)] else 0
+        shared = min(len(path), len(wanted))
+        depth = shared if path[:shared] == wanted[:shared] else 0
         if depth > best_depth:
             best, best_depth = number, depth
     return best

@@ -167,14 +167,14 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "minibatch too large in a condition": (
         'activation = "relu"',
         "minibatch = 257",
-        13,
+        14,
         ("[conditions.relu]", "minibatch = 257", "256"),
     ),
     "unknown preset": ("[presets.quick]", "[presets.quik]", 16, ("'quik'", "did you mean quick?")),
     "unknown key in a preset": ("seeds = 3", "seds = 3", 17, ("[presets.quick]", "'seds'", "seeds")),
     "no seeds in a preset": ("seeds = 3\n", "", 16, ("[presets.quick]", "'seeds'", "missing")),
     "no steps in a preset": ("steps = 50_000\n", "", 16, ("[presets.quick]", "'steps'", "missing")),
-    "seeds of a wrong type": ("seeds = 3", 'seeds = "3"', 17, ("[presets.quick]", "seeds = '3'", "count")),
+    "seeds of a wrong type": ("seeds = 3", 'seeds = "3"', 17, ("[presets.quick]", 'seeds = "3"', "count")),
     "no seeds at all": ("seeds = 3", "seeds = 0", 17, ("seeds = 0", "count")),
     "a negative seed": ("[7, 3]", "[7, -3]", 21, ("seeds = [7, -3]", "different seeds")),
     "a seed twice": ("[7, 3]", "[7, 7]", 21, ("seeds = [7, 7]", "different seeds")),
@@ -219,9 +219,9 @@ def test_a_study_without_conditions_is_refused(tmp_path: Path) -> None:
     _assert_told(tmp_path, text, 3, "at least one condition")
 
 
-def test_a_minibatch_too_large_for_the_shared_horizon_names_the_condition(tmp_path: Path) -> None:
+def test_a_horizon_too_short_for_the_minibatch_of_the_base_is_told_at_its_line(tmp_path: Path) -> None:
     text = _changed("gradient_limit = 0.5", "horizon = 32")
-    _assert_told(tmp_path, text, 10, "[conditions.tanh]", "minibatch = 64", "32")
+    _assert_told(tmp_path, text, 8, "[run]", "horizon = 32", "minibatch = 64")
 
 
 def test_a_condition_written_on_one_line_is_found(tmp_path: Path) -> None:
