@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, env, runs, study
+from pneuma.cli import bench, env, import_, runs, study
 from pneuma.errors import UserError
 
 app = typer.Typer(
@@ -28,6 +28,7 @@ app.add_typer(study.app, name="study")
 app.add_typer(runs.app, name="run")
 app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
+app.add_typer(import_.app, name="import")
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,0 +1,68 @@
+"""`pneuma import …`: make a study of what other programs wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pneuma.cli.options import Json, Results, print_json, say
+from pneuma.study.store import Store
+
+app = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
+
+RESULTS = Path("results")
+
+
+@app.callback()
+def _group() -> None:
+    """Make a study of old logs."""
+
+
+@app.command()
+def tensorboard(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Holds NAME_1/, NAME_2/, … with event files, or is one.")
+    ],
+    name: Annotated[
+        str | None, typer.Option("--name", metavar="NAME", help="The study's name (default: the folder's).")
+    ] = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Import Stable-Baselines3's TensorBoard logs: NAME is the condition, the number the seed."""
+    from pneuma.study.imported import import_tensorboard
+
+    done = import_tensorboard(folder, Store(results), name)
+    for note in done.notes:
+        say(f"Note: {note}.", as_json=True)
+    for run in done.runs:
+        for words in run.damage:
+            say(f"Note: {run.shown}: {words}.", as_json=True)
+        if run.superseded:
+            replaced = f"{run.superseded:,} of {run.points:,} points were written again after a restart"
+            say(f"Note: {run.shown}: {replaced}; the later ones count.", as_json=True)
+    if json:
+        rows = [
+            {
+                "run_id": run.run_id,
+                "condition": run.condition,
+                "seed": run.seed,
+                "status": "done",
+                "imported": run.new,
+                "steps": run.steps,
+                "points": run.points,
+                "superseded": run.superseded,
+                "damage": list(run.damage),
+            }
+            for run in done.runs
+        ]
+        return print_json({"schema": 1, "study": done.study, "runs": rows, "notes": list(done.notes)})
+    new = sum(run.new for run in done.runs)
+    points = sum(run.points for run in done.runs)
+    kept = len(done.runs) - new
+    print(f"{done.study}: {len(done.runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
+    print("Returns are means of 100 episodes, as Stable-Baselines3 logs them.")
+    print(f"Draw it with: pneuma study plot {done.study} --results {results}")
+    return None
