@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.cli.fork import fork
 from pneuma.cli.options import Json, Results, print_json
 from pneuma.config import EnvConfig, Run, make_run
 from pneuma.errors import UserError, nearest_name
@@ -20,6 +21,8 @@ from pneuma.study.stored_runs import Holder, StoredRun
 app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
 )
+
+app.command("fork")(fork)
 
 RESULTS = Path("results")
 EXPORTS = (".zip", ".onnx")
@@ -75,7 +78,8 @@ def show(
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     if json:
         return print_json(_document(run, {key: usual.get(key) for key in differing}))
-    print(f"run {run.run_id}: {_plain(run.status.name)}, {run.status.step:,} steps trained")
+    detail = f" ({_plain(run.status.detail)})" if run.status.detail else ""
+    print(f"run {run.run_id}: {_plain(run.status.name)}{detail}, {run.status.step:,} steps trained")
     for held in run.holders:
         print(f"study {_plain(held.study)}, condition {_plain(held.condition)}, seed {held.seed}")
     _print_settings(run.settings, differing, usual, all_)
@@ -202,6 +206,7 @@ def _print_provenance(run: StoredRun) -> None:
     about = run.provenance
     print("\nProvenance" if about else "\nIts provenance is missing or damaged.")
     rows = {
+        "imported": about.get("imported"),
         "started": about.get("started"),
         "wall time": f"{about['wall_seconds']} s" if "wall_seconds" in about else None,
         "commit": about.get("commit"),

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,8 @@ from typing import Any
 
 from pneuma.config import as_settings, make_run
 from pneuma.errors import UserError
-from pneuma.study.store import Status, Store
+from pneuma.study.files import read_sealed
+from pneuma.study.store import FINISHED, Status, Store
 
 SHORTEST_PREFIX = 4
 LONGEST_LISTED = 5
@@ -35,7 +34,10 @@ class Holder:
 
 @dataclass(frozen=True)
 class StoredFile:
-    """A file of a run: its size, and 'sound', 'damaged', 'missing' or 'unlisted' (vouched for by nothing)."""
+    """A file of a run: its size, and 'sound', 'damaged', 'missing', 'unlisted' or 'refused'.
+
+    Unlisted is what no checksum vouches for; refused, what would lead out of the run's folder.
+    """
 
     name: str
     size_bytes: int
@@ -86,7 +88,7 @@ def find_run(store: Store, text: str) -> str:
         UserError: when there is none, or several; or for a file in place of an id.
     """
     refuse_pickled(text)
-    names = run_ids(store)
+    names = store.runs()
     if text in names:
         return text
     meant = [name for name in names if name.startswith(text.lower())]
@@ -117,14 +119,6 @@ def refuse_pickled(text: str) -> None:
         )
 
 
-def run_ids(store: Store) -> list[str]:
-    """Return the ids of all runs that have a folder."""
-    folder = store.root / "runs"
-    if not folder.is_dir():
-        return []
-    return sorted(name for name in os.listdir(folder) if re.fullmatch(r"[0-9a-f]{16}", name))
-
-
 def list_runs(store: Store) -> list[ListedRun]:
     """Return all stored runs: those of studies in the studies' order, then the others by id.
 
@@ -132,14 +126,14 @@ def list_runs(store: Store) -> list[ListedRun]:
     compares checksums, which for a thousand runs takes seconds.
     """
     held = holders(store)
-    names = run_ids(store)
-    known = [name for name in held if name in set(names)]
-    ordered = [*known, *(name for name in names if name not in held)]
+    names = store.runs()
+    stored = set(names)
+    ordered = [*(name for name in held if name in stored), *(name for name in names if name not in held)]
     return [_listed(store, name, held.get(name, ())) for name in ordered]
 
 
 def stored_run(store: Store, run_id: str) -> StoredRun:
-    """Return all that is stored of a run; `run_id` is one of `run_ids`."""
+    """Return all that is stored of a run; `run_id` is one of `Store.runs`."""
     settings = _document(store, run_id, "run.json").get("run")
     return StoredRun(
         run_id=run_id,
@@ -176,23 +170,27 @@ def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _listed(store: Store, run_id: str, held: tuple[Holder, ...]) -> ListedRun:
-    manifest = _manifest(store, run_id)
-    names = _file_names(manifest)
-    folder = store.run_folder(run_id)
-    if names and all((folder / name).is_file() for name in names):
-        status = Status(str(manifest.get("status")), _whole(manifest.get("step")))
-    else:
-        status = store.status(run_id)
+    status = _noted_status(store, run_id)
     if held:
         return ListedRun(run_id, status, held[0].seed, held)
-    settings = _json(folder / "run.json").get("run")
+    settings = _json(store.run_folder(run_id) / "run.json").get("run")
     seed = settings.get("seed") if isinstance(settings, dict) else None
     return ListedRun(run_id, status, seed if isinstance(seed, int) else None, held)
 
 
+def _noted_status(store: Store, run_id: str) -> Status:
+    """Return what a finished run notes of itself, if its files are there; or else judge all it holds."""
+    folder = store.run_folder(run_id)
+    match read_sealed(folder / "status.json"):
+        case {"status": str(name), "step": int(step)} if name in FINISHED:
+            if all((folder / file).is_file() for file in store.file_names(run_id)):
+                return Status(name, step)
+    return store.status(run_id)
+
+
 def _files(store: Store, run_id: str) -> tuple[StoredFile, ...]:
     folder = store.run_folder(run_id)
-    listed = _file_names(_manifest(store, run_id))
+    listed = store.file_names(run_id)
     found = {
         path.relative_to(folder).as_posix()
         for path in folder.rglob("*")
@@ -204,6 +202,8 @@ def _files(store: Store, run_id: str) -> tuple[StoredFile, ...]:
 
 def _file(store: Store, run_id: str, name: str, listed: bool) -> StoredFile:
     path = store.run_folder(run_id) / name
+    if listed and Path(name).name != name:
+        return StoredFile(name, 0, "refused")  # it would lead out of the folder
     if not path.is_file():
         return StoredFile(name, 0, "missing")
     size = path.stat().st_size
@@ -225,24 +225,9 @@ def _document(store: Store, run_id: str, name: str) -> dict[str, Any]:
     return document if isinstance(document, dict) else {}
 
 
-def _manifest(store: Store, run_id: str) -> dict[str, Any]:
-    return _json(store.run_folder(run_id) / "status.json")
-
-
-def _file_names(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the files that a manifest vouches for, those in the run's own folder."""
-    files = manifest.get("files")
-    names = files if isinstance(files, dict) else ()
-    return [name for name in names if re.fullmatch(r"[\w-][\w.-]*(/[\w-][\w.-]*)*", name)]
-
-
 def _json(path: Path) -> dict[str, Any]:
     try:
         document = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
         return {}
     return document if isinstance(document, dict) else {}
-
-
-def _whole(value: object) -> int:
-    return value if isinstance(value, int) else 0

@@ -18,6 +18,7 @@ from pneuma.cli import main
 from pneuma.config import Run, make_run
 from pneuma.engines.policy import Policy
 from pneuma.study.execute import selection_record
+from pneuma.study.files import checksum, seal
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -221,6 +222,7 @@ def test_show_says_which_file_is_not_what_was_written(store: Store, capsys: Capt
     (folder / "more.txt").write_text("mine")
     document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
     assert document["status"] == "damaged"
+    assert f"run {ALONE}: damaged (run.json)" in call(capsys, "run", "show", ALONE)
     assert {file["name"]: file["state"] for file in document["files"]} == {
         "run.json": "damaged",
         "provenance.json": "missing",
@@ -230,6 +232,17 @@ def test_show_says_which_file_is_not_what_was_written(store: Store, capsys: Capt
     shown = call(capsys, "run", "show", ALONE)
     assert "configuration is missing or damaged" in shown
     assert "provenance is missing or damaged" in shown
+
+
+def test_a_file_outside_the_folder_is_not_even_measured(store: Store, capsys: Captured) -> None:
+    (store.root / "secret.json").write_text("{}")
+    for name in ("../../secret.json", str(store.root / "secret.json")):
+        files = {name: checksum(b"{}")}
+        status = seal({"status": "done", "step": 256, "files": files})
+        (store.run_folder(ALONE) / "status.json").write_bytes(status)
+        document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
+        assert {"name": name, "bytes": 0, "state": "refused"} in document["files"]
+        assert document["status"] == "damaged"
 
 
 def test_what_a_stranger_wrote_cannot_drive_the_terminal(store: Store, capsys: Captured) -> None:
