@@ -35,6 +35,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *("optimizer", "learning_rate", "betas", "epsilon", "momentum", "dampening", "smoothing"),
         *("weight_decay", "gradient_limit", "clip"),
     ),
+    "fork": ("parent", "fork_step", "fork_reset"),
     "learner": (),
 }
 """Settings of a run as they are shown together; what is in no other group belongs to the last."""
