@@ -14,7 +14,7 @@ STATEMENTS = {
     "import pneuma.cli": "import pneuma.cli",
     "pneuma --help": "from pneuma.cli import main; assert main(['--help']) == 0",
     "pneuma study run --help": "from pneuma.cli import main; assert main(['study', 'run', '--help']) == 0",
-    "pneuma run list": "from pneuma.cli import main; assert main(['run', 'list', '--results', '/no/where']) == 0",
+    "pneuma run list": "from pneuma.cli import main; assert main(['run', 'list', '--results', '/no']) == 0",
     "gymnasium's registry": "import gymnasium, pneuma; gymnasium.spec('pneuma/Pneuma-v0')",
 }
 
