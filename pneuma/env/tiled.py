@@ -2,7 +2,7 @@
 
 A layer is known by the last word of its name, in upper or lower case (`island_Ground`):
 
-    ground        optional: what every tile is made of; for the eye, and for the coast
+    ground        optional: what every tile is made of; for the eye, and for the coast: code 0, water
     obstacles     (or floorblocks, blocks) code 395 where something stands in the way, empty elsewhere
     entities      optional: at the centre of its tile stands a start place (400) or a monster (390 ...)
 

@@ -193,10 +193,14 @@ class Worlds:
 
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
+        self.rekey(seeds, mask)
+        self.players["xp"][self._every if mask is None else mask] = 0.0
+
+    def rekey(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
+        """Give worlds random streams of their own from here on; all else goes on as it is."""
         for world in np.flatnonzero(self._every if mask is None else mask):
             self.worlds["key"][world] = world_key(int(seeds[int(world)]))
             self.worlds["draws"][world] = 0
-            self.players["xp"][world] = 0.0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Begin an episode in all worlds, or in those of `mask`, and observe all.
@@ -256,9 +260,11 @@ class Worlds:
         """Return a copy of one world's state; it can be pickled, sent and restored elsewhere.
 
         Raises:
-            ValueError: when there is no such world.
+            ValueError: when there is no such world, or no episode has ever begun in it.
         """
-        one = slice(self._index(world), world + 1)
+        if not self.worlds["players_left"][self._index(world)] and self.ending(world) == "running":
+            raise ValueError(f"no episode has begun in world {world}: reset it first")
+        one = slice(world, world + 1)
         worlds, players, monsters = self._raw
         return Snapshot(
             worlds[one].copy().view(state.WORLD),

@@ -235,6 +235,13 @@ def test_a_world_that_there_is_not_is_refused(world: int) -> None:
         worlds.restore(world, saved)
 
 
+def test_a_world_in_which_nothing_has_begun_is_not_saved() -> None:
+    with pytest.raises(ValueError, match="no episode has begun in world 1"):
+        Worlds(2).save(1)
+    with pytest.raises(ValueError, match="no episode has begun in world 0"):
+        PneumaEnv().save()
+
+
 def test_a_world_without_monsters_can_be_saved(tmp_path: Path) -> None:
     worlds = begin(2, level=write_level(tmp_path / "level", [(0.0, 0.0), (99.0, 0.0)], []))
     worlds.restore(1, worlds.save(0))
