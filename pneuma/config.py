@@ -32,6 +32,9 @@ SCALES = ("unit", "map", "raw")
 ALGORITHMS = ("ppo",)
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
+FORK_RESETS = ("optimizer", "xp", "critic")
+"""What a fork may begin anew: the optimizer's moments, the players' XP, or the critic's weights."""
+FORK_SETTINGS = ("parent", "fork_step", "fork_reset")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
 MAX_PLAYERS = MOST_NAMES
@@ -218,6 +221,17 @@ class Run(EnvConfig):
 
     evaluation_episodes: int = setting(50, Number(1, 10_000, whole=True))
 
+    parent: str = setting("", Matching(r"|[0-9a-f]{16}", "the id of a run"))
+    """The run that a fork goes on from; set by `pneuma run fork` alone, as are the next two."""
+    fork_step: int = setting(0, Number(0, 10**12, whole=True))
+    """Agent steps of the parent's checkpoint that a fork begins with."""
+    fork_reset: str = setting("", Choice(("", *FORK_RESETS)))
+
+    @property
+    def stream(self) -> str:
+        """What keys the run's random streams: its seed; a fork's are fresh ones."""
+        return f"{self.parent}/{self.fork_step}/{self.seed}" if self.parent else str(self.seed)
+
     @property
     def steps_per_update(self) -> int:
         """Agent steps, over all slots and players, that one update learns from."""
@@ -337,10 +351,10 @@ def as_settings(config: EnvConfig) -> dict[str, Any]:
     return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(config).items()}
 
 
-def stream_seed(seed: int, purpose: str, slot: int = 0) -> int:
-    """Return the 64-bit seed of one random stream of a run.
+def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:
+    """Return the 64-bit seed of one random stream of a run, keyed by the run's `stream`.
 
     Streams are keyed by hash, never by adding: no two purposes, slots or runs share one.
     """
-    digest = hashlib.sha256(f"{seed}/{purpose}/{slot}".encode()).digest()
+    digest = hashlib.sha256(f"{stream}/{purpose}/{slot}".encode()).digest()
     return int.from_bytes(digest[:8], "little")

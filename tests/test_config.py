@@ -202,10 +202,11 @@ NUMBERS: dict[str, tuple[Any, Any, Any, Any]] = {
     "smoothing": (-0.1, 1, 0, 0.999),
     "weight_decay": (-0.1, 1.1, 0, 1),
     "evaluation_episodes": (0, 10_001, 1, 10_000),
+    "fork_step": (-1, 10**12 + 1, 0, 10**12),
 }
 WHOLE = (
     *("seed", "steps", "slots", "episode_steps", "horizon", "minibatch", "epochs", "evaluation_episodes"),
-    *("random_levels", "players"),
+    *("random_levels", "players", "fork_step"),
 )
 LISTS: dict[str, list[Any]] = {
     "actor": [[], [0], [65_537], [1] * 9, [1.5], 128, "128", [[1]]],
@@ -219,7 +220,7 @@ WORDS = (
     *("level", "env", "engine", "algorithm", "activation", "clip", "optimizer"),
     *("observation", "start", "coast", "kill_credit", "xp_scope", "time_limit"),
 )
-WORDS_OR_NOTHING = ("characters", "perceive", "order", "scale")
+WORDS_OR_NOTHING = ("characters", "perceive", "order", "scale", "parent", "fork_reset")
 FLAGS = ("end_on_clear", "magic")
 
 
@@ -329,25 +330,25 @@ def test_the_activations_are_those_of_the_thesis() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "purpose", "slot", "expected"),
+    ("stream", "purpose", "slot", "expected"),
     [
         # printf '0/world/0' | sha256sum begins c0d6a0f53063ef94, least significant byte first:
-        (0, "world", 0, 0x94EF6330F5A0D6C0),
+        ("0", "world", 0, 0x94EF6330F5A0D6C0),
         # printf '7/evaluation/3' | sha256sum begins 975d2156f2a3acc8
-        (7, "evaluation", 3, 0xC8ACA3F256215D97),
+        ("7", "evaluation", 3, 0xC8ACA3F256215D97),
     ],
 )
-def test_a_streams_seed_is_a_known_hash(seed: int, purpose: str, slot: int, expected: int) -> None:
-    assert stream_seed(seed, purpose, slot) == expected
+def test_a_streams_seed_is_a_known_hash(stream: str, purpose: str, slot: int, expected: int) -> None:
+    assert stream_seed(stream, purpose, slot) == expected
 
 
 def test_no_two_streams_share_a_seed() -> None:
     purposes = ("world", "weights", "actions", "minibatches", "evaluation", "evaluation-actions")
-    keys = list(itertools.product(range(50), purposes, range(20)))
+    keys = list(itertools.product(map(str, range(50)), purposes, range(20)))
     seeds = {stream_seed(*key) for key in keys}
     assert len(seeds) == len(keys) == 50 * 6 * 20
     assert all(0 <= seed < 2**64 for seed in seeds)
 
 
 def test_slot_zero_is_the_stream_without_a_slot() -> None:
-    assert stream_seed(3, "weights") == stream_seed(3, "weights", 0)
+    assert stream_seed("3", "weights") == stream_seed("3", "weights", 0)

@@ -77,7 +77,7 @@ def read_selection(
         return None
     return Selection(
         preset=preset,
-        seeds=None if seeds is None else _read_seeds(seeds),
+        seeds=None if seeds is None else read_seeds_option(seeds),
         steps=None if steps is None else read_count("--steps", steps),
         engine=engine,
         conditions=tuple(conditions or ()),
@@ -109,7 +109,8 @@ def read_seconds(option: str, text: str | None, default: float | None) -> float 
     return seconds
 
 
-def _read_seeds(text: str) -> tuple[int, ...]:
+def read_seeds_option(text: str) -> tuple[int, ...]:
+    """Read `--seeds`: a count, or a list."""
     try:
         parts = [int(part) for part in text.split(",") if part.strip()]
         return read_seeds(parts if "," in text else parts[0])

@@ -34,7 +34,7 @@ class Evaluation:
 
     def evaluate(self, policy: Policy, step: int) -> dict[str, Any]:
         """Return one row of `base.EVALUATION_COLUMNS` for the policy after `step` agent steps."""
-        generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
+        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
 
         def act(worlds: Worlds) -> np.ndarray:
             observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
@@ -71,7 +71,7 @@ class Evaluation:
     def _anchors(self) -> tuple[float, float]:
         """Return the share of monsters that the random player and the hunter kill on these worlds."""
         shares = []
-        generator = np.random.default_rng(stream_seed(self.run.seed, "random-player"))
+        generator = np.random.default_rng(stream_seed(self.run.stream, "random-player"))
         for player in (RandomPlayer(generator), Hunter(self.worlds)):
             self._play(player.act)
             killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
@@ -85,7 +85,7 @@ class Evaluation:
             (N,) the return of each, the mean over its players.
         """
         worlds = self.worlds
-        worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(worlds))])
+        worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(worlds))])
         worlds.reset(starts=self._starts)
         returns = np.zeros(len(worlds))
         running = len(worlds)

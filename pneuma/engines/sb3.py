@@ -24,7 +24,7 @@ from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import LEAKY_SLOPE, Policy, dead_share
 from pneuma.engines.records import EPISODE_COLUMNS, Records
-from pneuma.engines.sb3_state import restore_checkpoint, take_checkpoint
+from pneuma.engines.sb3_state import critic_names, restore_checkpoint, take_checkpoint
 from pneuma.env.sb3 import PneumaVecEnv
 
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
@@ -84,7 +84,10 @@ def _train_model(
     evaluated = evaluation_updates(run) if evaluation else set()
     records, step = Records(), 0
     _, callback = model._setup_learn(run.steps, callback=CallbackList([]))
-    if checkpoint:
+    if checkpoint and run.parent and checkpoint.step == run.fork_step:
+        begin_fork(model, run, checkpoint)
+        step = checkpoint.step
+    elif checkpoint:
         restore_checkpoint(model, checkpoint)
         records, step = checkpoint.records.copy(), checkpoint.step
     status, policy = "done", extract_policy(model, run)
@@ -123,12 +126,34 @@ def learn_from_rollout(model: PPO) -> dict[str, float]:
     return {name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in _LOGGED.items()}
 
 
+def begin_fork(model: PPO, run: Run, checkpoint: Checkpoint) -> None:
+    """Put a learner where its parent's checkpoint was taken, with random streams of its own from there on.
+
+    What the run asks to reset is as it is at a run's start instead.
+
+    Raises:
+        CheckpointError: for settings that the checkpoint does not fit.
+    """
+    left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(run.fork_reset, ())
+    restore_checkpoint(model, checkpoint, left_out)
+    env = model.env
+    assert isinstance(env, PneumaVecEnv)
+    env.state.rekey(world_seeds(run))
+    if run.fork_reset == "xp":
+        env.state.players["xp"] = 0.0
+    seed_streams(run)
+
+
 def make_env(run: Run) -> PneumaVecEnv:
     """Return the worlds of a run's slots, each with a random stream of its own."""
-    seeds = [stream_seed(run.seed, "world", slot) for slot in range(run.slots)]
-    env = PneumaVecEnv(seeds, env_config(run))
+    env = PneumaVecEnv(world_seeds(run), env_config(run))
     env.keep_finished = True
     return env
+
+
+def world_seeds(run: Run) -> list[int]:
+    """Return the seeds of the worlds of a run's slots."""
+    return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]
 
 
 def make_model(run: Run, env: VecEnv) -> PPO:
@@ -137,7 +162,7 @@ def make_model(run: Run, env: VecEnv) -> PPO:
     Each of torch's and NumPy's global generators serves one purpose from its own stream: torch the
     initial weights, then the actions; NumPy the order of minibatches.
     """
-    torch.manual_seed(stream_seed(run.seed, "weights"))
+    torch.manual_seed(stream_seed(run.stream, "weights"))
     model = PPO(
         "MlpPolicy",
         env,
@@ -160,9 +185,14 @@ def make_model(run: Run, env: VecEnv) -> PPO:
         device="cpu",
     )
     model.set_logger(Logger(folder=None, output_formats=[]))
-    torch.manual_seed(stream_seed(run.seed, "actions"))
-    np.random.seed(stream_seed(run.seed, "minibatches") % 2**32)
+    seed_streams(run)
     return model
+
+
+def seed_streams(run: Run) -> None:
+    """Begin the streams of a run's actions and minibatches."""
+    torch.manual_seed(stream_seed(run.stream, "actions"))
+    np.random.seed(stream_seed(run.stream, "minibatches") % 2**32)
 
 
 def joint_limit(run: Run) -> float:

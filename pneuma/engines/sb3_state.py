@@ -6,7 +6,7 @@ pickled code. Here everything that the next update reads is taken, and nothing e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,20 +41,23 @@ def take_checkpoint(model: PPO, step: int, records: Records) -> Checkpoint:
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def restore_checkpoint(model: PPO, checkpoint: Checkpoint) -> None:
+def restore_checkpoint(model: PPO, checkpoint: Checkpoint, left_out: Sequence[str] = ()) -> None:
     """Put a learner, and torch's and NumPy's global generators, where a checkpoint was taken.
+
+    Arrays whose names begin with one of `left_out` stay as the learner has them.
 
     Raises:
         CheckpointError: for one that does not fit this learner.
     """
     env = model.env
     assert isinstance(env, PneumaVecEnv)
-    arrays, numbers = checkpoint.arrays, checkpoint.numbers
+    numbers = checkpoint.numbers
+    arrays = {k: v for k, v in checkpoint.arrays.items() if not k.startswith(tuple(left_out))}
     try:
-        if numbers["optimizer"] != type(model.policy.optimizer).__name__:
+        kept = any(name.startswith("optimizer/") for name in arrays)
+        if kept and numbers["optimizer"] != type(model.policy.optimizer).__name__:
             raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-        policy = _tensors(arrays, "policy/")
-        model.policy.load_state_dict(policy)
+        model.policy.load_state_dict({**model.policy.state_dict(), **_tensors(arrays, "policy/")})
         _restore_optimizer(model.policy.optimizer, arrays)
         worlds = {name: arrays[f"worlds/{name}"] for name in env.saved_state()}
         env.restore_state(worlds)
@@ -66,6 +69,13 @@ def restore_checkpoint(model: PPO, checkpoint: Checkpoint) -> None:
         model._n_updates, model.num_timesteps = numbers["updates"], numbers["timesteps"]
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
+
+
+def critic_names(model: PPO) -> tuple[str, ...]:
+    """Return how the names of all arrays of the critic begin, its optimizer's among them."""
+    named = [name for name, _ in model.policy.named_parameters()]
+    critic = [name for name in named if "value_net" in name]
+    return (*(f"policy/{name}" for name in critic), *(f"optimizer/{named.index(name)}/" for name in critic))
 
 
 def _copy(tensor: torch.Tensor) -> np.ndarray:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pneuma.config import Run, as_settings, make_run, read_setting
+from pneuma.config import FORK_SETTINGS, Run, as_settings, make_run, read_setting
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.spec import Study, does_nothing, unread_settings
@@ -124,10 +124,13 @@ def _conditions(study: Study, wanted: Sequence[str]) -> tuple[str, ...]:
 
 
 def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    for key, option in (("seed", "--seeds"), ("steps", "--steps")):
+    for key, option in _SET_ELSEWHERE.items():
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
     return {key: read_setting(Run, key, value) for key, value in settings.items()}
+
+
+_SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_SETTINGS, "pneuma run fork")}
 
 
 def _cell(condition: str, run: Run) -> Cell:

@@ -38,6 +38,7 @@ class Resume:
     def __init__(self, store: Store, name: str, run: Run, seconds: float, keep: int, send: Send) -> None:
         self._store = store
         self._name = name
+        self._run = run
         self._send = send
         self._seconds = seconds
         self._kept = checkpoint_steps(run, keep)
@@ -56,7 +57,19 @@ class Resume:
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
             self.discard()
-        return None
+        return self._parents() if self._run.parent else None
+
+    def _parents(self) -> Checkpoint:
+        """Return the checkpoint that a fork begins with.
+
+        Raises:
+            UserError: when the parent keeps it no more.
+        """
+        parent, step = self._run.parent, self._run.fork_step
+        for file in checkpoint_files(self._store.run_folder(parent)):
+            if file.step == step and (read := read_checkpoint(file)):
+                return read[0]
+        raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
 
     def discard(self) -> None:
         """Give up the latest checkpoint."""

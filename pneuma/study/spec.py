@@ -13,7 +13,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import BASES, ENVIRONMENT_SLOTS, OPTIMIZER_SETTINGS, Run, make_run, read_setting
+from pneuma.config import (
+    BASES,
+    ENVIRONMENT_SLOTS,
+    FORK_SETTINGS,
+    OPTIMIZER_SETTINGS,
+    Run,
+    make_run,
+    read_setting,
+)
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.study.faults import (
     JUDGED_BY_THE_ENVIRONMENT,
@@ -38,8 +46,10 @@ KEPT_CHECKPOINTS = Number(0, 1000, whole=True)
 _TEXTS = {"base": f"one of {', '.join(BASES)}", "baseline": "the name of a condition"}
 """What the texts at the top are that are not for people."""
 
-_PLANNED = {"seed": "seeds", "steps": "steps"}
-"""Fields of a run that a selection decides, and the key of a preset that does."""
+_PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromkeys(
+    FORK_SETTINGS, "`pneuma run fork`"
+)
+"""Fields of a run that are not a study's to set, and what sets them."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +66,7 @@ class Study:
 
     Attributes:
         name: the file's name, or what its owner calls it.
+        path: the file; None for a study that is none, such as a fork.
         title, section, about: for people.
         figure: file stem of its figure.
         baseline: the condition that the others are compared with.
@@ -67,7 +78,7 @@ class Study:
     """
 
     name: str
-    path: Path
+    path: Path | None
     title: str
     section: str
     about: str
@@ -85,8 +96,10 @@ class Study:
 
     @property
     def own_path(self) -> str | None:
-        """The path of a user's own file; None for a shipped study."""
-        return None if self.path.parent == studies_folder() else str(self.path.resolve())
+        """The path of a user's own file; None for a shipped study, and for one that is no file."""
+        if self.path is None or self.path.parent == studies_folder():
+            return None
+        return str(self.path.resolve())
 
     def preset(self, name: str) -> Preset:
         """Return a preset by its name.
@@ -272,7 +285,7 @@ def _read_settings(file: TomlFile, where: Where) -> dict[str, Any]:
     settings = file.table(where)
     for key in settings:
         if key in _PLANNED:
-            message = f"{key} is set by a preset ({_PLANNED[key]}) or an option, not here"
+            message = f"{key} is set by {_PLANNED[key]} or an option, not here"
             raise file.mistake(where, message, key)
     file.refuse_unknown(where, settings, tuple(f.name for f in fields(Run) if f.name not in _PLANNED))
     checked = {}

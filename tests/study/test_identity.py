@@ -65,6 +65,9 @@ OTHER: dict[str, Any] = {
     "epsilon": 1e-8,
     "weight_decay": 0.01,
     "evaluation_episodes": 20,
+    "parent": "0123456789abcdef",
+    "fork_step": 256,
+    "fork_reset": "optimizer",
 }
 """For every field with more than one value, one that is not the default."""
 

@@ -1,0 +1,63 @@
+"""`pneuma run fork`: go on from a stored run's checkpoint with one thing changed, beside a control."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pneuma.cli.options import (
+    Json,
+    Quiet,
+    Results,
+    Seeds,
+    Settings,
+    Workers,
+    read_count,
+    read_seeds_option,
+    read_settings_options,
+)
+from pneuma.cli.study_run import train
+from pneuma.config import FORK_RESETS
+from pneuma.errors import UserError
+from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.fork import plan_fork
+from pneuma.study.store import Store
+from pneuma.study.stored_runs import find_run
+
+
+def fork(
+    name: Annotated[
+        str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
+    ],
+    at: Annotated[
+        str, typer.Option("--at", metavar="STEP", help="Go on from the checkpoint nearest before this step.")
+    ],
+    set_: Settings = None,
+    reset: Annotated[
+        str, typer.Option("--reset", metavar="|".join(FORK_RESETS), help="What to begin anew at the fork.")
+    ] = "",
+    seeds: Seeds = "3",
+    workers: Workers = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Run the reward function of one's own that the run names.")
+    ] = False,
+    results: Results = Path("results"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
+
+    The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
+    `export` take its name.
+    """
+    store = Store(results)
+    settings = read_settings_options(set_)
+    parent = find_run(store, name)
+    plan = plan_fork(store, parent, read_count("--at", at), settings, reset, read_seeds_option(seeds or "3"))
+    own = {reward for cell in plan.cells for reward in cell.run.reward if ":" in reward}
+    if own and not trust:
+        raise UserError(f"run {parent} names the reward {', '.join(sorted(own))}: --trust runs that code")
+    how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+    return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

@@ -1,0 +1,181 @@
+"""Forks: what they share with their parent, what is fresh, and what cannot be changed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import Run, make_run
+from pneuma.engines import sb3
+from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.sb3_state import take_checkpoint
+from pneuma.errors import UserError
+from pneuma.study.checkpoints import encode, file_name
+from pneuma.study.fork import plan_fork
+from pneuma.study.identity import run_id
+from pneuma.study.store import Status, Store, run_document
+
+SMALL: dict[str, object] = {
+    "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 320, "evaluation_episodes": 2, "episode_steps": 40,
+    "betas": (0.9, 0.9),
+}  # fmt: skip
+AT = 128
+
+
+def train(run: Run, start: Checkpoint | None = None) -> tuple[Result, dict[int, Checkpoint]]:
+    """Train a run; return its end and its checkpoints by step."""
+    taken: dict[int, Checkpoint] = {}
+
+    def keep(progress: Progress) -> bool:
+        taken[progress.step] = progress.checkpoint()
+        return True
+
+    return next(load_engine("sb3").train([run], {0: start} if start else {}, keep)), taken
+
+
+@pytest.fixture(scope="module")
+def parent() -> tuple[Run, dict[int, Checkpoint]]:
+    run = make_run({**SMALL, "xp_scope": "forever"})
+    return run, train(run)[1]
+
+
+def forked(parent: Run, seed: int = 0, **changes: object) -> Run:
+    own = {"parent": run_id(parent), "fork_step": AT, "seed": seed}
+    return make_run({**SMALL, "xp_scope": "forever", **own, **changes})
+
+
+def begun(run: Run, checkpoint: Checkpoint) -> Any:
+    """Return a learner at the beginning of a fork."""
+    model = sb3.make_model(run, sb3.make_env(run))
+    model._setup_learn(run.steps)
+    sb3.begin_fork(model, run, checkpoint)
+    return model
+
+
+# --- What a fork begins with -----------------------------------------------------------------------
+
+
+def test_a_fork_begins_with_its_parents_weights_worlds_and_optimizer(
+    parent: tuple[Run, dict[int, Checkpoint]],
+) -> None:
+    run, taken = parent
+    there = take_checkpoint(begun(forked(run), taken[AT]), AT, taken[AT].records)
+    for name, array in taken[AT].arrays.items():
+        if name.startswith(("policy/", "optimizer/", "last/")):
+            assert np.array_equal(there.arrays[name], array), name
+        if name.startswith("random/"):
+            assert not np.array_equal(there.arrays[name], array), name
+
+
+def test_with_a_learning_rate_of_almost_nothing_the_policy_stays_the_parents(
+    parent: tuple[Run, dict[int, Checkpoint]],
+) -> None:
+    run, taken = parent
+    result, _ = train(forked(run, learning_rate=1e-30), taken[AT])
+    at_fork, _ = train(make_run({**SMALL, "xp_scope": "forever", "steps": AT}))
+    assert result.policy is not None and at_fork.policy is not None
+    assert result.policy.to_bytes() == at_fork.policy.to_bytes()
+
+
+def test_only_what_is_asked_for_is_reset(parent: tuple[Run, dict[int, Checkpoint]]) -> None:
+    run, taken = parent
+    resets = ("", "optimizer", "xp", "critic")
+    models = {reset: begun(forked(run, fork_reset=reset), taken[AT]) for reset in resets}
+    weights = {reset: model.policy.state_dict() for reset, model in models.items()}
+    fresh = sb3.make_model(forked(run), sb3.make_env(forked(run))).policy.state_dict()
+    for name, kept in weights[""].items():
+        own = fresh[name] if "value_net" in name else kept
+        assert np.array_equal(weights["critic"][name].numpy(), own.numpy()), name
+        assert np.array_equal(weights["optimizer"][name].numpy(), kept.numpy())
+    moments = {reset: len(model.policy.optimizer.state_dict()["state"]) for reset, model in models.items()}
+    assert moments[""] == moments["xp"] > moments["critic"] > moments["optimizer"] == 0
+
+
+def test_xp_that_outlives_episodes_can_be_reset(parent: tuple[Run, dict[int, Checkpoint]]) -> None:
+    run, taken = parent
+    model = begun(forked(run), taken[AT])
+    model.env.state.players["xp"] = 7.0
+    rich = take_checkpoint(model, AT, taken[AT].records)
+    assert begun(forked(run), rich).env.state.players["xp"][0, 0] == 7.0
+    assert begun(forked(run, fork_reset="xp"), rich).env.state.players["xp"][0, 0] == 0.0
+
+
+def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
+    parent: tuple[Run, dict[int, Checkpoint]],
+) -> None:
+    run, taken = parent
+    whole, own = train(forked(run), taken[AT])
+    other, _ = train(forked(run, seed=1), taken[AT])
+    resumed, _ = train(forked(run), own[256])
+    assert whole.policy is not None and other.policy is not None and resumed.policy is not None
+    assert whole.policy.to_bytes() != other.policy.to_bytes()
+    assert whole.policy.to_bytes() == resumed.policy.to_bytes()
+    assert [row["step"] for row in whole.records.metrics] == [192, 256, 320]
+    assert whole.records.metrics == resumed.records.metrics
+
+
+# --- Plans -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def store(tmp_path: Path, parent: tuple[Run, dict[int, Checkpoint]]) -> Store:
+    run, taken = parent
+    store = Store(tmp_path)
+    store.save_run(run_id(run), Status("done", run.steps), {"run.json": run_document(run, run_id(run))})
+    for step in (AT, 256):
+        data = encode(taken[step], {})
+        store.write(store.run_folder(run_id(run)) / "checkpoints" / file_name(step, data), data)
+    return store
+
+
+def plan(store: Store, at: int = 200, reset: str = "", **settings: object) -> Any:
+    (parent,) = store.runs()
+    return plan_fork(store, parent, at, settings, reset, [0, 1])
+
+
+def test_a_fork_is_planned_beside_its_control_from_the_nearest_checkpoint_before(store: Store) -> None:
+    planned = plan(store, learning_rate=1e-3)
+    (parent,) = store.runs()
+    assert [(cell.condition, cell.seed) for cell in planned.cells] == [
+        ("control", 0), ("learning_rate=0.001", 0), ("control", 1), ("learning_rate=0.001", 1),
+    ]  # fmt: skip
+    assert {(cell.run.parent, cell.run.fork_step) for cell in planned.cells} == {(parent, AT)}
+    assert len({cell.run_id for cell in planned.cells} | {parent}) == 5
+    assert planned.study.own_path is None
+
+
+def test_another_parent_or_step_makes_another_fork(store: Store) -> None:
+    early, late = (plan(store, at, learning_rate=1e-3).cells[1].run_id for at in (200, 300))
+    assert early != late
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, "nothing is changed"),
+        ({"learning_rate": 3e-4}, "is 0.0003 in run"),
+        ({"actor": [64]}, "cannot change at a fork"),
+        ({"parent": "0" * 16}, "cannot change at a fork"),
+        ({"learning_rat": 1}, "did you mean learning_rate"),
+        ({"optimizer": "sgd"}, "needs --reset optimizer"),
+        ({"reset": "xq"}, "unknown reset 'xq'"),
+        ({"at": 64, "gamma": 0.9}, "first checkpoint of run .* is at step 128"),
+    ],
+)
+def test_what_cannot_be_forked_is_refused(store: Store, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        plan(store, **settings)
+
+
+def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
+    (parent,) = store.runs()
+    document = json.loads(store.read_file(parent, "run.json"))
+    document["run"]["gamma"] = 0.5
+    store.save_run(parent, Status("done", 320), {"run.json": json.dumps(document).encode()})
+    with pytest.raises(UserError, match="other rules or another engine"):
+        plan(store, learning_rate=1e-3)

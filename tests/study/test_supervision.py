@@ -1,0 +1,215 @@
+"""A study in trouble, through the command that people type, in processes of its own: Ctrl-C, time-outs,
+crashes, a full disk, two commands at once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.store import Store
+
+from .storm import children, wait_for_end
+
+STUDY = """\
+title = "Trouble"
+base = "table-6-2"
+[run]
+horizon = 64
+minibatch = 32
+epochs = 1
+evaluation_episodes = 2
+episode_steps = 50
+{settings}
+[conditions.one]
+[presets.quick]
+seeds = {seeds}
+steps = {steps}
+"""
+FOR_EVER = 64 * 100_000
+
+
+def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = "") -> Path:
+    path = folder / "trouble.toml"
+    path.write_text(STUDY.format(steps=steps, seeds=seeds, settings=settings))
+    return path
+
+
+def begin(folder: Path, study: Path, *options: str, prepare: Callable[[], object] | None = None) -> Any:
+    """Start `study run` in `folder`, with its results beside the study."""
+    command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
+    return subprocess.Popen(
+        [*command, "--checkpoint-seconds", "0.1", *options],
+        cwd=folder,
+        env=one_thread_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=prepare,  # noqa: PLW1509 (limits for the child alone)
+    )
+
+
+def run(folder: Path, study: Path, *options: str, prepare: Callable[[], object] | None = None) -> Any:
+    """Run `study run` to its end; return exit code, told and the statuses of its document."""
+    process = begin(folder, study, *options, prepare=prepare)
+    out, told = process.communicate(timeout=120)
+    assert "Traceback" not in told, told
+    runs = json.loads(out)["runs"] if out else []
+    return process.returncode, told, [(row["status"], row["trained"]) for row in runs]
+
+
+def wait_until(true: Callable[[], object], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    return list((folder / "results").glob("runs/*/checkpoints/*.safetensors"))
+
+
+# --- Ctrl-C ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_after_ctrl_c_every_run_comes_to_a_checkpoint(tmp_path: Path, number: int) -> None:
+    study = write_study(tmp_path, FOR_EVER, seeds=2)
+    process = begin(tmp_path, study, "--workers", "2", "--checkpoint-seconds", "1000")
+    wait_until(lambda: len(list(children(process.pid))) == 2)
+    wait_until(lambda: len(list((tmp_path / "results").glob("runs/*/.lock"))) == 2)
+    process.send_signal(number)
+    out, told = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert "The same command goes on where every run was stopped" in told
+    assert len(checkpoints(tmp_path)) == 2
+    store = Store(tmp_path / "results")
+    assert {store.status(name).name for name in store.runs()} == {"partial"}
+
+
+def test_ctrl_c_twice_ends_all_at_once(tmp_path: Path) -> None:
+    study = write_study(tmp_path, FOR_EVER, settings="epochs = 1000\n".replace("epochs", "slots"))
+    process = begin(tmp_path, study)  # 1,000 slots: an update takes long
+    wait_until(lambda: list((tmp_path / "results").glob("runs/*/.lock")))
+    workers = list(children(process.pid))
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    begun = time.monotonic()
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert time.monotonic() - begun < 2
+    assert wait_for_end(workers) < 2
+
+
+# --- Failures ----------------------------------------------------------------------------------------
+
+
+def test_a_run_past_its_time_is_stopped_kept_and_retried_only_when_asked(tmp_path: Path) -> None:
+    study = write_study(tmp_path, FOR_EVER)
+    code, _, runs = run(tmp_path, study, "--timeout", "4")
+    assert (code, runs) == (1, [("timeout", True)])
+    (kept,) = checkpoints(tmp_path)[:1]
+    assert int(kept.name[:13]) > 0
+
+    code, told, runs = run(tmp_path, study)
+    assert (code, runs) == (1, [("timeout", False)])
+    assert "1 runs failed before (timeout); --retry-failed tries them again" in told
+
+    code, told, runs = run(tmp_path, study, "--retry-failed", "--timeout", "4")
+    assert (code, runs) == (1, [("timeout", True)])
+    assert "goes on from step" in told
+
+
+REWARD = """\
+import numpy as np
+calls = 0
+def reward(events, players, stats):
+    global calls
+    calls += 1
+    if calls > 100:
+        raise ZeroDivisionError("at the hundredth call")
+    return np.zeros(events.shape)
+"""
+
+
+def test_a_crash_is_tried_once_more_and_told_with_its_traceback(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(REWARD)
+    study = write_study(tmp_path, settings='reward = "broken:reward"')
+    code, told, runs = run(tmp_path, study)
+    assert (code, runs) == (1, [("crashed", True)])
+    assert "tried once more" in told and "at the hundredth call" in told
+    store = Store(tmp_path / "results")
+    (name,) = store.runs()
+    assert b"at the hundredth call" in store.read_file(name, "error.txt")
+    code, told, runs = run(tmp_path, study)
+    assert (code, runs) == (1, [("crashed", False)])
+    assert "--retry-failed" in told
+
+
+def test_a_diverged_run_is_a_result(tmp_path: Path) -> None:
+    explosive = 'optimizer = "sgd"\nlearning_rate = 100\ngradient_limit = "none"\nactivation = "relu"'
+    study = write_study(tmp_path, 64 * 40, settings=explosive)
+    code, told, runs = run(tmp_path, study)
+    assert (code, runs) == (0, [("diverged", True)])
+    assert "diverged at step" in told
+    assert run(tmp_path, study, "--retry-failed")[2] == [("diverged", False)]
+
+
+# --- A full disk -------------------------------------------------------------------------------------
+
+
+def test_on_a_full_disk_the_study_says_so_and_goes_on_when_there_is_room(tmp_path: Path) -> None:
+    """A limit on the size of files stands in for the full disk: small ones fit, checkpoints do not."""
+    study = write_study(tmp_path)
+
+    def fill() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    run(tmp_path, write_study(tmp_path))  # compiled code is in its cache now
+    for path in (tmp_path / "results" / "runs").glob("*/*"):
+        path.unlink()
+    code, told, runs = run(tmp_path, study, prepare=fill)
+    assert code == 1
+    assert "cannot be written" in told
+    assert runs == [("crashed", True)]
+    code, _, runs = run(tmp_path, study, "--retry-failed")
+    assert (code, runs) == (0, [("done", True)])
+
+
+# --- Two at once -------------------------------------------------------------------------------------
+
+
+def test_two_commands_on_one_folder_share_the_work(tmp_path: Path) -> None:
+    study = write_study(tmp_path, 64 * 30, seeds=3)
+    both = [begin(tmp_path, study, "--workers", "1") for _ in range(2)]
+    told = [process.communicate(timeout=120) for process in both]
+    assert [process.returncode for process in both] == [0, 0], told
+    rows = [json.loads(out)["runs"] for out, _ in told]
+    assert all(row["status"] == "done" for one in rows for row in one)
+    assert [one["trained"] + other["trained"] for one, other in zip(*rows, strict=True)] == [1, 1, 1]
+
+
+def test_a_lock_dies_with_its_holder(tmp_path: Path) -> None:
+    study = write_study(tmp_path, FOR_EVER)
+    process = begin(tmp_path, study)
+    wait_until(lambda: checkpoints(tmp_path))
+    workers = list(children(process.pid))
+    store = Store(tmp_path / "results")
+    (name,) = store.runs()
+    assert store.status(name).name == "running"
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert wait_for_end(workers) < 2
+    assert store.status(name).name == "partial"
