@@ -133,18 +133,19 @@ def export(
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
     record = study_record(store, name, selection)
-    from pneuma.analysis.export import encode_table, export_table
+    from pneuma.analysis.export import encode_table
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record)
     _tell_left_out(data)
-    if str(out) == "-":
-        sys.stdout.buffer.write(encode_table(data, table, form)[0])
-        return None
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
+    encoded, rows = encode_table(data, table, form)
+    if str(out) == "-":
+        sys.stdout.buffer.write(encoded)
+        return None
     _check_folder("--out", out.parent)
-    rows = export_table(data, table, form, out)
+    write_whole(out, encoded)
     if json:
         return print_json({"schema": 1, "file": str(out), "rows": rows})
     print(f"wrote {out}: {rows:,} rows")
@@ -175,8 +176,7 @@ def publish(
     _tell_left_out(data)
     encoded = encode_study(data)
     path = published_path(store, data.study)
-    _check_folder("--results", path.parent)
-    write_whole(path, encoded)
+    store.write(path, encoded)
     size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
     if size > MOST_PUBLISHED_BYTES:
         say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)

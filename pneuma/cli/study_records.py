@@ -94,7 +94,9 @@ def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any
     if not runs:
         seeds = sorted({run["seed"] for run in record["runs"]})
         raise UserError(f"--seeds: study {record['study']} has none of these; it has {seeds}")
-    return {**record, "runs": runs}
+    kept = {run["condition"] for run in runs}
+    same = [[name for name in names if name in kept] for names in record["same"]]
+    return {**record, "runs": runs, "same": [names for names in same if len(names) > 1]}
 
 
 def _unknown(store: Store, name: str, stem: str) -> UserError:

@@ -1,0 +1,186 @@
+"""A study's published table: the same bytes, whole or refused, and the same figure without the runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from pneuma.analysis import WINDOWS
+from pneuma.analysis.curves import BANDS
+from pneuma.analysis.published import encode_study, published_path, published_studies, read_published
+from pneuma.analysis.sources import open_study
+from pneuma.errors import UserError
+from pneuma.figures.curves import draw_study
+from pneuma.study.store import Status, Store, to_json
+from pneuma.study.tables import to_parquet
+
+EPISODES = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
+UPDATES = ("entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "explained_variance", "dead_units")
+METRICS = ("step", *UPDATES, *(f"action_{i}" for i in range(5)))
+EVALUATIONS = ("step", "episodes", "share_killed", "random_share_killed", "hunter_share_killed")
+SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
+
+
+def _save(store: Store, run_id: str, seed: int, started: str = "2020-01-01") -> None:
+    """Store a run whose numbers have no short binary form, so that any rounding would show."""
+    episodes = [(0, k, 50 * k, (k + seed) / 3, 50, k // 3, 0.1, "killed") for k in range(1, 21)]
+    metrics = [(100 * k, *[(k + seed) / 7] * (len(METRICS) - 1)) for k in range(1, 11)]
+    evaluations = [(250 * k, 50, k / (11 + seed), 0.02, 0.9) for k in range(1, 5)]
+    tables: dict[str, tuple[tuple[str, ...], list[Any]]] = {
+        "episodes": (EPISODES, episodes),
+        "metrics": (METRICS, metrics),
+        "evaluations": (EVALUATIONS, evaluations),
+    }
+    files = {
+        f"{name}.parquet": to_parquet([dict(zip(columns, row, strict=True)) for row in rows], columns)
+        for name, (columns, rows) in tables.items()
+    }
+    about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc"}
+    store.save_run(run_id, Status("done", 1000), {**files, "provenance.json": to_json(about)})
+
+
+def _record(cells: dict[tuple[str, int], str]) -> dict[str, Any]:
+    runs = [
+        {"condition": condition, "seed": seed, "run_id": run_id, "run": SETTINGS}
+        for (condition, seed), run_id in cells.items()
+    ]
+    texts = {"study": "mine", "title": "Mine", "figure": "fig-mine", "baseline": "a"}
+    return {**texts, "same": [], "selection": {}, "runs": runs}
+
+
+CELLS = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8, ("a", 1): "a1" * 8, ("b", 1): "b1" * 8}
+RECORD = _record(CELLS)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    for (_, seed), run_id in CELLS.items():
+        _save(store, run_id, seed)
+    return store
+
+
+def _publish(store: Store, record: dict[str, Any] = RECORD, to: Store | None = None) -> Path:
+    path = published_path(to or store, "mine")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode_study(open_study(store, record)))
+    return path
+
+
+# --- Bytes ----------------------------------------------------------------------------------------
+
+
+def test_the_same_runs_give_the_same_bytes_whenever_they_were_trained(store: Store, tmp_path: Path) -> None:
+    again = Store(tmp_path / "again")
+    for (_, seed), run_id in CELLS.items():
+        _save(again, run_id, seed, started="2021-12-31 and it took longer")
+    assert _publish(store).read_bytes() == _publish(again).read_bytes()
+
+
+def test_no_clock_is_in_it_and_what_produced_a_run_is(store: Store) -> None:
+    table = pq.read_table(_publish(store))
+    about = json.loads(table["provenance"][0].as_py())
+    assert about == {"python": "3.11.7", "commit": "abc"}
+    assert json.loads(table["settings"][0].as_py()) == SETTINGS
+
+
+def test_other_programs_can_read_it(store: Store) -> None:
+    """A curve is a list of 200 numbers: at step 50, point 10, a mean of the one episode that ended."""
+    frame = pq.read_table(_publish(store)).to_pandas()
+    assert frame["condition"].tolist() == ["a", "b", "a", "b"]
+    assert frame["return budget-5%"][2][9] == 2 / 3
+    assert len(frame["entropy"][0]) == 200
+    assert frame["evaluations"][0][3]["share_killed"] == 4 / 11
+
+
+def test_a_run_takes_a_few_kilobytes(store: Store) -> None:
+    """Design section 4: 20 MB over all studies."""
+    many = {("a", seed): f"{seed:016x}" for seed in range(20)}
+    for seed, run_id in enumerate(many.values()):
+        _save(store, run_id, seed)
+    assert len(_publish(store, _record(many)).read_bytes()) < 20 * 12_000 + 30_000
+
+
+# --- Damage ---------------------------------------------------------------------------------------
+
+
+def test_one_flipped_bit_anywhere_is_noticed(store: Store) -> None:
+    path = _publish(store)
+    data = path.read_bytes()
+    for place in range(0, len(data), 37):
+        path.write_bytes(data[:place] + bytes([data[place] ^ (1 << place % 8)]) + data[place + 1 :])
+        with pytest.raises(UserError, match="mine.parquet: damaged; take it from version control again"):
+            read_published(store, "mine")
+    path.write_bytes(data)
+    read_published(store, "mine")
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, -1])
+def test_a_table_cut_short_is_noticed(store: Store, size: int) -> None:
+    path = _publish(store)
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(UserError, match="damaged"):
+        read_published(store, "mine")
+
+
+def test_damage_is_no_matter_while_the_runs_are_there(store: Store) -> None:
+    _publish(store).write_bytes(b"damaged")
+    assert len(open_study(store, RECORD).runs) == 4
+
+
+def test_a_missing_table_is_told(store: Store) -> None:
+    with pytest.raises(UserError, match="mine.parquet: cannot be read"):
+        read_published(store, "mine")
+    assert published_studies(store) == []
+
+
+# --- In place of the runs -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("window", WINDOWS)
+@pytest.mark.parametrize("band", BANDS)
+def test_the_figure_is_the_same_byte_for_byte(store: Store, tmp_path: Path, band: str, window: str) -> None:
+    clone = Store(tmp_path / "clone")
+    _publish(store, to=clone)
+    record = read_published(clone, "mine").record
+    options: Any = {"band": band, "window": window, "formats": ("svg", "png")}
+    ours = draw_study(open_study(store, RECORD), tmp_path / "ours", **options)
+    theirs = draw_study(open_study(clone, record), tmp_path / "theirs", **options)
+    assert [path.read_bytes() for path in ours] == [path.read_bytes() for path in theirs]
+
+
+def test_a_selection_finds_its_runs_in_the_table_by_their_ids(store: Store, tmp_path: Path) -> None:
+    clone = Store(tmp_path / "clone")
+    _publish(store, to=clone)
+    wanted = _record({("b", 1): "b1" * 8, ("c", 0): "c0" * 8})
+    data = open_study(clone, wanted)
+    assert [(run.condition, run.seed) for run in data.runs] == [("b", 1)]
+    assert data.left_out == 1
+    with pytest.raises(UserError, match="no run of this selection"):
+        open_study(clone, _record({("c", 0): "c0" * 8}))
+
+
+def test_runs_that_never_finished_keep_their_place(store: Store, tmp_path: Path) -> None:
+    """The colours of a figure are given out by place."""
+    record = _record({("never", 0): "ff" * 8, **CELLS})
+    store.save_run("ff" * 8, Status("crashed", 100), {})
+    clone = Store(tmp_path / "clone")
+    _publish(store, record, to=clone)
+    published = read_published(clone, "mine")
+    data = open_study(clone, published.record)
+    assert data.conditions == ["never", "a", "b"]
+    assert (data.left_out, len(data.runs)) == (1, 4)
+    assert published.status("ff" * 8).name == "crashed"
+
+
+def test_one_run_under_two_names_is_published_under_both(store: Store, tmp_path: Path) -> None:
+    record = {**_record({("a", 0): "a0" * 8, ("twin", 0): "a0" * 8}), "same": [["a", "twin"]]}
+    clone = Store(tmp_path / "clone")
+    _publish(store, record, to=clone)
+    data = open_study(clone, read_published(clone, "mine").record)
+    assert [run.condition for run in data.runs] == ["a", "twin"]
+    assert data.same == [["a", "twin"]]

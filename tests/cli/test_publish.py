@@ -1,0 +1,138 @@
+"""`pneuma study publish`, and the study commands in a fresh clone, where only published tables are."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.cli import main
+from pneuma.cli.study_records import run_states, study_record
+from pneuma.study.store import Store
+
+SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
+TINY = [
+    "--steps", "256",
+    "--condition", "tanh",
+    "--condition", "relu",
+    *(part for setting in SETTINGS for part in ("--set", setting)),
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Called:
+    """What a command gave: exit code, standard output, standard error."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> Any:
+        return json.loads(self.out)
+
+
+def _call(*arguments: str | Path) -> Called:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(argument) for argument in arguments])
+    return Called(code, out.getvalue(), err.getvalue())
+
+
+def _export(results: Path, table: str, out: Path, *selection: str) -> bytes:
+    called = _call(
+        "study", "export", "activation", "--table", table, "--out", out, *selection, "--results", results
+    )
+    assert called.code == 0
+    return out.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder with two conditions of two seeds."""
+    results = tmp_path_factory.mktemp("trained") / "results"
+    assert _call("study", "run", "activation", *TINY, "--seeds", "2", "--results", results).code == 0
+    return results
+
+
+@pytest.fixture(scope="module")
+def clone(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder that holds only what was published."""
+    assert _call("study", "publish", "activation", "--results", trained).code == 0
+    clone = tmp_path_factory.mktemp("clone")
+    shutil.move(trained / "published", clone / "published")
+    return clone
+
+
+def test_publishing_says_where_and_how_much(trained: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    document = _call("study", "publish", "activation", "--json", "--results", results).document
+    path = results / "published" / "activation.parquet"
+    assert document == {
+        "schema": 1,
+        "study": "activation",
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "runs": 4,
+    }
+
+
+def test_a_fresh_clone_draws_the_same_figure(trained: Path, clone: Path, tmp_path: Path) -> None:
+    for name, folder in (("ours", trained), ("theirs", clone)):
+        assert _call("study", "plot", "activation", "--results", folder, "--out", tmp_path / name).code == 0
+    for name in ("fig-6-5.png", "fig-6-5.svg"):
+        assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
+
+
+@pytest.mark.parametrize("table", ["curves", "evaluations"])
+@pytest.mark.parametrize("selection", [(), ("--seeds", "1,"), ("--condition", "relu")])
+def test_a_fresh_clone_exports_the_same_tables(
+    trained: Path, clone: Path, table: str, selection: tuple[str, ...], tmp_path: Path
+) -> None:
+    ours = _export(trained, table, tmp_path / "ours.csv", *selection)
+    assert _export(clone, table, tmp_path / "theirs.csv", *selection) == ours
+
+
+@pytest.mark.parametrize("table", ["episodes", "metrics"])
+def test_what_is_not_published_is_refused_in_one_line(clone: Path, table: str) -> None:
+    called = _call("study", "export", "activation", "--table", table, "--out", "-", "--results", clone)
+    (line,) = called.err.splitlines()
+    wanted = f"pneuma: study activation: the published table holds no {table}; there are evaluations, curves"
+    assert (called.code, line) == (2, wanted)
+
+
+def test_what_is_published_is_found_by_a_whole_selection(trained: Path, clone: Path) -> None:
+    """The run ids of the plan are looked up in the table."""
+    called = _call("study", "plot", "activation", *TINY, "--seeds", "2", "--results", clone, "--json")
+    assert called.code == 0
+    longer = _call("study", "plot", "activation", "--steps", "9_000", "--results", clone)
+    assert longer.code == 2
+    assert "no run of this selection of study activation has finished" in longer.err
+
+
+def test_publishing_without_the_runs_is_refused(clone: Path) -> None:
+    called = _call("study", "publish", "activation", "--results", clone)
+    assert called.code == 2
+    assert "its runs are not in" in called.err
+
+
+def test_a_damaged_table_is_refused_in_one_line(clone: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(clone, tmp_path / "results"))
+    path = results / "published" / "activation.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
+    called = _call("study", "plot", "activation", "--results", results)
+    (line,) = called.err.splitlines()
+    assert (called.code, line.startswith(f"pneuma: {path}: damaged")) == (2, True)
+
+
+def test_the_states_of_runs_are_told_from_the_table(trained: Path, clone: Path) -> None:
+    for folder in (trained, clone):
+        store = Store(folder)
+        states = run_states(store, study_record(store, "activation", None))
+        assert [(run["seed"], state) for run, state in states] == [(0, "done")] * 2 + [(1, "done")] * 2
