@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.cli.fork import fork
 from pneuma.cli.options import Json, Results, print_json
 from pneuma.config import EnvConfig, Run, make_run
 from pneuma.errors import UserError, nearest_name
@@ -21,6 +22,7 @@ app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
 )
 
+app.command("fork")(fork)
 
 RESULTS = Path("results")
 EXPORTS = (".zip", ".onnx")
