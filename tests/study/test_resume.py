@@ -1,0 +1,174 @@
+"""Taking and finding checkpoints of a run in the store: when, which are kept, and what is said."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.config import make_run
+from pneuma.engines.base import Progress
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.records import Records
+from pneuma.errors import UserError
+from pneuma.study import provenance, resume
+from pneuma.study.checkpoints import checkpoint_files
+from pneuma.study.provenance import Attempt, finished_provenance
+from pneuma.study.resume import Resume
+from pneuma.study.store import Store
+
+NAME = "0123456789abcdef"
+RUN = make_run({"steps": 2560})  # 10 updates of 256
+
+
+class _Clock:
+    """Time that passes only when told to."""
+
+    now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
+    clock = _Clock()
+    monkeypatch.setattr(resume, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path)
+
+
+def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> Resume:
+    def send(event: str, name: str, text: str) -> None:
+        assert (event, name) == ("note", NAME)
+        if said is not None:
+            said.append(text)
+
+    return Resume(store, NAME, RUN, 15.0, keep, send)
+
+
+def attempt() -> Attempt:
+    return Attempt(datetime.now(UTC), 0.0, 1)
+
+
+def tell(own: Resume, step: int, at_once: bool = False) -> None:
+    own.update(Progress(RUN, step, Records(), lambda: Checkpoint(step, {})), attempt(), at_once)
+
+
+def steps(store: Store) -> list[int]:
+    return [file.step for file in checkpoint_files(store.run_folder(NAME))]
+
+
+def test_a_checkpoint_is_taken_when_it_is_time_and_two_are_kept(store: Store, clock: _Clock) -> None:
+    own = begin(store)
+    tell(own, 256)
+    assert steps(store) == []
+    for step in (512, 768, 1024):
+        clock.now += 15.0
+        tell(own, step)
+    assert steps(store) == [1024, 768]
+    own.finish()
+    assert steps(store) == []
+    assert not (store.run_folder(NAME) / "checkpoints").exists()
+
+
+def test_what_takes_long_to_write_is_written_less_often(
+    store: Store, clock: _Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At least 40 times as far apart as the last write took: 2 s to write, 80 s until the next."""
+
+    def slowly(*_: Any) -> bytes:
+        clock.now += 2.0
+        return b""
+
+    monkeypatch.setattr(resume, "encode", slowly)
+    own = begin(store)
+    clock.now += 15.0
+    tell(own, 256)
+    clock.now += 79.0
+    tell(own, 512)
+    assert steps(store) == [256]
+    clock.now += 1.0
+    tell(own, 768)
+    assert steps(store) == [768, 256]
+
+
+def test_when_asked_to_stop_it_is_time(store: Store, clock: _Clock) -> None:
+    tell(begin(store), 256, at_once=True)
+    assert steps(store) == [256]
+
+
+def test_those_that_a_study_keeps_stay(store: Store, clock: _Clock) -> None:
+    own = begin(store, keep=2)  # at 1,280 and 2,560
+    for step in range(256, 2561, 256):
+        clock.now += 15.0 if step in (256, 512, 768) else 0.0
+        tell(own, step)
+    assert steps(store) == [2560, 1280]
+    own.finish()
+    assert steps(store) == [2560, 1280]
+
+
+def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store, clock: _Clock) -> None:
+    own = begin(store)
+    for step in (256, 512):
+        tell(own, step, at_once=True)
+    path = checkpoint_files(store.run_folder(NAME))[0].path
+    path.write_bytes(path.read_bytes()[:-1])
+    said: list[str] = []
+    checkpoint = begin(store, said=said).latest()
+    assert checkpoint is not None and checkpoint.step == 256
+    assert said == [
+        "the checkpoint at step 512 is damaged: going on from the one before",
+        "goes on from step 256",
+    ]
+    assert begin(store).latest() is not None
+
+
+def test_without_a_whole_one_a_run_starts_anew(store: Store, clock: _Clock) -> None:
+    tell(begin(store), 256, at_once=True)
+    checkpoint_files(store.run_folder(NAME))[0].path.write_bytes(b"")
+    assert begin(store, said=[]).latest() is None
+    assert begin(store).latest() is None
+
+
+def test_what_cannot_be_written_is_said_and_tried_again(
+    store: Store, clock: _Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise UserError("no room")
+
+    said: list[str] = []
+    own = begin(store, said=said)
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write", refuse)
+        tell(own, 256, at_once=True)
+    assert said == ["no checkpoint at step 256: no room"]
+    clock.now += 15.0
+    tell(own, 512)
+    assert steps(store) == [512]
+
+
+def test_another_package_or_machine_is_flagged_where_a_run_goes_on(
+    store: Store, clock: _Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tell(begin(store), 256, at_once=True)
+    here = provenance.machine(1)
+    changed = {**here, "cpu": "abacus", "packages": {**here["packages"], "torch": "1.0"}}
+    monkeypatch.setattr(provenance, "machine", lambda threads: changed)
+    said: list[str] = []
+    own = begin(store, said=said)
+    assert own.latest() is not None
+    (went_on,) = own.history["resumes"]
+    assert went_on["step"] == 256
+    assert went_on["differences"] == [
+        f"cpu ({here['cpu']}, now abacus)",
+        f"torch ({here['packages']['torch']}, now 1.0)",
+    ]
+    assert said[1].startswith("goes on with another cpu") and said[1].endswith("it may end with other bits")
+    assert finished_provenance(attempt(), own.history)["resumes"] == own.history["resumes"]
