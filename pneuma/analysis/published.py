@@ -121,7 +121,9 @@ def _head(data: StudyData) -> dict[str, Any]:
 
 def _provenance(data: StudyData, run: FinishedRun) -> str:
     found = data.source.provenance(run)
-    return json.dumps({key: found[key] for key in KEPT_PROVENANCE if key in found})
+    kept = {key: found[key] for key in KEPT_PROVENANCE if key in found}
+    changed = {words for resume in found.get("resumes", ()) for words in resume["differences"]}
+    return json.dumps({**kept, "resumed_elsewhere": sorted(changed)} if changed else kept)
 
 
 def _row_type(data: StudyData) -> pa.DataType:

@@ -25,7 +25,7 @@ EVALUATIONS = ("step", "episodes", "share_killed", "random_share_killed", "hunte
 SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
 
 
-def _save(store: Store, run_id: str, seed: int, started: str = "2020-01-01") -> None:
+def _save(store: Store, run_id: str, seed: int, started: str = "2020-01-01", **about: Any) -> None:
     """Store a run whose numbers have no short binary form, so that any rounding would show."""
     episodes = [(0, k, 50 * k, (k + seed) / 3, 50, k // 3, 0.1, "killed") for k in range(1, 21)]
     metrics = [(100 * k, *[(k + seed) / 7] * (len(METRICS) - 1)) for k in range(1, 11)]
@@ -39,7 +39,7 @@ def _save(store: Store, run_id: str, seed: int, started: str = "2020-01-01") -> 
         f"{name}.parquet": to_parquet([dict(zip(columns, row, strict=True)) for row in rows], columns)
         for name, (columns, rows) in tables.items()
     }
-    about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc"}
+    about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc", **about}
     store.save_run(run_id, Status("done", 1000), {**files, "provenance.json": to_json(about)})
 
 
@@ -77,7 +77,8 @@ def _publish(store: Store, record: dict[str, Any] = RECORD, to: Store | None = N
 def test_the_same_runs_give_the_same_bytes_whenever_they_were_trained(store: Store, tmp_path: Path) -> None:
     again = Store(tmp_path / "again")
     for (_, seed), run_id in CELLS.items():
-        _save(again, run_id, seed, started="2021-12-31 and it took longer")
+        killed = [{"step": 17 * seed, "at": "2021-12-31", "differences": []}]
+        _save(again, run_id, seed, started="2021-12-31 and it took longer", resumes=killed)
     assert _publish(store).read_bytes() == _publish(again).read_bytes()
 
 
@@ -86,6 +87,15 @@ def test_no_clock_is_in_it_and_what_produced_a_run_is(store: Store) -> None:
     about = json.loads(table["provenance"][0].as_py())
     assert about == {"python": "3.11.7", "commit": "abc"}
     assert json.loads(table["settings"][0].as_py()) == SETTINGS
+
+
+def test_a_resume_elsewhere_is_still_told(store: Store) -> None:
+    """It could have given other bits."""
+    differences = ["cpu (old, now new)", "torch (1, now 2)"]
+    resumes = [{"step": 17, "at": "2021-12-31", "differences": differences[::-1]}] * 2
+    _save(store, "a0" * 8, 0, resumes=resumes)
+    about = json.loads(pq.read_table(_publish(store))["provenance"][0].as_py())
+    assert about["resumed_elsewhere"] == differences
 
 
 def test_other_programs_can_read_it(store: Store) -> None:
