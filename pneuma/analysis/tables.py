@@ -6,6 +6,7 @@ published table. `StudyData` is what all further steps read; it asks one `Source
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -95,7 +96,8 @@ class StudyData:
         where: the results folder, for people.
 
     Raises:
-        UserError: when no run of the selection has finished.
+        UserError: when no run of the selection has finished, or the record's names are no file names:
+            a results folder may be a stranger's.
     """
 
     def __init__(self, source: Source, record: Mapping[str, Any], where: str = "") -> None:
@@ -104,6 +106,11 @@ class StudyData:
         self.study: str = record["study"]
         self.title: str = record["title"]
         self.figure: str = record["figure"]
+        for key in ("study", "figure"):
+            if not re.fullmatch(r"(?!\.+$)[^/\\\0]+", record[key]):
+                raise UserError(
+                    f"the record of a study names its {key} {record[key]!r}, which is no file name"
+                )
         self.same: list[list[str]] = record["same"]
         self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in record["runs"]))
         self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in record["runs"]))

@@ -81,6 +81,14 @@ def test_a_damaged_table_is_not_read(store: Store) -> None:
         open_study(store, _record(("a", 0, DONE))).table("episodes")
 
 
+@pytest.mark.parametrize("key", ["study", "figure"])
+@pytest.mark.parametrize("name", ["../../out", "/tmp/out", "..", "", "a\\b"])
+def test_a_record_whose_names_lead_elsewhere_is_refused(store: Store, key: str, name: str) -> None:
+    """They become the names of figures and published tables, and the folder may be a stranger's."""
+    with pytest.raises(UserError, match=f"names its {key} .* no file name"):
+        open_study(store, {**_record(("a", 0, DONE)), key: name})
+
+
 # --- In a file -----------------------------------------------------------------------------------
 
 
