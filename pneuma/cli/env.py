@@ -12,6 +12,8 @@ import typer
 
 from pneuma.cli.options import Json, Results, print_json, read_settings_options, say
 from pneuma.errors import UserError, unknown_name
+from pneuma.study.store import Store
+from pneuma.study.stored_runs import find_run
 
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -266,11 +268,9 @@ def _player(
     if player == "hunter":
         return {}, lambda worlds: Hunter(worlds).act
     from pneuma.engines.policy import read_policy
-    from pneuma.study.store import Store
 
     store = Store(results)
-    if not store.status(player).finished:
-        raise UserError(f"--player {player}: neither {' nor '.join(PLAYERS)} nor a finished run in {results}")
+    player = _named_run(store, player)
     run = json_module.loads(store.read_file(player, "run.json"))["run"]
     if run["env"] != _base(name):
         raise UserError(f"--player {player}: was trained in {run['env']}, not in {name}")
@@ -287,6 +287,17 @@ def _stored_settings(run: Mapping[str, Any]) -> dict[str, Any]:
     settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
     settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in run["reward"]]
     return settings
+
+
+def _named_run(store: Store, player: str) -> str:
+    """Return the id of the finished run that plays."""
+    try:
+        run_id = find_run(store, player)
+    except UserError as error:
+        raise UserError(f"--player {player}: neither {' nor '.join(PLAYERS)}: {error}") from None
+    if not store.status(run_id).finished:
+        raise UserError(f"--player {player}: run {run_id} is not finished")
+    return run_id
 
 
 def _acting(policy: Any, worlds: Any, seed: int, player: str) -> Callable[[Any], Any]:

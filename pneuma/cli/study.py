@@ -22,7 +22,7 @@ from pneuma.cli.options import (
     print_json,
     read_selection,
 )
-from pneuma.cli.study_output import study_record
+from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import as_settings, make_run
 from pneuma.study import plan, spec
 from pneuma.study.store import Store
@@ -52,8 +52,10 @@ def list_(json: Json = False) -> None:
 
 
 @app.command()
-def show(name: StudyName, json: Json = False) -> None:
+def show(name: StudyName, results: Results = RESULTS, json: Json = False) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
+    if name not in spec.list_studies() and name in known_studies(Store(results)):
+        return _show_record(study_record(Store(results), name, None), json)
     study = spec.load_study(name)
     selection = plan.Selection(preset=next(iter(study.presets), "quick"))
     differing = plan.differing_settings(plan.make_plan(study, selection))
@@ -104,13 +106,13 @@ def status(
     """Say how far the runs of a study are, as it was last run or as selected."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    names = [name] if name else store.studies()
+    names = [name] if name else known_studies(store)
     if not names and not json:
         print(f"No study was run in {results} yet.")
     documents = []
     for study in names:
         record = study_record(store, study, selection)
-        states = [(run, store.status(run["run_id"]).name) for run in record["runs"]]
+        states = run_states(store, record)
         runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
         documents.append({"schema": 1, "study": record["study"], "runs": runs})
         if not json:
@@ -123,6 +125,21 @@ def status(
 
 
 # --- Helpers -------------------------------------------------------------------------------------
+
+
+def _show_record(record: dict[str, Any], json: bool) -> None:
+    """Show a study that has no file here: a fork, imported logs, or a published one."""
+    conditions = list(dict.fromkeys(run["condition"] for run in record["runs"]))
+    seeds = list(dict.fromkeys(run["seed"] for run in record["runs"]))
+    about = {"title": record["title"], "baseline": record["baseline"], "conditions": conditions}
+    if json:
+        return print_json({"schema": 1, "study": record["study"], **about, "seeds": seeds})
+    print(record["title"])
+    if record.get("source") == "tensorboard":
+        print("\nImported logs: returns are means of 100 episodes, as Stable-Baselines3 logs them.")
+    print(f"\nConditions: {', '.join(conditions)}\nCompared with: {record['baseline']}")
+    print(f"Seeds: {', '.join(map(str, seeds))}")
+    return None
 
 
 def _identity(run: dict[str, Any]) -> dict[str, Any]:

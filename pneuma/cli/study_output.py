@@ -25,7 +25,7 @@ from pneuma.cli.options import (
     read_selection,
     say,
 )
-from pneuma.cli.study_records import study_record as study_record
+from pneuma.cli.study_records import known_studies, study_record
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.store import Store, write_whole
@@ -78,11 +78,10 @@ def plot(
         _check_choice("--format", form, FIGURE_FORMATS)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    from pneuma.analysis.published import published_studies
     from pneuma.analysis.sources import open_study
     from pneuma.figures.curves import draw_study
 
-    names = names or sorted({*store.studies(), *published_studies(store)})
+    names = names or known_studies(store)
     if not names:
         raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
     records = [study_record(store, name, selection) for name in names]
@@ -140,11 +139,12 @@ def export(
     _tell_left_out(data)
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
+    if str(out) != "-":
+        _check_folder("--out", out.parent)
     encoded, rows = encode_table(data, table, form)
     if str(out) == "-":
         sys.stdout.buffer.write(encoded)
         return None
-    _check_folder("--out", out.parent)
     write_whole(out, encoded)
     if json:
         return print_json({"schema": 1, "file": str(out), "rows": rows})

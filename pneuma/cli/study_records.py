@@ -33,6 +33,15 @@ def study_record(store: Store, name: str, selection: plan.Selection | None) -> d
     return execute.selection_record(plan.make_plan(study, selection.over(latest)))
 
 
+def known_studies(store: Store) -> list[str]:
+    """Return the names of the studies that were run, imported or published here, sorted."""
+    if not (store.root / "published").is_dir():
+        return store.studies()
+    from pneuma.analysis.published import published_studies
+
+    return sorted({*store.studies(), *published_studies(store)})
+
+
 def run_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
     """Return every run of a record with the name of its status, as published where no run is stored.
 
@@ -62,7 +71,7 @@ def _only_picks(record: Mapping[str, Any], selection: plan.Selection) -> bool:
     """Tell whether a selection is to be picked from a record of runs that no plan can name.
 
     Raises:
-        UserError: where an option has no meaning for imported logs.
+        UserError: where an option has no meaning for imported logs or forks.
     """
     others = {
         "--preset": selection.preset,
@@ -72,11 +81,12 @@ def _only_picks(record: Mapping[str, Any], selection: plan.Selection) -> bool:
     }
     given = [option for option, value in others.items() if value]
     source = record.get("source", "runs")
-    if source == "tensorboard" and given:
-        raise UserError(
-            f"{given[0]}: study {record['study']} was imported: --condition and --seeds alone pick"
-        )
-    return source != "runs" and not given
+    if source == "runs" and (record.get("path") or record["study"] in spec.list_studies()):
+        return False
+    if source in ("tensorboard", "runs") and given:
+        what = "was imported" if source == "tensorboard" else "has no file of its own"
+        raise UserError(f"{given[0]}: study {record['study']} {what}: --condition and --seeds alone pick")
+    return not given
 
 
 def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any]:

@@ -48,6 +48,10 @@ def plan_(
     condition: Conditions = None,
     set_: Settings = None,
     workers: Workers = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option(help="Train a few seconds of runs of which no stored one tells how long they take."),
+    ] = True,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -62,7 +66,7 @@ def plan_(
     todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
     paces = foresight.known_paces(planned, store)
-    if any(foresight.kind(run) not in paces for run in todo.values()):
+    if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
         paces = foresight.calibrate(planned, store, paces, lambda text: say(text, as_json=True))
     seconds: dict[str, float | None] = {}
     for cell in planned.cells:

@@ -179,8 +179,7 @@ class Store:
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
         manifest = read_sealed(self.run_folder(run_id) / "status.json")
-        sound = manifest is not None and {"status", "step", "files"} <= manifest.keys()
-        return manifest if sound and manifest and manifest["status"] in STATUSES else None
+        return manifest if manifest and _is_manifest(manifest) else None
 
     # --- Studies ------------------------------------------------------------------------------
 
@@ -195,7 +194,7 @@ class Store:
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here, or it is damaged."""
         record = read_sealed(self.root / "studies" / f"{study}.json")
-        return record if record and {"study", "runs", "selection"} <= record.keys() else None
+        return record if record and _is_record(record) else None
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
@@ -218,6 +217,29 @@ class Store:
             replace_file(path, data)
         except OSError as error:
             raise UserError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _is_manifest(document: Mapping[str, Any]) -> bool:
+    """Tell whether a document, which may be a stranger's, is what `save_run` writes."""
+    files = document.get("files")
+    sound = isinstance(files, dict) and all(isinstance(told, str) for told in files.values())
+    return sound and document.get("status") in STATUSES and isinstance(document.get("step"), int)
+
+
+def _is_record(document: Mapping[str, Any]) -> bool:
+    """Tell whether a document, which may be a stranger's, is a study's record."""
+    runs = document.get("runs")
+    return (
+        isinstance(runs, list)
+        and all(isinstance(run, dict) and _is_cell(run) for run in runs)
+        and isinstance(document.get("study"), str)
+        and isinstance(document.get("selection"), dict)
+    )
+
+
+def _is_cell(run: Mapping[str, Any]) -> bool:
+    named = isinstance(run.get("run_id"), str) and bool(_RUN_ID.fullmatch(run["run_id"]))
+    return named and isinstance(run.get("condition"), str) and isinstance(run.get("seed"), int)
 
 
 def run_document(run: Run, run_id: str) -> bytes:

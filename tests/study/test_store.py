@@ -184,7 +184,7 @@ def test_a_save_that_fails_half_way_leaves_the_run_planned(
 
 
 def test_the_latest_selection_of_a_study_comes_back(store: Store) -> None:
-    latest = {"study": "one", "selection": {}, "runs": [{"run_id": NAME}]}
+    latest = {"study": "one", "selection": {}, "runs": [{"run_id": NAME, "condition": "a", "seed": 0}]}
     store.save_selection("one", {"study": "one", "selection": {}, "runs": []})
     store.save_selection("two", {"study": "two", "selection": {}, "runs": []})
     store.save_selection("one", latest)

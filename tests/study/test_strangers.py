@@ -82,3 +82,33 @@ def test_no_module_can_unpickle(path: Path) -> None:
     assert not {name.split(".")[0] for name in imported} & RUNS_CODE
     calls = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     assert not calls & {"torch.load", "PPO.load", "np.load", "numpy.load", "eval", "exec"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": 5}, {"files": {"run.json": 3}}, {"step": None}, {"step": "text"}, {"status": ["done"]},
+        {"status": "well"},
+    ],
+)  # fmt: skip
+def test_a_sealed_status_that_makes_no_sense_is_damage(store: Store, change: dict[str, object]) -> None:
+    manifest = {"status": "done", "step": 512, "files": {}, **change}
+    (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
+    assert store.status(NAME).name == "damaged"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"runs": 5}, {"runs": [5]}, {"runs": [{"run_id": "../..", "condition": "a", "seed": 0}]},
+        {"runs": [{"run_id": NAME, "condition": 3, "seed": 0}]}, {"selection": None}, {"study": 3},
+        {"runs": [{"run_id": NAME, "condition": "a", "seed": "0"}]},
+    ],
+)  # fmt: skip
+def test_a_sealed_record_that_makes_no_sense_is_none(store: Store, change: dict[str, object]) -> None:
+    (store.root / "studies").mkdir()
+    record = {"study": "a", "runs": [], "selection": {}}
+    (store.root / "studies" / "a.json").write_bytes(seal(record))
+    assert store.selection("a") is not None
+    (store.root / "studies" / "a.json").write_bytes(seal({**record, **change}))
+    assert store.selection("a") is None

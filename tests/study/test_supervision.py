@@ -212,4 +212,4 @@ def test_a_lock_dies_with_its_holder(tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
     assert wait_for_end(workers) < 2
-    assert store.status(name).name == "partial"
+    wait_until(lambda: store.status(name).name == "partial", 2.0)
