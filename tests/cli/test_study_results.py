@@ -376,7 +376,17 @@ def test_show_says_what_a_study_compares() -> None:
 
 @pytest.mark.slow
 def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
-    plan = ["study", "plan", "activation", "--condition", "tanh", "--seeds", "1", "--results", tmp_path]
+    plan: list[str | Path] = [
+        "study",
+        "plan",
+        "activation",
+        "--condition",
+        "tanh",
+        "--seeds",
+        "1",
+        "--results",
+        tmp_path,
+    ]
     (run,) = _call(*plan, "--json").document["runs"]
     assert run["state"] == "to-train"
     assert run["expected_seconds"] > 1  # 50,000 steps: no machine is that fast
