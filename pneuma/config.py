@@ -20,8 +20,11 @@ from pneuma.values import MOST_NAMES, Choice, Flag, Matching, Names, Number, Rea
 RULES_VERSION = 2
 """Raised by hand when the same seed and actions give another world; part of every run id."""
 
-ENGINE_VERSIONS = {"sb3": 1}
+ENGINE_VERSIONS = {"batched": 1, "sb3": 1}
 """Raised by hand when an engine trains the same run to other numbers; part of every run id."""
+
+ENGINES = tuple(ENGINE_VERSIONS)
+"""The usual one first."""
 
 SHIPPED_LEVELS = ("thesis",)
 SHIPPED_CHARACTERS = ("pygame",)
@@ -181,7 +184,8 @@ class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
     env: str = setting(ENVIRONMENTS[0], Choice(ENVIRONMENTS))
-    engine: str = setting("sb3", Choice(tuple(ENGINE_VERSIONS)))
+    engine: str = setting(ENGINES[0], Choice(ENGINES))
+    """What trains it: the compiled engine; or Stable-Baselines3 as it is, where that one cannot."""
     algorithm: str = setting("ppo", Choice(ALGORITHMS))
     seed: int = setting(0, Number(0, 2**32 - 1, whole=True))
     steps: int = setting(50_000, Number(1, 10**12, whole=True))
@@ -319,12 +323,23 @@ def make_run(settings: Mapping[str, object]) -> Run:
     settings = {**ENVIRONMENT_SETTINGS[env], **settings}
     values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
     values = _resolve_learner(_resolve_world(values))
-    run = Run(**values)
+    reason = beyond_engine(Run(**{**values, "engine": ENGINES[0]}))
+    if reason and values.get("engine") == ENGINES[0]:
+        raise UserError(f'engine = "{ENGINES[0]}" is not allowed: it cannot train {reason}; sb3 can')
+    run = Run(**{**values, "engine": "sb3"} if reason else values)
+    values = {**values, "engine": run.engine}
     if run.minibatch > run.steps_per_update:
         most = f"horizon x slots x players = {run.steps_per_update}"
         raise UserError(f"minibatch = {run.minibatch} is not allowed: at most {most}")
     whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
     return run if whole == run.steps else Run(**{**values, "steps": whole})
+
+
+def beyond_engine(run: Run) -> str:
+    """Return what of a run the compiled engine cannot do; empty where it can do all."""
+    if run.players > 1:
+        return "several players in one world"
+    return "a reward of one's own" if any(":" in name for name in run.reward) else ""
 
 
 def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:

@@ -43,7 +43,12 @@ Steps = Annotated[
     typer.Option("--steps", metavar="N", help="Steps of each run, rounded up to whole horizons."),
 ]
 EngineName = Annotated[
-    str | None, typer.Option("--engine", metavar="NAME", help="What trains the runs: sb3.")
+    str | None,
+    typer.Option(
+        "--engine",
+        metavar="NAME",
+        help="What trains the runs: batched or sb3 (default: batched where it can).",
+    ),
 ]
 Workers = Annotated[
     str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")

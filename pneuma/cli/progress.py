@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from types import TracebackType
 
 from pneuma.config import Run
 from pneuma.study.execute import Progress
 from pneuma.study.foresight import TimeLeft
 from pneuma.study.plan import Plan
+from pneuma.study.store import FINISHED
 
 LINE_SECONDS = 10.0
 """How often a plain line is printed."""
@@ -71,7 +73,8 @@ class ProgressDisplay:
             return
         if progress.status:
             self._ended[name] = progress.status
-        self._steps[name] = progress.cell.run.steps if progress.status else progress.step
+        over = progress.status in FINISHED
+        self._steps[name] = progress.cell.run.steps if over else max(self._steps[name], progress.step)
         if self._live:
             self._move_bar(progress.cell.condition)
         elif self._show:
@@ -115,7 +118,7 @@ class ProgressDisplay:
         if self._live:
             self._bars.console.print(line, highlight=False, markup=False)
         else:
-            print(line, file=sys.stderr, flush=True)
+            _tell(line)
 
     def _print_line(self, progress: Progress) -> None:
         now = time.monotonic()
@@ -129,4 +132,10 @@ class ProgressDisplay:
             if progress.status
             else ""
         )
-        print(f"{what}{ended}, {share:.0%} of all steps{self._time_left()}", file=sys.stderr, flush=True)
+        _tell(f"{what}{ended}, {share:.0%} of all steps{self._time_left()}")
+
+
+def _tell(line: str) -> None:
+    """Print a line on standard error; if nobody reads that any more, training goes on all the same."""
+    with suppress(OSError):
+        print(line, file=sys.stderr, flush=True)

@@ -79,7 +79,7 @@ def reset_worlds(handle: Array, chosen: Array, mask: Array) -> None:
     `chosen + p`, wrapping around; `chosen` below zero asks for one at random. Where there are several
     levels, one is drawn first.
     """
-    s = _open(handle)
+    s = open_state(handle)
     for w in range(s.worlds.shape[0]):
         if not mask[w]:
             continue
@@ -106,7 +106,7 @@ def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
     Takes the handle of a `State` and actions (N, P), whole numbers. A world whose episode has ended
     stays as it is, with empty events, until it is reset. With `only_observe` no time passes.
     """
-    s = _open(handle)
+    s = open_state(handle)
     ended = 0
     for w in range(s.worlds.shape[0]):
         running = s.worlds[w].ending == RUNNING and not only_observe
@@ -125,7 +125,7 @@ def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
 
 
 @opening
-def _open(h: Array) -> State:
+def open_state(h: Array) -> State:
     """Turn addresses and shapes back into arrays; see `state.make_handle`."""
     return State(
         carray(_pointer(h[0].address), (h[0].shape[0],), WORLD),

@@ -153,6 +153,11 @@ class Worlds:
         return len(self.worlds)
 
     @property
+    def handle(self) -> np.ndarray:
+        """What the compiled rules are called with, for compiled code elsewhere; see `state.make_handle`."""
+        return self._handle
+
+    @property
     def level(self) -> Level:
         """The first level, or the only one."""
         return self.levels[0]

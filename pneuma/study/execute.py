@@ -5,6 +5,7 @@ Plan → groups of runs → executor → store
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -54,6 +55,9 @@ class Todo:
 
 OnProgress = Callable[[Progress], None]
 
+MOST_IN_GROUP = 8
+"""Runs that one worker process trains; another `study run` finds them busy until it ends."""
+
 
 def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> Todo:
     """Check all that can be checked, record the selection, and return what is to be done.
@@ -90,8 +94,25 @@ def execute(
         for cell in cells[event["run_id"]]:
             on_progress(Progress(cell, *told))
 
-    local.run_groups([{name: run} for name, run in todo.items()], store, supervision, report)
+    local.run_groups(groups(todo, supervision), store, supervision, report)
     return [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
+
+
+def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
+    """Share runs out to worker processes.
+
+    Runs of equal shapes that the compiled engine trains go together, so that its programs are loaded or
+    compiled once for them; but never so many that a worker stands idle, and alone where each is timed.
+    """
+    alike: dict[Any, list[tuple[str, Run]]] = {}
+    for name, run in todo.items():
+        single = run.engine != "batched" or how.timeout_seconds is not None
+        shapes = (run.actor, run.critic, run.activation, run.horizon, run.minibatch, run.epochs, run.slots)
+        alike.setdefault(name if single else (*shapes, run.optimizer, run.env), []).append((name, run))
+    size = min(MOST_IN_GROUP, math.ceil(len(todo) / how.workers))
+    return [
+        dict(runs[first : first + size]) for runs in alike.values() for first in range(0, len(runs), size)
+    ]
 
 
 def _outcome(cell: Cell, stored: Status, end: local.Event | None) -> Outcome:

@@ -132,7 +132,8 @@ def disk_bytes(run: Run, keep_checkpoints: int = 0) -> int:
     for hidden in (run.actor, run.critic):
         layers = [64, *hidden, 5]
         weights += sum(a * b for a, b in zip(layers, layers[1:], strict=False))
-    return int(4 * weights * (1 + 3 * keep_checkpoints) + BYTES_PER_STEP * run.steps)
+    records = BYTES_PER_STEP * run.steps * (1 + keep_checkpoints / 2)  # a checkpoint has those up to its step
+    return int(4 * weights * (1 + 3 * keep_checkpoints) + records)
 
 
 # --- Time left -----------------------------------------------------------------------------------
@@ -181,7 +182,8 @@ class TimeLeft:
         if not paces:
             return None
         usual = statistics.fmean(paces.values())
-        start = statistics.fmean(self._start(name, paces.get(name, usual)) for name in self._first)
+        earliest = next(iter(self._first))
+        start = self._start(earliest, paces.get(earliest, usual))
         now = self._clock()
         running, waiting = [], []
         for name, run in self._runs.items():
@@ -201,7 +203,7 @@ class TimeLeft:
         return (last - first) / (late - early) if late > early else None
 
     def _start(self, name: str, pace: float) -> float:
-        """Return about how long a worker took before the run's first step: of the first ones, as seen."""
+        """Return about how long a worker took before a run's first step."""
         first, step = self._first[name]
         return min(max(0.0, first - self._begun - step * pace), 10.0)
 

@@ -28,7 +28,7 @@ def run_id(run: Run) -> str:
         "run": own,
         "contents": _contents(run),
         "rules": RULES_VERSION,
-        "engine": ENGINE_VERSIONS[run.engine],
+        "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 

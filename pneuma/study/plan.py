@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pneuma.config import FORK_SETTINGS, Run, as_settings, make_run, read_setting
+from pneuma.config import FORK_SETTINGS, Run, as_settings, beyond_engine, make_run, read_setting
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.spec import Study, does_nothing, unread_settings
@@ -102,7 +102,9 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     seeds = selection.seeds or preset.seeds
     cells = tuple(_cell(name, replace(runs[name], seed=seed)) for seed in seeds for name in names)
-    return Plan(study, selection, cells, _same(runs), _notes(runs, steps))
+    return Plan(
+        study, selection, cells, _same(runs), (*_notes(runs, steps), *_engine_notes(study, runs, over))
+    )
 
 
 def differing_settings(plan: Plan) -> dict[str, dict[str, Any]]:
@@ -142,6 +144,18 @@ def _same(runs: Mapping[str, Run]) -> tuple[tuple[str, ...], ...]:
     for name, run in runs.items():
         groups.setdefault(run, []).append(name)
     return tuple(tuple(names) for names in groups.values() if len(names) > 1)
+
+
+def _engine_notes(study: Study, runs: Mapping[str, Run], over: Mapping[str, Any]) -> list[str]:
+    """Say which conditions train with the slower engine though nobody asked for it."""
+    reasons: dict[str, list[str]] = {}
+    for name, run in runs.items():
+        if "engine" not in study.settings(name, over) and (reason := beyond_engine(run)):
+            reasons.setdefault(reason, []).append(name)
+    return [
+        f"{', '.join(names)}: trained by sb3, because the engine batched cannot train {reason}"
+        for reason, names in reasons.items()
+    ]
 
 
 def _notes(runs: Mapping[str, Run], steps: int) -> tuple[str, ...]:

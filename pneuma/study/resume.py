@@ -71,11 +71,18 @@ class Resume:
                 return read[0]
         raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
 
-    def discard(self) -> None:
-        """Give up the latest checkpoint."""
-        if self._files:
-            self._remove(self._files[:1])
+    def discard(self) -> bool:
+        """Give up the latest checkpoint; return whether there was one."""
+        had_one = bool(self._files)
+        self._remove(self._files[:1])
         self.history = {"attempts": [], "resumes": []}
+        return had_one
+
+    def sweep(self) -> None:
+        """Remove what a killed process left half written; only the holder of the run's lock may."""
+        folder = self._store.run_folder(self._name)
+        for path in (*folder.glob(".*.*"), *(folder / FOLDER).glob(".*.*")):
+            path.unlink(missing_ok=True)
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
         """Take a checkpoint after an update if it is time, or to be kept, or asked for `at_once`.

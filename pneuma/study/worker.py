@@ -50,12 +50,14 @@ class Job:
         runs: by id; of equal shapes.
         checkpoint_seconds: time between two checkpoints of a run.
         keep: how many checkpoints of each run to keep when it has ended.
+        final: whether a crash is the runs' end, and not to be tried once more.
     """
 
     store: Store
     runs: Mapping[str, Run]
     checkpoint_seconds: float = 15.0
     keep: int = 0
+    final: bool = True
 
 
 def main() -> int:
@@ -68,7 +70,8 @@ def main() -> int:
     os.dup2(2, 1)  # whatever a library prints is no event
     runs = {name: make_run(settings) for name, settings in job["runs"].items()}
     store = Store(Path(job["results"]))
-    return train_group(Job(store, runs, job["checkpoint_seconds"], job["keep"]), Reporter(events), stop)
+    what = Job(store, runs, job["checkpoint_seconds"], job["keep"], job["final"])
+    return train_group(what, Reporter(events), stop)
 
 
 class Reporter:
@@ -118,15 +121,32 @@ def _train(job: Job, runs: Mapping[str, Run], reporter: Reporter, stop: threadin
             name: Resume(job.store, name, run, job.checkpoint_seconds, job.keep, reporter.send)
             for name, run in runs.items()
         }
+        for resume in resumes.values():
+            resume.sweep()
         while waiting:
-            try:
-                _train_waiting(job.store, waiting, resumes, reporter, stop)
-            except CheckpointError:
-                for name in waiting:
-                    resumes[name].discard()
+            _train_or_discard(job.store, waiting, resumes, reporter, stop)
     except Exception as error:
-        return _store_crash(job.store, waiting, reporter, error)
+        return _end_crashed(job, waiting, reporter, error)
     return 0
+
+
+def _train_or_discard(
+    store: Store,
+    waiting: dict[str, Run],
+    resumes: Mapping[str, Resume],
+    reporter: Reporter,
+    stop: threading.Event,
+) -> None:
+    """Train what waits; where an engine cannot go on from a checkpoint, give up the latest ones.
+
+    Raises:
+        CheckpointError: when there is none left to give up.
+    """
+    try:
+        _train_waiting(store, waiting, resumes, reporter, stop)
+    except CheckpointError:
+        if not any([resumes[name].discard() for name in waiting]):
+            raise
 
 
 def _train_waiting(
@@ -159,14 +179,15 @@ def _train_waiting(
         reporter.send("end", name, status=result.status, step=result.step, trained=True)
 
 
-def _store_crash(store: Store, waiting: Mapping[str, Run], reporter: Reporter, error: Exception) -> int:
-    """Store a crash as the end of the runs that had not ended; say at least so where that fails too."""
+def _end_crashed(job: Job, waiting: Mapping[str, Run], reporter: Reporter, error: Exception) -> int:
+    """Tell of a crash for every run that had not ended, and store it if it is final and can be stored."""
     trace = traceback.format_exc().encode()
     for name, run in waiting.items():
         reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
         try:
             files = {"run.json": run_document(run, name), "error.txt": trace}
-            store.save_run(name, Status("crashed"), files)
+            if job.final:
+                job.store.save_run(name, Status("crashed"), files)
         except UserError as unwritten:
             reason = str(unwritten)
         reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -37,7 +36,7 @@ episode_steps = 50
 seeds = {seeds}
 steps = {steps}
 """
-FOR_EVER = 64 * 100_000
+FOR_EVER = 64 * 10_000_000
 
 
 def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = "") -> Path:
@@ -46,23 +45,22 @@ def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = 
     return path
 
 
-def begin(folder: Path, study: Path, *options: str, prepare: Callable[[], object] | None = None) -> Any:
+def begin(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
     """Start `study run` in `folder`, with its results beside the study."""
     command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
     return subprocess.Popen(
-        [*command, "--checkpoint-seconds", "0.1", *options],
+        ["bash", "-c", f'{limit} exec "$@"', "bash", *command, "--checkpoint-seconds", "0.1", *options],
         cwd=folder,
         env=one_thread_environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=prepare,  # noqa: PLW1509 (limits for the child alone)
     )
 
 
-def run(folder: Path, study: Path, *options: str, prepare: Callable[[], object] | None = None) -> Any:
+def run(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
     """Run `study run` to its end; return exit code, told and the statuses of its document."""
-    process = begin(folder, study, *options, prepare=prepare)
+    process = begin(folder, study, *options, limit=limit)
     out, told = process.communicate(timeout=120)
     assert "Traceback" not in told, told
     runs = json.loads(out)["runs"] if out else []
@@ -174,13 +172,10 @@ def test_on_a_full_disk_the_study_says_so_and_goes_on_when_there_is_room(tmp_pat
     """A limit on the size of files stands in for the full disk: small ones fit, checkpoints do not."""
     study = write_study(tmp_path)
 
-    def fill() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-
     run(tmp_path, write_study(tmp_path))  # compiled code is in its cache now
     for path in (tmp_path / "results" / "runs").glob("*/*"):
         path.unlink()
-    code, told, runs = run(tmp_path, study, prepare=fill)
+    code, told, runs = run(tmp_path, study, limit="ulimit -f 20;")  # files of 20 KiB at most
     assert code == 1
     assert "cannot be written" in told
     assert runs == [("crashed", True)]
@@ -213,3 +208,31 @@ def test_a_lock_dies_with_its_holder(tmp_path: Path) -> None:
     process.communicate()
     assert wait_for_end(workers) < 2
     wait_until(lambda: store.status(name).name == "partial", 2.0)
+
+
+def test_a_command_that_waits_for_another_is_stopped_by_one_ctrl_c(tmp_path: Path) -> None:
+    study = write_study(tmp_path, FOR_EVER)
+    first = begin(tmp_path, study)
+    wait_until(lambda: checkpoints(tmp_path))
+    second = begin(tmp_path, study)
+    assert second.stderr is not None
+    wait_until(lambda: "waiting for it" in second.stderr.readline())
+    second.send_signal(signal.SIGINT)
+    assert second.wait(timeout=30) == 130
+    first.send_signal(signal.SIGINT)
+    first.communicate(timeout=60)
+    second.communicate()
+
+
+def test_a_crash_that_is_not_final_yet_is_gone_on_from_without_being_asked(tmp_path: Path) -> None:
+    """Stopped between a crash and its second try, a run is partial, and not failed."""
+    (tmp_path / "broken.py").write_text(REWARD)
+    study = write_study(tmp_path, settings='reward = "broken:reward"')
+    process = begin(tmp_path, study)
+    assert process.stderr is not None
+    wait_until(lambda: "tried once more" in process.stderr.readline())
+    process.kill()
+    process.communicate()
+    store = Store(tmp_path / "results")
+    (name,) = store.runs()
+    wait_until(lambda: store.status(name).name in ("planned", "partial"), 10.0)

@@ -132,6 +132,7 @@ def test_a_worker_leaves_within_two_seconds_when_its_parent_does(tmp_path: Path)
             "runs": {run_id(run): as_settings(run)},
             "checkpoint_seconds": 15.0,
             "keep": 0,
+            "final": True,
             "parent": os.getpid(),
         }
         process.stdin.write(json.dumps(job).encode() + b"\n")

@@ -24,6 +24,7 @@ from typing import IO, Any
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 from pneuma.study.executors.interrupts import Interrupts
+from pneuma.study.locks import RunLock
 from pneuma.study.store import Status, Store, run_document
 
 Event = Mapping[str, Any]
@@ -67,7 +68,14 @@ def one_thread_environment() -> dict[str, str]:
     """Return environment variables for a child that computes on one thread and imports this code."""
     source = str(Path(__file__).parents[3])  # on the child's path even when Pneuma is not installed
     path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH", "")]))
-    return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), "PYTHONPATH": path}
+    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    own = {
+        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+        "JAX_COMPILATION_CACHE_DIR": str(Path(cache) / "pneuma" / "jax"),  # compiled once for all workers
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "PYTHONPATH": path,
+    }
+    return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), **own}
 
 
 def run_groups(
@@ -103,10 +111,17 @@ class _Worker:
     task: _Task
     errors: IO[bytes]
     started: float
-    ended: dict[str, str] = field(default_factory=dict)
+    ended: set[str] = field(default_factory=set)
+    crashed: dict[str, Event] = field(default_factory=dict)
+    late: dict[str, int] = field(default_factory=dict)
     busy: set[str] = field(default_factory=set)
     asked_to_stop: float | None = None
     timed_out: bool = False
+
+    @property
+    def final(self) -> bool:
+        """Whether a crash is the end of its runs."""
+        return self.task.tries >= TRIES
 
     @property
     def events(self) -> IO[bytes]:
@@ -130,6 +145,7 @@ class _Supervisor:
         self._how = supervision
         self._on_event = on_event
         self._interrupts = interrupts
+        self._told_busy: set[str] = set()
         self._selector = selectors.DefaultSelector()
         self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
 
@@ -137,14 +153,11 @@ class _Supervisor:
         """Work off all tasks; leaving by an exception ends the workers."""
         try:
             while self._tasks or self._workers():
-                self._heed_interrupts()
                 self._start_what_may()
                 for key, _ in self._selector.select(self._patience()):
-                    if key.data is None:
-                        self._interrupts.wake()
-                    else:
-                        self._read(key.data)
+                    self._read(key.data) if key.data else self._interrupts.wake()
                 self._end_overdue()
+                self._heed_interrupts()
         finally:
             for worker in self._workers():
                 _kill(worker)
@@ -172,24 +185,22 @@ class _Supervisor:
 
     def _patience(self) -> float | None:
         """Return how long nothing but an event can be of interest, in seconds."""
+        if self._interrupts.count:
+            return None
         now = time.monotonic()
-        due = [
-            worker.started + self._how.timeout_seconds
-            for worker in self._workers()
-            if self._how.timeout_seconds
-        ]
-        due += [
-            worker.asked_to_stop + STOP_SECONDS
-            for worker in self._workers()
-            if worker.timed_out and worker.asked_to_stop
-        ]
+        due = []
+        for worker in self._workers():
+            if worker.timed_out:
+                due.append((worker.asked_to_stop or now) + STOP_SECONDS)
+            elif self._how.timeout_seconds is not None:
+                due.append(worker.started + self._how.timeout_seconds)
         if len(self._workers()) < self._how.workers:
             due += [task.not_before for task in self._tasks]
         return max(0.0, min(due) - now) + 0.01 if due else None
 
     def _end_overdue(self) -> None:
         """Ask runs past their time-out for a checkpoint; kill those that have not come to one in time."""
-        if self._how.timeout_seconds is None:
+        if self._how.timeout_seconds is None or self._interrupts.count:
             return
         now = time.monotonic()
         for worker in self._workers():
@@ -212,48 +223,61 @@ class _Supervisor:
             worker.process.kill()  # it has gone astray; reading on finds its end
             return
         if event["event"] == "busy":
-            worker.busy.add(event["run_id"])
+            self._wait_for_another(worker, event["run_id"])
         elif event["event"] == "end":
             self._end(worker, event)
         else:
             self._on_event(event)
 
+    def _wait_for_another(self, worker: _Worker, name: str) -> None:
+        """Note that another process holds a run, and say so the first time."""
+        worker.busy.add(name)
+        if name not in self._told_busy:
+            self._told_busy.add(name)
+            text = "another process trains this run; waiting for it"
+            self._on_event({"event": "note", "run_id": name, "text": text})
+
     def _end(self, worker: _Worker, event: dict[str, Any]) -> None:
-        """Take the end of a run: it counts, unless it crashed and is to be tried once more."""
+        """Take the end of a run; crashes and time-outs are judged when the worker, and its lock, has gone."""
         name, status = event["run_id"], event["status"]
-        worker.ended[name] = status
-        if status == "crashed" and worker.task.tries < TRIES and not self._interrupts.count:
-            reason = event.get("reason", "")
-            self._on_event({"event": "note", "run_id": name, "text": f"crashed ({reason}); tried once more"})
-            return
-        if status == "stopped" and worker.timed_out:
-            event = {**event, "status": "timeout"}
-            self._save_end(worker, name, Status("timeout", event["step"]), b"")
-        self._on_event(event)
+        worker.ended.add(name)
+        if status == "crashed":
+            worker.crashed[name] = event
+        elif status == "stopped" and worker.timed_out:
+            worker.late[name] = event["step"]
+        else:
+            self._on_event(event)
 
     def _bury(self, worker: _Worker) -> None:
-        """Reap a worker; see to its runs that crashed with it, were busy, or are to be tried again."""
+        """Reap a worker; see to its runs that were busy, crashed, or went with it."""
         code = worker.process.wait()
         _close(worker)
         worker.errors.seek(0)
         last_words = worker.errors.read()
         worker.errors.close()
-        lost = [name for name in worker.task.group if name not in worker.ended and name not in worker.busy]
-        crashed = [name for name, status in worker.ended.items() if status == "crashed"]
+        lost = [name for name in worker.task.group if name not in worker.ended | worker.busy]
+        for name, step in worker.late.items():
+            self._save_end(worker, name, Status("timeout", step), b"")
+            self._on_event(
+                {"event": "end", "run_id": name, "status": "timeout", "step": step, "trained": True}
+            )
         if not self._interrupts.count:
             self._try_again(worker, worker.busy, worker.task.tries, BUSY_SECONDS)
-            if worker.task.tries < TRIES and not worker.timed_out:
-                self._try_again(worker, [*lost, *crashed], worker.task.tries + 1, 0.0)
-                for name in lost:
-                    text = f"the worker process {_reason(code)}; goes on"
-                    self._on_event({"event": "note", "run_id": name, "text": text})
-                return
-        for name in lost:
-            self._end_lost(worker, name, code, last_words)
+        if worker.final or worker.timed_out or self._interrupts.count:
+            for event in worker.crashed.values():
+                self._on_event(event)
+            for name in lost:
+                self._end_lost(worker, name, code, last_words)
+            return
+        self._try_again(worker, [*lost, *worker.crashed], worker.task.tries + 1, 0.0)
+        for name in (*lost, *worker.crashed):
+            crash = worker.crashed.get(name)
+            what = f"crashed ({crash['reason']})" if crash else f"the worker process {_reason(code)}"
+            self._on_event({"event": "note", "run_id": name, "text": f"{what}; tried once more"})
 
     def _try_again(self, worker: _Worker, names: Iterable[str], tries: int, seconds: float) -> None:
-        group = {name: worker.task.group[name] for name in names}
-        if group:
+        for name in names:  # each alone: one that crashes takes no other along again
+            group = {name: worker.task.group[name]}
             self._tasks.append(_Task(group, tries, time.monotonic() + seconds))
 
     def _end_lost(self, worker: _Worker, name: str, code: int, last_words: bytes) -> None:
@@ -267,10 +291,13 @@ class _Supervisor:
         self._on_event({"event": "end", "run_id": name, "status": status, "step": 0, "trained": True})
 
     def _save_end(self, worker: _Worker, name: str, status: Status, message: bytes) -> None:
+        """Store how a run ended, unless another process has taken it over by now."""
         files = {"run.json": run_document(worker.task.group[name], name)}
         try:
-            self._store.save_run(name, status, {**files, "error.txt": message} if message else files)
-        except UserError as error:
+            with RunLock(self._store.run_folder(name)) as mine:
+                if mine:
+                    self._store.save_run(name, status, {**files, "error.txt": message} if message else files)
+        except (UserError, OSError) as error:
             self._on_event({"event": "note", "run_id": name, "text": str(error)})
 
 
@@ -290,6 +317,7 @@ def _start(task: _Task, store: Store, how: Supervision) -> _Worker:
         "runs": {name: as_settings(run) for name, run in task.group.items()},
         "checkpoint_seconds": how.checkpoint_seconds,
         "keep": how.keep_checkpoints,
+        "final": task.tries >= TRIES,
         "parent": os.getpid(),
     }
     assert process.stdin is not None

@@ -1,0 +1,63 @@
+"""Actor and critic of a run as plain arrays: how they begin, and how they become a stored policy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from pneuma.config import Run, stream_seed
+from pneuma.engines.policy import Policy
+
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
+
+Networks = dict[str, Layers]
+"""{"actor": layers giving logits, "critic": layers giving one value}."""
+
+HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
+"""Of the orthogonal initial weights, as Stable-Baselines3 has them."""
+
+
+def initial_networks(run: Run, features: int, actions: int) -> Networks:
+    """Return orthogonal weights and zero biases, drawn from the run's stream of weights."""
+    generator = np.random.default_rng(stream_seed(run.stream, "weights"))
+    return {
+        "actor": _layers(generator, (features, *run.actor, actions), ACTOR_GAIN),
+        "critic": _layers(generator, (features, *run.critic, 1), CRITIC_GAIN),
+    }
+
+
+def to_policy(run: Run, networks: Networks) -> Policy:
+    """Return networks as a stored policy."""
+    return Policy(run.activation, networks["actor"], networks["critic"])
+
+
+def flat(layers: Layers) -> np.ndarray:
+    """Return all weights and biases, layer by layer, in one float32 array, for the compiled player."""
+    return np.concatenate([part.ravel() for layer in layers for part in layer])
+
+
+def sizes(layers: Layers) -> np.ndarray:
+    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
+    return np.array([layers[0][0].shape[0], *(weight.shape[1] for weight, _ in layers)], np.int64)
+
+
+def _layers(generator: np.random.Generator, widths: Sequence[int], last_gain: float) -> Layers:
+    gains = [HIDDEN_GAIN] * (len(widths) - 2) + [last_gain]
+    return tuple(
+        (_orthogonal(generator, inputs, outputs) * np.float32(gain), np.zeros(outputs, np.float32))
+        for inputs, outputs, gain in zip(widths[:-1], widths[1:], gains, strict=True)
+    )
+
+
+def _orthogonal(generator: np.random.Generator, inputs: int, outputs: int) -> np.ndarray:
+    """Return (inputs, outputs) float32 whose shorter side is orthonormal, uniformly drawn.
+
+    Saxe, McClelland and Ganguli (2014); the signs make the draw uniform (Mezzadri 2007).
+    """
+    normal = generator.standard_normal((max(inputs, outputs), min(inputs, outputs)))
+    q, r = np.linalg.qr(normal)
+    q = q * np.sign(np.diag(r))
+    return np.ascontiguousarray(q if inputs >= outputs else q.T, np.float32)

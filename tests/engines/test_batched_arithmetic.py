@@ -1,0 +1,171 @@
+"""The compiled engine does the arithmetic of Stable-Baselines3's PPO.
+
+Both are given the same parameters, rollout and order of minibatches; after several updates all losses,
+gradient norms and parameters are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+
+from pneuma.config import Run, make_run
+from pneuma.engines import sb3
+from pneuma.engines.batched import Learner
+from pneuma.engines.batched.networks import initial_networks
+from pneuma.engines.batched.rollout import Rollout, advantages
+from pneuma.engines.policy import dead_share
+
+SMALL: dict[str, object] = {
+    "horizon": 96, "minibatch": 32, "epochs": 3, "steps": 384, "evaluation_episodes": 2, "episode_steps": 40,
+}  # fmt: skip
+CASES: dict[str, dict[str, object]] = {
+    "table 6.2": {"betas": (0.9, 0.9)},
+    "usual Adam": {"betas": (0.9, 0.999)},
+    "momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2},
+    "the thesis's momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9, "learning_rate": 1e-2},
+    "plain descent": {"optimizer": "sgd", "learning_rate": 1e-2},
+    "RMSProp": {"optimizer": "rmsprop"},
+    "RMSProp with momentum": {"optimizer": "rmsprop", "momentum": 0.5},
+    "L2": {"weight_decay": 0.01},
+    "ReLU": {"activation": "relu"},
+    "LeakyReLU": {"activation": "leaky-relu"},
+    "no limit": {"gradient_limit": None, "learning_rate": 1e-4},
+    "a limit for each": {"clip": "separate", "gradient_limit": 0.05},
+    "a tight joint limit": {"gradient_limit": 0.01},
+    "a last minibatch that is smaller": {"minibatch": 40},
+    "slots": {"slots": 3, "steps": 1152},
+    "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
+    "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
+    "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
+}
+UPDATES = 4
+
+
+@pytest.fixture(params=CASES)
+def run(request: pytest.FixtureRequest) -> Run:
+    return make_run({**SMALL, **CASES[request.param]})
+
+
+def torch_model(run: Run, learner: Learner) -> PPO:
+    """Return Stable-Baselines3's learner with the networks of ours."""
+    model = sb3.make_model(run, sb3.make_env(run))
+    model._setup_learn(run.steps)
+    policy = model.policy
+    hidden = {"actor": policy.mlp_extractor.policy_net, "critic": policy.mlp_extractor.value_net}
+    heads = {"actor": policy.action_net, "critic": policy.value_net}
+    for part, layers in learner.networks.items():
+        linear = [m for m in hidden[part] if isinstance(m, torch.nn.Linear)] + [heads[part]]
+        for module, (weight, bias) in zip(linear, layers, strict=True):
+            module.weight.data = torch.tensor(weight.T.copy())
+            module.bias.data = torch.tensor(bias.copy())
+    return model
+
+
+def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
+    """Give Stable-Baselines3 a rollout of ours, as its own would have left it."""
+    buffer, policy = model.rollout_buffer, model.policy
+    buffer.reset()
+    slots, steps = rollout.actions.shape
+    rewards = rollout.rewards.copy()
+    for row, seen in zip(rollout.ended, rollout.terminal_observations, strict=True):
+        if row["ending"] == 3 and run.time_limit == "truncate":  # as `collect_rollouts` does it
+            with torch.no_grad():
+                beyond = policy.predict_values(torch.tensor(seen[None]))[0]
+            rewards[row["slot"], row["step"] - 1] += model.gamma * beyond.numpy()[0]
+    for t in range(steps):
+        observations = torch.tensor(rollout.observations[:, t])
+        actions = torch.tensor(rollout.actions[:, t])
+        with torch.no_grad():
+            values, logs, _ = policy.evaluate_actions(observations, actions)
+        buffer.add(
+            rollout.observations[:, t], rollout.actions[:, t, None], rewards[:, t], rollout.starts[:, t],
+            values, logs,
+        )  # fmt: skip
+    with torch.no_grad():
+        last = policy.predict_values(torch.tensor(rollout.last_observations))
+    buffer.compute_returns_and_advantage(last_values=last, dones=rollout.last_ends)
+
+
+class Watched(Learner):
+    """Keeps the rollout and the orders of an update."""
+
+    rollout: Rollout
+    orders: list[np.ndarray]
+
+    def _judge(self, rollout: Rollout) -> Any:
+        self.rollout, self.orders = rollout, []
+        count = rollout.actions.size
+        twin = np.random.default_rng()
+        twin.bit_generator.state = self.generator.bit_generator.state
+        self.orders = [twin.permutation(count) for _ in range(self.run.epochs)]
+        return super()._judge(rollout)
+
+
+@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
+def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    learner = Watched(run)
+    model = torch_model(run, learner)
+    with sb3.GradientNorms(model, run) as norms:
+        for update in range(UPDATES):
+            before = learner.policy()
+            ours, _ = learner.update(update * run.steps_per_update)
+            fill_buffer(model, run, learner.rollout)
+            orders: Iterator[np.ndarray] = iter(learner.orders)
+            monkeypatch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
+            theirs = {**sb3.learn_from_rollout(model), **norms.take()}
+            for name, value in theirs.items():
+                close = pytest.approx(value, rel=2e-3, abs=2e-5)
+                assert ours[name] == close, (update, name)
+            shown = learner.rollout.observations.reshape(-1, learner.rollout.observations.shape[2])
+            assert ours["dead_units"] == pytest.approx(dead_share(before, shown), abs=1e-6)
+    ended = sb3.extract_policy(model, run)
+    for own, other in zip(
+        (*learner.policy().actor, *learner.policy().critic), (*ended.actor, *ended.critic), strict=True
+    ):
+        for array, their_array in zip(own, other, strict=True):
+            assert np.allclose(array, their_array, rtol=1e-3, atol=2e-5)
+
+
+def test_the_rollouts_have_time_limits_and_deaths_in_them() -> None:
+    """What the tables of endings are read by: both kinds happen."""
+    learner = Learner(make_run({**SMALL, "steps": 9600, "episode_steps": 300}))
+    ended = np.concatenate([learner.collector.collect(learner.networks["actor"]).ended for _ in range(40)])
+    assert set(ended["ending"].tolist()) >= {1, 3}  # killed, time limit
+
+
+def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3() -> None:
+    run = make_run({"actor": (128,), "critic": (32, 256)})
+    networks = initial_networks(run, 60, 5)
+    gains = {"actor": [2**0.5, 0.01], "critic": [2**0.5, 2**0.5, 1.0]}
+    for part, layers in networks.items():
+        for (weight, bias), gain in zip(layers, gains[part], strict=True):
+            product = weight @ weight.T if weight.shape[0] <= weight.shape[1] else weight.T @ weight
+            assert np.allclose(product, gain**2 * np.eye(len(product)), atol=1e-5 * gain**2)
+            assert not bias.any()
+    other = initial_networks(make_run({"actor": (128,), "critic": (32, 256), "seed": 1}), 60, 5)
+    assert not np.array_equal(networks["actor"][0][0], other["actor"][0][0])
+
+
+def test_advantages_worked_out_by_hand() -> None:
+    """Two steps of one slot, gamma 0.5, lambda 0.5; an episode ends after the first.
+
+    t = 1: 4 + 0.5 · 8 - 2 = 6. t = 0, whose next step begins an episode: 1 - 3 = -2, and nothing follows.
+    """
+    rewards, values = np.array([[1, 4]], np.float32), np.array([[3, 2]], np.float32)
+    starts, last = np.array([[1, 1]], np.float32), np.array([8], np.float32)
+    half, quarter = np.float32(0.5), np.float32(0.25)
+    gain = advantages(rewards, values, starts, last, np.zeros(1, np.float32), half, quarter)
+    assert gain.tolist() == [[-2.0, 6.0]]
+    # going on instead: t = 0: 1 + 0.5 · 2 - 3 = -1, and 0.25 · 6 = 1.5
+    starts[0, 1] = 0
+    gain = advantages(rewards, values, starts, last, np.zeros(1, np.float32), half, quarter)
+    assert gain.tolist() == [[0.5, 6.0]]
+    # the last step ends an episode: t = 1: 4 - 2 = 2; t = 0: -1 + 0.25 · 2
+    gain = advantages(rewards, values, starts, last, np.ones(1, np.float32), half, quarter)
+    assert gain.tolist() == [[-0.5, 2.0]]

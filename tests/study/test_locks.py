@@ -1,0 +1,61 @@
+"""Locks of runs: one holder at a time, and none that is dead."""
+
+from __future__ import annotations
+
+import fcntl
+from pathlib import Path
+
+import pytest
+
+from pneuma.study.locks import RunLock, is_held
+
+
+def test_one_holder_at_a_time(tmp_path: Path) -> None:
+    with RunLock(tmp_path) as first:
+        assert first and is_held(tmp_path)
+        with RunLock(tmp_path) as second:
+            assert not second
+        assert is_held(tmp_path)
+    assert not is_held(tmp_path)
+    assert not list(tmp_path.iterdir())
+    with RunLock(tmp_path) as again:
+        assert again
+
+
+def test_who_opened_the_file_before_it_was_removed_does_not_hold_the_lock_of_a_ghost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A holder lets go, and removes the file, between another's opening and locking it."""
+    holder = RunLock(tmp_path)
+    assert holder.__enter__()
+    lock = fcntl.flock
+
+    def let_go_first(descriptor: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        holder.__exit__()
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", let_go_first)
+    with RunLock(tmp_path) as mine:
+        assert mine and is_held(tmp_path)
+        with RunLock(tmp_path) as other:
+            assert not other
+
+
+def test_where_there_are_no_locks_nobody_is_kept_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with RunLock(tmp_path) as mine:
+        assert mine and not is_held(tmp_path)
+
+
+def test_a_link_in_the_locks_place_is_not_followed(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / ".lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="symbolic links"), RunLock(folder):
+        pass
+    assert not (tmp_path / "elsewhere").exists()
+    assert not is_held(folder)
