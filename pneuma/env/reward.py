@@ -34,6 +34,7 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.blame import blame_reward
+from pneuma.env.own_modules import module_files
 from pneuma.errors import UserError
 
 REWARD_CODES = {
@@ -80,12 +81,18 @@ def load_reward(name: str) -> RewardFunction:
 
 
 def reward_files(names: Sequence[str]) -> list[Path]:
-    """Return the source files that rewards of a user's own are defined in."""
+    """Return the source files of rewards of a user's own: of the module named, and what it imports beside it.
+
+    Raises:
+        UserError: when a module or function does not exist; the module is imported to tell.
+    """
     files = []
     for name in names:
-        source = getattr(sys.modules.get(load_reward(name).__module__), "__file__", None)
+        load_reward(name)
+        module = name.partition(":")[0]
+        source = getattr(sys.modules.get(module), "__file__", None)
         if source:
-            files.append(Path(source))
+            files += module_files(module, Path(source))
     return files
 
 

@@ -1,0 +1,77 @@
+"""Which files a user's reward is made of; they are part of a run's id."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from pneuma.config import make_run
+from pneuma.env.own_modules import module_files
+from pneuma.study.identity import run_id
+
+BODY = "def reward(events, players, stats):\n    return events['xp_gained']\n"
+
+
+def files(folder: Path, **sources: str) -> dict[str, Path]:
+    """Write files, with __ for a folder's slash, and return their paths."""
+    paths = {name: folder / (name.replace("__", "/") + ".py") for name in sources}
+    for name, path in paths.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(sources[name])
+    return paths
+
+
+def test_imports_are_followed_beside_the_module_and_no_further(tmp_path: Path) -> None:
+    paths = files(
+        tmp_path,
+        mine="import json, numpy, pneuma.env\nfrom helper import f\ndef g():\n    import late\n",
+        helper="from tools.deep import x\n",
+        late="import mine\n",
+        tools__deep="from . import near\nfrom .. import nothing\n",
+        tools__near="",
+        other="",
+        pneuma__env="",
+    )
+    package = tmp_path / "tools" / "__init__.py"
+    package.write_text("")
+    found = module_files("mine", paths["mine"])
+    assert found[0] == paths["mine"]
+    expected = {paths[name] for name in ("mine", "helper", "late", "tools__deep", "tools__near")} | {package}
+    assert set(found) == expected and found[1:] == sorted(found[1:])
+
+
+def test_of_a_module_in_a_package_the_packages_own_imports_count(tmp_path: Path) -> None:
+    paths = files(tmp_path, shop__reward="from . import a\n", shop__a="import beside\n", beside="")
+    package = tmp_path / "shop" / "__init__.py"
+    package.write_text("")
+    found = module_files("shop.reward", paths["shop__reward"])
+    assert set(found) == {*paths.values(), package}
+
+
+def test_of_what_is_installed_only_the_file_itself_counts() -> None:
+    path = Path(pytest.__file__).parent.parent / "six.py"
+    assert module_files("six", path) == [path]
+    assert len(module_files("json", Path(sys.modules["json"].__file__ or ""))) < 10
+
+
+@pytest.mark.parametrize("module", ["own_reward_a", "own_reward_b"])
+def test_a_reward_that_the_standard_library_makes_is_named_by_its_own_files(
+    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`functools.partial` objects say that they are of functools."""
+    source = "import functools\nfrom {helper} import body\nreward = functools.partial(body)\n"
+    helper = f"{module}_helper"
+    named = files(tmp_path, **{module: source.format(helper=helper), helper: BODY.replace("reward", "body")})
+    monkeypatch.chdir(tmp_path)
+    for name in (module, helper):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    run = make_run({"reward": f"{module}:reward"})
+    before = run_id(run)
+    for path in named.values():
+        original = path.read_text()
+        path.write_text(original + "# changed\n")
+        assert run_id(run) != before
+        path.write_text(original)
+        assert run_id(run) == before
