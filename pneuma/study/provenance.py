@@ -32,8 +32,8 @@ class Attempt:
     clock: float
     threads: int
 
-    def so_far(self, step: int) -> dict[str, Any]:
-        """Return what a checkpoint at a step is to tell of this attempt."""
+    def so_far(self, step: int | None) -> dict[str, Any]:
+        """Return what is to be told of this attempt at a step, None where that stands elsewhere."""
         return {
             "started": self.started.astimezone(UTC).isoformat(timespec="seconds"),
             "wall_seconds": round(time.perf_counter() - self.clock, 3),
@@ -47,20 +47,23 @@ class Attempt:
         return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def finished_provenance(attempt: Attempt, history: Mapping[str, Any]) -> dict[str, Any]:
-    """Describe what a run was trained by, over all attempts.
+def finished_provenance(
+    attempt: Attempt, history: Mapping[str, Any], step: int | None = None
+) -> dict[str, Any]:
+    """Describe what a run was trained by: the machine of the last attempt, and every attempt with its own.
 
     Args:
         attempt: the last one, which ends now.
         history: `attempts` that left a checkpoint, and `resumes` where the next ones went on.
+        step: at which it ended; left out, only the run's status tells.
     """
-    first = history["attempts"][0]["started"] if history["attempts"] else attempt.so_far(0)["started"]
-    before = sum(earlier["wall_seconds"] for earlier in history["attempts"])
+    attempts = [*history["attempts"], attempt.so_far(step)]
     return {
-        "started": first,
-        "wall_seconds": round(before + time.perf_counter() - attempt.clock, 3),
-        **machine(attempt.threads),
+        "started": attempts[0]["started"],
+        "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
+        **attempts[-1]["machine"],
         "resumes": history["resumes"],
+        "attempts": attempts,
     }
 
 
@@ -78,14 +81,18 @@ def machine(threads: int) -> dict[str, Any]:
 
 
 def differences(earlier: Mapping[str, Any]) -> list[str]:
-    """Say in what this machine and its packages differ from earlier ones, so that bits may differ."""
-    here = machine(earlier.get("threads", 1))
+    """Say in what this machine, its packages and its code differ from earlier ones, so that bits may differ.
+
+    A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same.
+    """
+    here = machine(1)
     changed = [
         f"{key} ({earlier.get(key)}, now {here[key]})"
-        for key in ("python", "system", "cpu")
+        for key in ("python", "commit", "system", "cpu")
         if earlier.get(key) != here[key]
     ]
-    before = earlier.get("packages", {})
+    told = earlier.get("packages")
+    before = told if isinstance(told, dict) else {}
     return changed + [
         f"{name} ({before.get(name, 'none')}, now {now})"
         for name, now in here["packages"].items()

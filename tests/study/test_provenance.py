@@ -1,0 +1,51 @@
+"""What produced a run: every attempt keeps its machine, and what differs between two is told."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+
+from pneuma.study import provenance
+from pneuma.study.provenance import Attempt, differences, finished_provenance, machine
+
+
+def attempt() -> Attempt:
+    return Attempt(datetime(2026, 1, 2, tzinfo=UTC), time.perf_counter(), threads=1)
+
+
+def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:
+    elsewhere = {**machine(1), "cpu": "abacus", "commit": "0" * 40}
+    earlier = {
+        "started": "2026-01-01T00:00:00+00:00",
+        "wall_seconds": 100.0,
+        "step": 512,
+        "machine": elsewhere,
+    }
+    about = finished_provenance(attempt(), {"attempts": [earlier], "resumes": [{"step": 512}]}, 1024)
+    assert about["started"] == earlier["started"]
+    assert 100 <= about["wall_seconds"] < 110
+    assert {key: about[key] for key in machine(1)} == machine(1)
+    first, last = about["attempts"]
+    assert first == earlier
+    assert (last["started"], last["step"], last["machine"]) == ("2026-01-02T00:00:00+00:00", 1024, machine(1))
+
+
+def test_a_run_without_a_stop_has_one_attempt() -> None:
+    about = finished_provenance(attempt(), {"attempts": [], "resumes": []})
+    assert [each["started"] for each in about["attempts"]] == [about["started"]]
+
+
+@pytest.mark.parametrize("commit", ["b" * 40, "a" * 40 + "-dirty", None])
+def test_another_commit_is_told(commit: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "_commit", lambda: "a" * 40)
+    here = machine(1)
+    assert differences(here) == []
+    assert differences({**here, "commit": commit}) == [f"commit ({commit}, now {'a' * 40})"]
+
+
+@pytest.mark.parametrize("earlier", [{}, {"packages": 3, "threads": "x"}, {"packages": ["torch"]}])
+def test_a_strangers_nonsense_only_differs(earlier: dict[str, Any]) -> None:
+    assert any(told.startswith("torch (none, now ") for told in differences(earlier))
