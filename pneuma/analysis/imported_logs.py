@@ -15,10 +15,9 @@ import pandas as pd
 from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.tables import FinishedRun
 from pneuma.analysis.windows import TRAILING_EPISODES, logged_curve, update_curve
-from pneuma.study.store import Status, Store
+from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import from_parquet
 
-SCALARS_FILE = "scalars.parquet"
 AVERAGED = f"_mean_{TRAILING_EPISODES}"
 """Ends the names of columns that were averaged when they were logged."""
 

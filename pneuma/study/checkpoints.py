@@ -9,7 +9,6 @@ whole. The latest two are kept while a run trains, and those that a study asks t
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,17 +19,16 @@ from safetensors.numpy import load, save
 
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, Records
-from pneuma.study.files import SCHEMA, checksum
+from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
 
-FOLDER = "checkpoints"
+FOLDER = CHECKPOINTS
 LATEST_KEPT = 2
 TABLES = {
     "episodes": EPISODE_COLUMNS,
     "metrics": METRIC_COLUMNS,
     "evaluations": EVALUATION_COLUMNS,
 }
-_NAME = re.compile(r"(\d{13})-([0-9a-f]{16})\.safetensors")
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,8 @@ class CheckpointFile:
 
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoints of a run's folder, the latest first, whole or not."""
-    found = ((path, _NAME.fullmatch(path.name)) for path in (folder / FOLDER).glob("*.safetensors"))
-    files = [CheckpointFile(path, int(match[1]), match[2]) for path, match in found if match]
+    found = ((path, read_checkpoint_name(path.name)) for path in (folder / FOLDER).glob("*.safetensors"))
+    files = [CheckpointFile(path, *told) for path, told in found if told]
     return sorted(files, key=lambda file: (file.step, file.digest), reverse=True)
 
 
@@ -55,12 +53,24 @@ def file_name(step: int, data: bytes) -> str:
 
 
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] | None:
-    """Read a checkpoint and the history kept with it; None where the file is not what was written."""
+    """Read a checkpoint and the history kept with it; None where it is not what was written there.
+
+    That is a file that is damaged, no checkpoint at all, or one of another step or run.
+    """
     try:
         data = file.path.read_bytes()
     except OSError:
         return None
-    return decode(data) if checksum(data)[:16] == file.digest else None
+    if checksum(data)[:16] != file.digest:
+        return None
+    try:
+        about = _about(data)
+        checkpoint, history = _decoded(about, data)
+    except Exception:  # whatever a stranger's bytes lead the readers of JSON, safetensors and Parquet to
+        return None
+    run = file.path.parent.parent.name
+    whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and _is_history(history)
+    return (checkpoint, {"attempts": [], "resumes": [], **history}) if whole else None
 
 
 def outdated(files: Iterable[CheckpointFile], kept: Iterable[int]) -> list[CheckpointFile]:
@@ -69,14 +79,21 @@ def outdated(files: Iterable[CheckpointFile], kept: Iterable[int]) -> list[Check
     return [file for i, file in enumerate(files) if i >= LATEST_KEPT and file.step not in steps]
 
 
-def encode(checkpoint: Checkpoint, history: Mapping[str, Any]) -> bytes:
-    """Return a checkpoint, and what is to be kept with it, as safetensors."""
+def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | None = None) -> bytes:
+    """Return a checkpoint, and what is to be kept with it, as safetensors.
+
+    Args:
+        checkpoint: of a run.
+        history: its `attempts` and `resumes` so far.
+        run_id: the run's, so that the file is of no use in the folder of another.
+    """
     tables = {
         f"records/{name}": np.frombuffer(to_parquet(getattr(checkpoint.records, name), columns), np.uint8)
         for name, columns in TABLES.items()
     }
     about = {
         "schema": SCHEMA,
+        **({"run_id": run_id} if run_id else {}),
         "step": checkpoint.step,
         "numbers": checkpoint.numbers,
         "history": history,
@@ -88,11 +105,45 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any]) -> bytes:
 
 
 def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
-    """Return what `encode` was given."""
+    """Return what `encode` was given.
+
+    Raises:
+        ValueError: for bytes of another schema; other bytes may raise anything.
+    """
+    return _decoded(_about(data), data)
+
+
+def _about(data: bytes) -> dict[str, Any]:
+    """Return what a checkpoint says of itself."""
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    about = json.loads(header["__metadata__"]["pneuma"])
+    about: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
+    if about["schema"] != SCHEMA:
+        raise ValueError(f"a checkpoint of schema {about['schema']}")
+    return about
+
+
+def _decoded(about: Mapping[str, Any], data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     arrays = load(data)
-    rows = {name: from_parquet(arrays.pop(f"records/{name}").tobytes()).to_pylist() for name in TABLES}
+    rows = {
+        name: from_parquet(arrays.pop(f"records/{name}").tobytes()).select(columns).to_pylist()
+        for name, columns in TABLES.items()
+    }
     shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
-    checkpoint = Checkpoint(about["step"], shaped, about["numbers"], Records(**rows))
-    return checkpoint, about["history"]
+    numbers, history = dict(about["numbers"]), dict(about["history"])
+    return Checkpoint(about["step"], shaped, numbers, Records(**rows)), history
+
+
+def _is_history(history: Mapping[str, Any]) -> bool:
+    """Tell whether a history is one, or none."""
+    attempts, resumes = history.get("attempts", []), history.get("resumes", [])
+    return (
+        isinstance(attempts, list)
+        and isinstance(resumes, list)
+        and all(isinstance(each, dict) and _is_attempt(each) for each in attempts)
+        and all(isinstance(each, dict) for each in resumes)
+    )
+
+
+def _is_attempt(attempt: Mapping[str, Any]) -> bool:
+    timed = isinstance(attempt.get("wall_seconds"), int | float)
+    return timed and isinstance(attempt.get("started"), str) and isinstance(attempt.get("machine"), dict)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,10 @@ from typing import Any
 
 SCHEMA = 1
 _SEAL = "sha256"
+
+CHECKPOINTS = "checkpoints"
+"""Folder of a run's checkpoints."""
+_CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -62,6 +67,12 @@ def read_sealed(path: Path) -> dict[str, Any] | None:
         return None
     told = document.pop(_SEAL, None)
     return document if told == checksum(to_json(document)) else None
+
+
+def read_checkpoint_name(name: str) -> tuple[int, str] | None:
+    """Return the step and the checksum that a checkpoint's name tells; None for any other file."""
+    match = _CHECKPOINT_NAME.fullmatch(name)
+    return (int(match[1]), match[2]) if match else None
 
 
 def checksum(data: bytes) -> str:

@@ -25,7 +25,7 @@ from pneuma.study.event_files import EventFile, Scalar, read_event_file
 from pneuma.study.log_folders import LogFolder, find_logs
 from pneuma.study.plan import Selection
 from pneuma.study.spec import list_studies
-from pneuma.study.store import Status, Store, to_json
+from pneuma.study.store import SCALARS_FILE, Status, Store, to_json
 
 SOURCE = "tensorboard"
 """What a selection's record calls the source of an imported study."""
@@ -34,7 +34,6 @@ SCHEMA = 1
 IMPORT_VERSION = 1
 """Raised by hand when the same logs are read to other points; part of every imported run's id."""
 
-SCALARS_FILE = "scalars.parquet"
 STEP_GROUPS = ("rollout/", "train/", "time/", "eval/")
 """Tags that Stable-Baselines3 writes, whose steps are agent steps."""
 DAMAGE_TOLD = 3

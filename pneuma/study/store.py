@@ -26,7 +26,17 @@ from typing import Any
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
-from pneuma.study.files import SCHEMA, checksum, read_sealed, replace_file, seal, to_json, write_whole
+from pneuma.study.files import (
+    CHECKPOINTS,
+    SCHEMA,
+    checksum,
+    read_checkpoint_name,
+    read_sealed,
+    replace_file,
+    seal,
+    to_json,
+    write_whole,
+)
 from pneuma.study.locks import is_held
 
 __all__ = ["FINISHED", "STATUSES", "Status", "Store", "run_document", "to_json", "write_whole"]
@@ -38,6 +48,9 @@ FINISHED = ("done", "diverged")
 """Statuses that are results: such a run is not trained again."""
 FAILED = ("crashed", "timeout")
 """Statuses of runs that are trained again only when asked for."""
+
+SCALARS_FILE = "scalars.parquet"
+"""Of an imported run: every value that its logs hold."""
 
 _RUN_ID = re.compile(r"[0-9a-f]{16}")
 _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
@@ -123,7 +136,8 @@ class Store:
     def _unfinished(self, run_id: str) -> Status:
         """Return how far a run is that nothing vouches for."""
         folder = self.run_folder(run_id)
-        step = max((int(path.name[:13]) for path in folder.glob("checkpoints/*-*.safetensors")), default=0)
+        told = (read_checkpoint_name(path.name) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
+        step = max((step for step, _ in filter(None, told)), default=0)
         if is_held(folder):
             return Status("running", step)
         if (folder / "status.json").exists():
@@ -211,12 +225,13 @@ class Store:
             UserError: when that fails, or leads out of the results folder.
         """
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             if not path.parent.resolve().is_relative_to(self.root.resolve()):
                 raise UserError(f"{path}: a link leads out of the results folder; remove it")
+            path.parent.mkdir(parents=True, exist_ok=True)
             replace_file(path, data)
-        except OSError as error:
-            raise UserError(f"{path}: cannot be written ({error.strerror})") from None
+        except (OSError, RuntimeError) as error:  # Python 3.11 and 3.12 say of a ring of links: RuntimeError
+            reason = getattr(error, "strerror", None) or error
+            raise UserError(f"{path}: cannot be written ({reason})") from None
 
 
 def _is_manifest(document: Mapping[str, Any]) -> bool:
@@ -228,18 +243,29 @@ def _is_manifest(document: Mapping[str, Any]) -> bool:
 
 def _is_record(document: Mapping[str, Any]) -> bool:
     """Tell whether a document, which may be a stranger's, is a study's record."""
-    runs = document.get("runs")
+    runs, same = document.get("runs"), document.get("same")
     return (
         isinstance(runs, list)
         and all(isinstance(run, dict) and _is_cell(run) for run in runs)
-        and isinstance(document.get("study"), str)
+        and all(isinstance(document.get(key), str) for key in ("study", "title", "figure", "baseline"))
+        and isinstance(same, list)
+        and all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in same)
         and isinstance(document.get("selection"), dict)
     )
 
 
 def _is_cell(run: Mapping[str, Any]) -> bool:
     named = isinstance(run.get("run_id"), str) and bool(_RUN_ID.fullmatch(run["run_id"]))
-    return named and isinstance(run.get("condition"), str) and isinstance(run.get("seed"), int)
+    placed = isinstance(run.get("condition"), str) and isinstance(run.get("seed"), int)
+    settings = run.get("run")
+    return named and placed and isinstance(settings, dict) and _are_settings(settings)
+
+
+def _are_settings(settings: Mapping[str, Any]) -> bool:
+    """Tell whether settings have what tables and figures are made by."""
+    slots = settings.get("slots")  # not known of imported logs
+    counted = (slots is None or isinstance(slots, int)) and isinstance(settings.get("steps"), int)
+    return counted and isinstance(settings.get("env"), str)
 
 
 def run_document(run: Run, run_id: str) -> bytes:

@@ -183,7 +183,8 @@ def test_a_name_that_cannot_be_is_refused_before_anything_is_written(
 ) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 10, 1.0)])
     store = Store(tmp_path / "results")
-    store.save_selection("taken", {"study": "taken", "selection": {}, "runs": []})
+    record = {"title": "Taken", "figure": "taken", "baseline": "a", "same": [], "selection": {}, "runs": []}
+    store.save_selection("taken", {"study": "taken", **record})
     before = _files(store.root)
     with pytest.raises(UserError, match=f"--name {name}: .*{words}"):
         _import(tmp_path, name)

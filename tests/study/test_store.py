@@ -14,6 +14,7 @@ from pneuma.errors import UserError
 from pneuma.study.store import Status, Store, to_json, write_whole
 
 NAME = "0123456789abcdef"
+RECORD = {"title": "A", "figure": "a", "baseline": "a", "same": [], "selection": {}, "runs": []}
 FILES = {"run.json": b"{}\n", "episodes.parquet": bytes(range(256))}
 
 
@@ -180,13 +181,26 @@ def test_a_save_that_fails_half_way_leaves_the_run_planned(
     assert store.status(NAME) == Status("planned", 0)
 
 
+def test_only_checkpoints_by_name_tell_how_far_a_run_is(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    folder = store.run_folder(NAME) / "checkpoints"
+    folder.mkdir(parents=True)
+    for name in ("old-copy.safetensors", f"{'9' * 13}-copy.safetensors", "\u0663" * 13 + "-" + "a" * 16):
+        (folder / name).write_bytes(b"")
+    assert store.status(NAME) == Status("planned", 0)
+    (folder / f"{512:013}-{'a' * 16}.safetensors").write_bytes(b"")
+    assert store.status(NAME) == Status("partial", 512)
+
+
 # --- Studies -------------------------------------------------------------------------------------
 
 
 def test_the_latest_selection_of_a_study_comes_back(store: Store) -> None:
-    latest = {"study": "one", "selection": {}, "runs": [{"run_id": NAME, "condition": "a", "seed": 0}]}
-    store.save_selection("one", {"study": "one", "selection": {}, "runs": []})
-    store.save_selection("two", {"study": "two", "selection": {}, "runs": []})
+    settings = {"env": "a", "slots": 1, "steps": 512}
+    cell = {"run_id": NAME, "condition": "a", "seed": 0, "run": settings}
+    latest = {**RECORD, "study": "one", "runs": [cell]}
+    store.save_selection("one", {**RECORD, "study": "one"})
+    store.save_selection("two", {**RECORD, "study": "two"})
     store.save_selection("one", latest)
     assert store.selection("one") == {"schema": 1, **latest}
     assert store.studies() == ["one", "two"]
@@ -202,7 +216,7 @@ def test_a_study_that_was_not_run_has_no_selection(store: Store) -> None:
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": 2, "runs": []}'])
 def test_a_damaged_selection_reads_as_none(store: Store, text: str) -> None:
-    store.save_selection("one", {"study": "one", "runs": []})
+    store.save_selection("one", {**RECORD, "study": "one"})
     (store.root / "studies" / "one.json").write_text(text)
     assert store.selection("one") is None
 
