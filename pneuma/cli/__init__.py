@@ -13,6 +13,7 @@ import typer
 
 from pneuma import __version__
 from pneuma.cli import bench, env, import_, runs, study
+from pneuma.cli.plain_text import plain
 from pneuma.errors import UserError
 
 app = typer.Typer(
@@ -72,5 +73,5 @@ def _refuse(message: str) -> int:
     if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
         print(message, file=sys.stderr)
     else:
-        print(f"pneuma: {' '.join(message.split())}", file=sys.stderr)
+        print(f"pneuma: {plain(' '.join(message.split()))}", file=sys.stderr)
     return 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,9 +19,9 @@ from pneuma.cli.options import (
     read_seeds_option,
     read_settings_options,
 )
+from pneuma.cli.plain_text import plain
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS
-from pneuma.errors import UserError
 from pneuma.study.executors.local import Supervision, available_cores
 from pneuma.study.fork import plan_fork
 from pneuma.study.store import Store
@@ -41,7 +42,10 @@ def fork(
     seeds: Seeds = "3",
     workers: Workers = None,
     trust: Annotated[
-        bool, typer.Option("--trust", help="Run the reward function of one's own that the run names.")
+        bool,
+        typer.Option(
+            "--trust", help="Run the reward and read the level and characters files that the run names."
+        ),
     ] = False,
     results: Results = Path("results"),
     json: Json = False,
@@ -55,9 +59,8 @@ def fork(
     store = Store(results)
     settings = read_settings_options(set_)
     parent = find_run(store, name)
-    plan = plan_fork(store, parent, read_count("--at", at), settings, reset, read_seeds_option(seeds or "3"))
-    own = {reward for cell in plan.cells for reward in cell.run.reward if ":" in reward}
-    if own and not trust:
-        raise UserError(f"run {parent} names the reward {', '.join(sorted(own))}: --trust runs that code")
+    step = read_count("--at", at)
+    plan = plan_fork(store, parent, step, settings, reset, read_seeds_option(seeds or "3"), trust)
+    plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
     how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

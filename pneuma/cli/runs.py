@@ -12,6 +12,7 @@ import typer
 
 from pneuma.cli.fork import fork
 from pneuma.cli.options import Json, Results, print_json
+from pneuma.cli.plain_text import plain
 from pneuma.config import EnvConfig, Run, make_run
 from pneuma.errors import UserError, nearest_name
 from pneuma.study import stored_runs
@@ -58,10 +59,10 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
     if not runs:
         print(f"No run is stored in {results} yet.")
     for run in runs:
-        held = ", ".join(f"{_plain(h.study)}/{_plain(h.condition)}" for h in run.holders) or "of no study"
+        held = ", ".join(f"{plain(h.study)}/{plain(h.condition)}" for h in run.holders) or "of no study"
         seed = "?" if run.seed is None else run.seed
         step = f"{run.status.step:>12,} steps"
-        print(f"{run.run_id:<16}  {_plain(run.status.name):<9} {step}  seed {seed:<6} {held}")
+        print(f"{run.run_id:<16}  {plain(run.status.name):<9} {step}  seed {seed:<6} {held}")
     return None
 
 
@@ -79,15 +80,15 @@ def show(
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     if json:
         return print_json(_document(run, {key: usual.get(key) for key in differing}))
-    detail = f" ({_plain(run.status.detail)})" if run.status.detail else ""
-    print(f"run {run.run_id}: {_plain(run.status.name)}{detail}, {run.status.step:,} steps trained")
+    detail = f" ({plain(run.status.detail)})" if run.status.detail else ""
+    print(f"run {run.run_id}: {plain(run.status.name)}{detail}, {run.status.step:,} steps trained")
     for held in run.holders:
-        print(f"study {_plain(held.study)}, condition {_plain(held.condition)}, seed {held.seed}")
+        print(f"study {plain(held.study)}, condition {plain(held.condition)}, seed {held.seed}")
     _print_settings(run.settings, differing, usual, all_)
     _print_provenance(run)
     print("\nFiles")
     for file in run.files:
-        print(f"  {_plain(file.name):<24} {file.size_bytes:>12,} bytes  {file.state}")
+        print(f"  {plain(file.name):<24} {file.size_bytes:>12,} bytes  {file.state}")
     return None
 
 
@@ -141,9 +142,9 @@ def _check_out(out: Path) -> None:
 def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
     """Return the file's contents, and what a person should know about them."""
     if not run.status.finished:
-        raise UserError(f"run {run.run_id} is {_plain(run.status.name)}: it has no final policy to export")
+        raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
     if not any(file.name == "policy.safetensors" for file in run.files):
-        raise UserError(f"run {run.run_id} {_plain(run.status.name)}: it left no policy to export")
+        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
     data = store.read_file(run.run_id, "policy.safetensors")
     from pneuma.engines import export as exports
 
@@ -273,9 +274,4 @@ def _value(value: object) -> str:
     if value is None:
         return "none"
     shown = value if isinstance(value, str) and value else json_module.dumps(value, ensure_ascii=False)
-    return _plain(shown)
-
-
-def _plain(text: str) -> str:
-    """Make a stranger's text safe to print: no control characters, which could drive a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return plain(shown)

@@ -22,6 +22,7 @@ from pneuma.cli.options import (
     print_json,
     read_selection,
 )
+from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import as_settings, make_run
 from pneuma.study import plan, spec
@@ -117,9 +118,9 @@ def status(
         documents.append({"schema": 1, "study": record["study"], "runs": runs})
         if not json:
             counts = Counter(state for _, state in states)
-            print(f"{record['study']}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
+            print(f"{plain(record['study'])}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
             for run, state in states:
-                print(f"  {run['condition']:<18} seed {run['seed']:<6} {run['run_id']}  {state}")
+                print(f"  {plain(run['condition']):<18} seed {run['seed']:<6} {run['run_id']}  {state}")
     if json:
         print_json(documents[0] if name else {"schema": 1, "studies": documents})
 
@@ -134,10 +135,10 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
     about = {"title": record["title"], "baseline": record["baseline"], "conditions": conditions}
     if json:
         return print_json({"schema": 1, "study": record["study"], **about, "seeds": seeds})
-    print(record["title"])
+    print(plain(record["title"]))
     if record.get("source") == "tensorboard":
         print("\nImported logs: returns are means of 100 episodes, as Stable-Baselines3 logs them.")
-    print(f"\nConditions: {', '.join(conditions)}\nCompared with: {record['baseline']}")
+    print(f"\nConditions: {plain(', '.join(conditions))}\nCompared with: {plain(record['baseline'])}")
     print(f"Seeds: {', '.join(map(str, seeds))}")
     return None
 

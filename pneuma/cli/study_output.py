@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -25,9 +26,11 @@ from pneuma.cli.options import (
     read_selection,
     say,
 )
+from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import known_studies, study_record
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_FORMATS
+from pneuma.study.plan import Selection
 from pneuma.study.store import Store, write_whole
 
 if TYPE_CHECKING:
@@ -70,37 +73,16 @@ def plot(
     json: Json = False,
 ) -> None:
     """Draw a study's figure: mean over seeds with a band, return and monsters killed."""
-    _check_choice("--band", band, BAND_NAMES)
-    if window is not None:
-        _check_choice("--window", window, WINDOWS)
     formats = tuple(format or ("png", "svg"))
-    for form in formats:
-        _check_choice("--format", form, FIGURE_FORMATS)
+    _check_looks(band, window, formats)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    from pneuma.analysis.sources import open_study
-    from pneuma.figures.curves import draw_study
-
-    names = names or known_studies(store)
-    if not names:
-        raise UserError(f"no study was run in {results} yet: run `pneuma study run activation` first")
-    records = [study_record(store, name, selection) for name in names]
-    studies = [open_study(store, record) for record in records]
-    for data in studies:
-        data.checked_window(window)
-    folder = out or results / "figures"
-    _check_folder("--out", folder)
-    for data in studies:
-        _tell_left_out(data)
-    stems = Counter(data.figure for data in studies)
-    for data in studies:
-        if stems[data.figure] > 1:
-            data.figure += f"-{data.study}"
-    paths = [path for data in studies for path in draw_study(data, folder, band, window, formats)]
+    studies = _studies_to_draw(store, names or known_studies(store), selection, window)
+    paths = _draw(store, studies, out, lambda data, folder: _figure(data, folder, band, window, formats))
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
-        print(f"wrote {path}")
+        print(f"wrote {plain(str(path))}")
     return None
 
 
@@ -183,14 +165,74 @@ def publish(
     if json:
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
         return print_json({**document, "runs": len(data.runs)})
-    print(f"wrote {path}: {len(data.runs)} runs, {len(encoded) / 1000:.0f} kB")
+    print(f"wrote {plain(str(path))}: {len(data.runs)} runs, {len(encoded) / 1000:.0f} kB")
     return None
+
+
+def _check_looks(band: str, window: str | None, formats: Iterable[str]) -> None:
+    _check_choice("--band", band, BAND_NAMES)
+    if window is not None:
+        _check_choice("--window", window, WINDOWS)
+    for form in formats:
+        _check_choice("--format", form, FIGURE_FORMATS)
+
+
+def _studies_to_draw(
+    store: Store, names: Sequence[str], selection: Selection | None, window: str | None
+) -> list[StudyData]:
+    """Return the data of studies, each with a figure's name of its own."""
+    from pneuma.analysis.sources import open_study
+
+    if not names:
+        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
+    studies = [open_study(store, study_record(store, name, selection)) for name in names]
+    for data in studies:
+        data.checked_window(window)
+    stems = Counter(data.figure for data in studies)
+    for data in studies:
+        if stems[data.figure] > 1:
+            data.figure += f"-{data.study}"
+    return studies
+
+
+def _draw(
+    store: Store,
+    studies: Sequence[StudyData],
+    out: Path | None,
+    figure: Callable[[StudyData, Path], list[Path]],
+) -> list[Path]:
+    """Draw studies into a folder that a person names, or else into that of the results.
+
+    In a results folder, which may be a stranger's, no link is followed.
+    """
+    if out is not None:
+        _check_folder("--out", out)
+    else:
+        store.check_writable()
+    for data in studies:
+        _tell_left_out(data)
+    if out is not None:
+        return [path for data in studies for path in figure(data, out)]
+    with TemporaryDirectory() as folder:
+        drawn = [path for data in studies for path in figure(data, Path(folder))]
+        paths = {path: store.root / "figures" / path.name for path in drawn}
+        for path, target in paths.items():
+            store.write(target, path.read_bytes())
+    return list(paths.values())
+
+
+def _figure(
+    data: StudyData, folder: Path, band: str, window: str | None, formats: tuple[str, ...]
+) -> list[Path]:
+    from pneuma.figures.curves import draw_study
+
+    return draw_study(data, folder, band, window, formats)
 
 
 def _tell_left_out(data: StudyData) -> None:
     """Say how many runs of a selection are not shown, if any."""
     if data.left_out:
-        of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {data.study}"
+        of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
         say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
 
 

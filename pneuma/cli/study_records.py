@@ -9,6 +9,7 @@ from typing import Any
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import Store
+from pneuma.study.trust import own_things
 
 
 def study_record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
@@ -25,21 +26,24 @@ def study_record(store: Store, name: str, selection: plan.Selection | None) -> d
         raise _unknown(store, name, stem)
     if selection is None:
         return record or {}
-    if record is not None and _only_picks(record, selection):
+    if record is not None and _only_picks(record, selection, _is_asked_for(name)):
         return _pick(record, selection)
-    own = name if name.endswith(".toml") or not record else record["path"] or name
-    study = spec.load_study(own)
-    latest = execute.recorded_selection(record) if record and "selection" in record else plan.Selection()
+    study = spec.load_study(name)
+    latest = _recorded_selection(record) if record and "selection" in record else plan.Selection()
     return execute.selection_record(plan.make_plan(study, selection.over(latest)))
 
 
 def known_studies(store: Store) -> list[str]:
-    """Return the names of the studies that were run, imported or published here, sorted."""
-    if not (store.root / "published").is_dir():
-        return store.studies()
-    from pneuma.analysis.published import published_studies
+    """Return the names of the studies that were run, imported or published here, sorted.
 
-    return sorted({*store.studies(), *published_studies(store)})
+    What looks like a study's file is none of them: such a name is for a person to give.
+    """
+    names = set(store.studies())
+    if (store.root / "published").is_dir():
+        from pneuma.analysis.published import published_studies
+
+        names |= {*published_studies(store)}
+    return sorted(name for name in names if not name.endswith(".toml"))
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
@@ -67,11 +71,19 @@ def _published_record(store: Store, study: str) -> dict[str, Any] | None:
     return read_published(store, study).record if published_path(store, study).exists() else None
 
 
-def _only_picks(record: Mapping[str, Any], selection: plan.Selection) -> bool:
-    """Tell whether a selection is to be picked from a record of runs that no plan can name.
+def _is_asked_for(name: str) -> bool:
+    """Tell whether a name is a study that may be loaded: a shipped one, or a file that a person names.
+
+    A file that a record names may be a stranger's, and loading it would run the reward that it names.
+    """
+    return name.endswith(".toml") or name in spec.list_studies()
+
+
+def _only_picks(record: Mapping[str, Any], selection: plan.Selection, asked_for: bool) -> bool:
+    """Tell whether a selection is to be picked from a record's runs, not planned.
 
     Raises:
-        UserError: where an option has no meaning for imported logs or forks.
+        UserError: where an option would need a plan that cannot or must not be made.
     """
     others = {
         "--preset": selection.preset,
@@ -81,12 +93,55 @@ def _only_picks(record: Mapping[str, Any], selection: plan.Selection) -> bool:
     }
     given = [option for option, value in others.items() if value]
     source = record.get("source", "runs")
-    if source == "runs" and (record.get("path") or record["study"] in spec.list_studies()):
-        return False
-    if source in ("tensorboard", "runs") and given:
-        what = "was imported" if source == "tensorboard" else "has no file of its own"
-        raise UserError(f"{given[0]}: study {record['study']} {what}: --condition and --seeds alone pick")
-    return not given
+    if source != "tensorboard" and asked_for:
+        own = _brought_along(record, selection)
+        if own and given:
+            raise UserError(
+                f"{given[0]}: the record of study {record['study']} would {' and '.join(own)}: give that by "
+                "--set yourself, or pick with --condition and --seeds alone"
+            )
+        return not given and (source != "runs" or bool(own))
+    if given:
+        what = "was imported" if source == "tensorboard" else "is no shipped study"
+        mend = "" if source == "tensorboard" else ", or name its file (….toml)"
+        raise UserError(
+            f"{given[0]}: study {record['study']} {what}: --condition and --seeds alone pick{mend}"
+        )
+    return True
+
+
+def _brought_along(record: Mapping[str, Any], selection: plan.Selection) -> list[str]:
+    """Return what a record's settings, and nothing that a person gives, would run or read."""
+    if selection.preset or "selection" not in record:
+        return []
+    settings = _recorded_selection(record).settings or {}
+    given = selection.settings or {}
+    return [said for key, said in own_things(settings).items() if given.get(key) != settings[key]]
+
+
+def _recorded_selection(record: Mapping[str, Any]) -> plan.Selection:
+    """Return the selection of a record, which may be a stranger's.
+
+    Raises:
+        UserError: for one that makes no sense.
+    """
+    try:
+        latest = execute.recorded_selection(record)
+    except (KeyError, TypeError, ValueError):
+        latest = None
+    if latest is None or not _makes_sense(latest):
+        raise UserError(f"the record of study {record['study']} is damaged: run the study again")
+    return latest
+
+
+def _makes_sense(selection: plan.Selection) -> bool:
+    return (
+        all(isinstance(text, str | None) for text in (selection.preset, selection.engine))
+        and isinstance(selection.steps, int | None)
+        and all(isinstance(name, str) for name in selection.conditions)
+        and all(isinstance(seed, int) for seed in selection.seeds or ())
+        and isinstance(selection.settings, dict | None)
+    )
 
 
 def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any]:

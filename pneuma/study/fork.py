@@ -5,7 +5,6 @@ run, step and change → Plan of two conditions × fork seeds, each a run like a
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,8 +13,11 @@ from pneuma.config import FORK_RESETS, FORK_SETTINGS, Run, as_settings, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
+from pneuma.study.provenance import differences
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
+from pneuma.study.stored_runs import stored_run
+from pneuma.study.trust import own_things
 
 CONTROL = "control"
 FIXED = (
@@ -26,7 +28,13 @@ FIXED = (
 
 
 def plan_fork(
-    store: Store, parent: str, at: int, settings: Mapping[str, Any], reset: str, seeds: Sequence[int]
+    store: Store,
+    parent: str,
+    at: int,
+    settings: Mapping[str, Any],
+    reset: str,
+    seeds: Sequence[int],
+    trust: bool = False,
 ) -> Plan:
     """Plan a fork from the parent's checkpoint nearest before `at`, and its control.
 
@@ -37,50 +45,61 @@ def plan_fork(
         settings: fields of the run to change.
         reset: one of `FORK_RESETS`, or empty.
         seeds: of the fork: each begins fresh random streams.
+        trust: whether what the stored run names of its owner's may be imported and read.
 
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
     """
-    whole = _parent_run(store, parent)
-    step = _checkpoint_step(store, parent, at)
+    whole = _parent_run(store, parent, trust)
+    step = _checkpoint_step(store, parent, at, whole.steps)
     changes = {**_changes(whole, settings), **({"fork_reset": _reset(reset)} if reset else {})}
     if not changes:
         raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
-    base = {**as_settings(whole), "parent": parent, "fork_step": step}
-    changed = _forked(base, changes)
+    base = {**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""}
+    control, changed = make_run(base), _forked(base, changes)
+    if settings and replace(changed, fork_reset="") == control:
+        raise UserError(f"--set {', '.join(settings)}: changes nothing, because nothing in this run reads it")
     name = ", ".join(
         [f"{key}={_shown(value)}" for key, value in settings.items()] + ([f"reset {reset}"] if reset else [])
     )
-    conditions = {CONTROL: make_run(base), name: changed}
     cells = tuple(
         Cell(condition, seed, own, run_id(own))
         for seed in seeds
-        for condition, run in conditions.items()
+        for condition, run in ((CONTROL, control), (name, changed))
         for own in [replace(run, seed=seed)]
     )
-    study = Study(
-        name=f"fork-{parent[:8]}-{step}-{run_id(changed)[:4]}",
+    study = _study(parent, step, run_id(changed)[:4], name, changes)
+    notes = (f"forked at step {step:,} of {whole.steps:,}", *_elsewhere(store, parent))
+    return Plan(study, Selection(seeds=tuple(seeds)), cells, (), notes)
+
+
+def _study(parent: str, step: int, digits: str, name: str, changes: Mapping[str, Any]) -> Study:
+    return Study(
+        name=f"fork-{parent[:8]}-{step}-{digits}",
         path=None,
         title=f"Run {parent[:8]} from step {step:,}",
         section="",
         about=f"{name} from step {step:,} on, beside an unchanged control.",
-        figure=f"fork-{parent[:8]}-{step}-{run_id(changed)[:4]}",
+        figure=f"fork-{parent[:8]}-{step}-{digits}",
         baseline=CONTROL,
         base="",
         shared={},
         conditions={CONTROL: {}, name: changes},
     )
-    return Plan(
-        study, Selection(seeds=tuple(seeds)), cells, (), (f"forked at step {step:,} of {whole.steps:,}",)
-    )
 
 
-def _parent_run(store: Store, parent: str) -> Run:
+def _parent_run(store: Store, parent: str, trust: bool) -> Run:
+    """Return the run that is to be forked; nothing that it names is touched unless it is trusted."""
     status = store.status(parent)
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
-    document = json.loads(store.read_file(parent, "run.json"))
-    run = make_run(document["run"])
+    settings = stored_run(store, parent).settings
+    if not settings:
+        raise UserError(f"run {parent}: its run.json holds no configuration")
+    own = own_things(settings)
+    if own and not trust:
+        raise UserError(f"run {parent}: a fork would {' and '.join(own.values())}; --trust allows it")
+    run = make_run(settings)
     if run_id(run) != parent:
         raise UserError(
             f"run {parent} was trained by other rules or another engine, or its own files have changed: "
@@ -89,10 +108,21 @@ def _parent_run(store: Store, parent: str) -> Run:
     return run
 
 
-def _checkpoint_step(store: Store, parent: str, at: int) -> int:
-    """Return the step of the parent's checkpoint nearest before `at`."""
+def _elsewhere(store: Store, parent: str) -> list[str]:
+    """Say in what this machine differs from the one that trained the parent."""
+    earlier = stored_run(store, parent).provenance
+    changed = differences(earlier) if earlier else []
+    if not changed:
+        return []
+    return [f"the parent was trained with another {', '.join(changed)}: what follows may have other bits"]
+
+
+def _checkpoint_step(store: Store, parent: str, at: int, end: int) -> int:
+    """Return the step of the parent's checkpoint nearest before `at`, which leaves something to train."""
     from pneuma.study.checkpoints import checkpoint_files
 
+    if at >= end:
+        raise UserError(f"--at {at}: run {parent} ends at step {end}, so nothing would be left to train")
     steps = sorted(file.step for file in checkpoint_files(store.run_folder(parent)))
     if not steps:
         raise UserError(
@@ -106,6 +136,11 @@ def _checkpoint_step(store: Store, parent: str, at: int) -> int:
 
 def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Check what is to be changed."""
+    if "steps" in settings:
+        raise UserError(
+            f"--set steps: a fork ends where its parent does, at step {run.steps}; "
+            "fork earlier, or train the parent's study with more --steps"
+        )
     for key in settings:
         if key in (*FIXED, *FORK_SETTINGS):
             raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
@@ -117,12 +152,16 @@ def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _forked(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
-    """Return the changed run; an optimizer of another kind has other settings and needs a reset."""
+    """Return the changed run; an optimizer that keeps other moments needs a reset."""
+    kept = changes.get("fork_reset") != "optimizer"
     other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
-    if other and changes.get("fork_reset") != "optimizer":
+    if other and kept:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
     own = ("betas", "epsilon", "momentum", "dampening", "smoothing") if other else ()
-    return make_run({**base, **dict.fromkeys(own), **changes})
+    run = make_run({**base, **dict.fromkeys(own), **changes})
+    if kept and bool(run.momentum) != bool(base["momentum"]):
+        raise UserError("--set momentum: from or to 0 needs --reset optimizer")
+    return run
 
 
 def _reset(name: str) -> str:

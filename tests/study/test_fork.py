@@ -18,11 +18,12 @@ from pneuma.errors import UserError
 from pneuma.study.checkpoints import encode, file_name
 from pneuma.study.fork import plan_fork
 from pneuma.study.identity import run_id
+from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store, run_document
 
 SMALL: dict[str, object] = {
     "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 320, "evaluation_episodes": 2, "episode_steps": 40,
-    "betas": (0.9, 0.9),
+    "betas": (0.9, 0.9), "engine": "sb3",
 }  # fmt: skip
 AT = 128
 
@@ -163,6 +164,10 @@ def test_another_parent_or_step_makes_another_fork(store: Store) -> None:
         ({"parent": "0" * 16}, "cannot change at a fork"),
         ({"learning_rat": 1}, "did you mean learning_rate"),
         ({"optimizer": "sgd"}, "needs --reset optimizer"),
+        ({"steps": 640}, "a fork ends where its parent does, at step 320"),
+        ({"at": 320, "gamma": 0.9}, "ends at step 320, so nothing would be left to train"),
+        ({"at": 10**6, "gamma": 0.9}, "ends at step 320, so nothing would be left to train"),
+        ({"momentum": 0.9}, "changes nothing, because nothing in this run reads it"),
         ({"reset": "xq"}, "unknown reset 'xq'"),
         ({"at": 64, "gamma": 0.9}, "first checkpoint of run .* is at step 128"),
     ],
@@ -179,3 +184,47 @@ def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
     store.save_run(parent, Status("done", 320), {"run.json": json.dumps(document).encode()})
     with pytest.raises(UserError, match="other rules or another engine"):
         plan(store, learning_rate=1e-3)
+
+
+def stored(store: Store, run: Run, **about: object) -> str:
+    """Store a run as finished, with a checkpoint."""
+    name = run_id(run)
+    files = {"run.json": run_document(run, name), "provenance.json": json.dumps(about).encode()}
+    store.save_run(name, Status("done", run.steps), files)
+    data = encode(Checkpoint(AT, {}), {})
+    store.write(store.run_folder(name) / "checkpoints" / file_name(AT, data), data)
+    return name
+
+
+def test_the_control_of_a_forks_fork_resets_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    run = make_run({**SMALL, "parent": "0" * 16, "fork_step": 64, "fork_reset": "optimizer"})
+    planned = plan_fork(store, stored(store, run), AT, {"gamma": 0.9}, "", [0])
+    assert {cell.condition: (cell.run.fork_reset, cell.run.fork_step) for cell in planned.cells} == {
+        "control": ("", AT),
+        "gamma=0.9": ("", AT),
+    }
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.0, 0.9), (0.9, 0.0)])
+@pytest.mark.parametrize("optimizer", ["sgd", "rmsprop"])
+def test_momentum_begins_or_ends_with_a_fresh_optimizer_alone(
+    tmp_path: Path, optimizer: str, before: float, after: float
+) -> None:
+    """Torch keeps a buffer for momentum in the optimizer's state where there is any, and none elsewhere."""
+    store = Store(tmp_path)
+    parent = stored(store, make_run({**SMALL, "optimizer": optimizer, "momentum": before}))
+    with pytest.raises(UserError, match="--set momentum: from or to 0 needs --reset optimizer"):
+        plan_fork(store, parent, AT, {"momentum": after}, "", [0])
+    assert plan_fork(store, parent, AT, {"momentum": after}, "optimizer", [0])
+    assert plan_fork(store, parent, AT, {"gamma": 0.9}, "", [0])
+
+
+def test_a_fork_on_another_machine_than_its_parents_is_flagged(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    here = machine(1)
+    same = stored(store, make_run(SMALL), **here)
+    other = stored(store, make_run({**SMALL, "gamma": 0.5}), **{**here, "cpu": "abacus"})
+    notes = [plan_fork(store, parent, AT, {"gamma": 0.9}, "", [0]).notes for parent in (same, other)]
+    assert len(notes[0]) == 1
+    assert "trained with another cpu (abacus, now" in notes[1][1]
