@@ -1,77 +1,39 @@
-"""What the reference engine adds to Stable-Baselines3, on an environment that costs nothing.
+"""Speed of the engines: the compiled one over Stable-Baselines3, in one process on one thread.
 
-Measured in a process of its own that is pinned to one thread, as workers are: NumPy's and torch's
-thread pools otherwise get in each other's way.
+Both train the same runs on the same worlds, without evaluation, in rounds that alternate; compiling is
+done before. Beside it: how near the update comes to the core's own matrix product, and the memory.
 """
 
 from __future__ import annotations
 
 import json
+import resource
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-import torch
-from gymnasium import spaces
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
-
 from pneuma.config import BASES, Run, make_run
-from pneuma.engines import sb3
 from pneuma.study.executors.local import one_thread_environment
 
-ROUNDS = 5
-STEPS = 4096
-CASE = "small network, free world"
+SIZES: dict[str, dict[str, object]] = {"small": {}, "mid": {"actor": [512], "critic": [2048, 2048]}}
+"""Networks of the thesis (section 6.1): [128] / [256], and mid."""
 
+CASES: tuple[tuple[str, int, int, int, int], ...] = (
+    ("small", 1, 10_240, 3_072, 5),
+    ("small", 10, 5_120, 3_072, 5),
+    ("small", 30, 5_120, 3_072, 3),
+    ("mid", 1, 1_024, 512, 3),
+)
+"""Size, runs of the compiled engine, its steps for each, steps of Stable-Baselines3's one run, rounds."""
 
-class FreeVecEnv(VecEnv):
-    """One world of 60 features that never changes and never ends."""
-
-    def __init__(self) -> None:
-        self.render_mode = None
-        super().__init__(1, spaces.Box(-1, 1, (60,), np.float32), spaces.Discrete(5))
-        self._observation = np.zeros((1, 60), np.float32)
-        self._infos: list[dict[str, Any]] = [{}]
-
-    def reset(self) -> np.ndarray:
-        """Return the one observation."""
-        return self._observation
-
-    def step_async(self, actions: np.ndarray) -> None:
-        """Ignore the actions."""
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Return the one observation again."""
-        return self._observation, np.ones(1, np.float32), np.zeros(1, np.bool_), self._infos
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute."""
-        return [getattr(self, attr_name)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute."""
-        setattr(self, attr_name, value)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Call a method."""
-        return [getattr(self, method_name)(*method_args, **method_kwargs)]
-
-    def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
-        """Say that it is not wrapped."""
-        return [False]
+MATRIX_SIDE = 1024
 
 
 def bench_engines() -> dict[str, Any]:
-    """Return steps a second of both, and the median over rounds of the ratio of their times per step."""
+    """Return what `measure` does, from a process of its own that is pinned to one thread."""
     command = [sys.executable, "-m", "pneuma.bench.engines"]
     done = subprocess.run(command, env=one_thread_environment(), stdout=subprocess.PIPE, check=True)
     report: dict[str, Any] = json.loads(done.stdout)
@@ -80,34 +42,94 @@ def bench_engines() -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """Measure in this process; see `bench_engines`."""
-    torch.set_num_threads(1)
-    run = make_run({**BASES["table-6-2"], "steps": STEPS})
-    _seconds(run, alone=True)  # warm up
-    ours, theirs = [], []
-    for _ in range(ROUNDS):
-        theirs.append(_seconds(run, alone=True))
-        ours.append(_seconds(run, alone=False))
-    ours_over_theirs = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+    cases: list[dict[str, Any]] = []
+    ratios = {}
+    for size, runs, steps, reference_steps, rounds in CASES:
+        own = [_run(size, "batched", seed, steps) for seed in range(runs)]
+        reference = [_run(size, "sb3", 0, reference_steps)]
+        ours, theirs = _alternate(own, reference, rounds)
+        name = f"{size} network, {runs} {'run' if runs == 1 else 'runs'}"
+        cases += [_case(name, "batched", runs, ours), _case(name, "sb3", 1, theirs)]
+        ratios[name] = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+        if runs == 10:
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    share, product = _update_share()
     return {
-        "cases": [_case("sb3", ours), _case("Stable-Baselines3", theirs)],
-        "ratios": {CASE: ours_over_theirs},
+        "cases": cases,
+        "ratios": ratios,
+        "update_over_matrix_product": share,
+        "matrix_product_gflops": product,
+        "peak_megabytes_ten_small": peak,
     }
 
 
-def _seconds(run: Run, alone: bool) -> float:
-    """Return the processor time of one training; both sides run on one thread."""
-    env = FreeVecEnv()
-    start = time.process_time()
-    if alone:
-        sb3.make_model(run, env).learn(run.steps, log_interval=None)  # type: ignore[arg-type]
-    else:
-        sb3.train_one(run, lambda progress: True, env=env)
-    return time.process_time() - start
+def _run(size: str, engine: str, seed: int, steps: int) -> Run:
+    return make_run({**BASES["table-6-2"], **SIZES[size], "engine": engine, "seed": seed, "steps": steps})
 
 
-def _case(engine: str, seconds: Sequence[float]) -> dict[str, Any]:
-    rate = STEPS / statistics.median(seconds)
-    return {"case": CASE, "engine": engine, "runs": 1, "steps_per_second": rate}
+def _alternate(own: Sequence[Run], reference: Sequence[Run], rounds: int) -> tuple[list[float], list[float]]:
+    """Return the steps a second of both engines, round by round."""
+    from pneuma.engines import batched, sb3
+
+    def ours(run: Run) -> None:
+        batched.train_one(run, lambda progress: True, evaluated=False)
+
+    def theirs(run: Run) -> None:
+        sb3.train_one(run, lambda progress: True, env=sb3.make_env(run))
+
+    ours(make_run({"engine": "batched", **_shape(own[0]), "steps": 512}))  # compiles
+    rates: tuple[list[float], list[float]] = ([], [])
+    for _ in range(rounds):
+        rates[0].append(_rate(ours, own))
+        rates[1].append(_rate(theirs, reference))
+    return rates
+
+
+def _shape(run: Run) -> dict[str, object]:
+    return {name: getattr(run, name) for name in ("actor", "critic", "activation", "optimizer", "betas")}
+
+
+def _rate(train: Callable[[Run], None], runs: Sequence[Run]) -> float:
+    begun = time.perf_counter()
+    for run in runs:
+        train(run)
+    return sum(run.steps for run in runs) / (time.perf_counter() - begun)
+
+
+def _case(name: str, engine: str, runs: int, rates: Sequence[float]) -> dict[str, Any]:
+    return {"case": name, "engine": engine, "runs": runs, "steps_per_second": statistics.median(rates)}
+
+
+def _update_share() -> tuple[float, float]:
+    """Return the update's rate of operations over that of a large float32 product, and the latter in GFLOP/s.
+
+    A gradient step takes a forward and twice as much backward: 6 operations for each weight and sample.
+    """
+    import jax
+    import numpy as np
+
+    from pneuma.engines.batched import Learner
+
+    run = _run("small", "batched", 0, 512)
+    learner = Learner(run)
+    learner.update(0)
+    rollout = learner.collector.collect(learner.networks["actor"])
+    weights = sum(weight.size for part in learner.networks.values() for weight, _ in part)
+    operations = 6 * weights * run.steps_per_update * run.epochs
+    square = np.ones((MATRIX_SIDE, MATRIX_SIDE), np.float32)
+    product = jax.jit(lambda a: a @ a)
+    update_rate, product_rate = [], []
+    for _ in range(15):
+        update_rate.append(operations / _seconds(lambda: learner.learn_from(rollout)))
+        product_rate.append(2 * MATRIX_SIDE**3 / _seconds(lambda: product(square).block_until_ready()))
+    best = statistics.median(product_rate)
+    return statistics.median(a / b for a, b in zip(update_rate, product_rate, strict=True)), best / 1e9
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    call()
+    return time.perf_counter() - begun
 
 
 if __name__ == "__main__":

@@ -83,11 +83,9 @@ def plan_(
     _print_plan(planned, statuses, seconds)
     if todo:
         known = [own for name in todo if (own := seconds[name]) is not None]
-        wall = (
-            f"about {duration(foresight.wall_seconds(known, at_once))} with {at_once} at once, "
-            if known
-            else ""
-        )
+        told = duration(foresight.wall_seconds(known, at_once))
+        about = "about" if len(known) == len(todo) else "at least"
+        wall = f"{about} {told} with {at_once} at once, " if known else ""
         room = sum(foresight.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
         print(f"To train: {wall}{room / 1e6:,.0f} MB of disk.")
     return None
@@ -179,12 +177,9 @@ def _print_plan(
         time = duration(expected) if expected is not None and not status.finished else ""
         budget = f"{cell.run.steps:>12,} steps"
         print(f"{cell.condition:<18} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
-    counts = Counter(_state(statuses[cell.run_id]) for cell in planned.cells)
-    print(
-        f"{counts['stored']} stored, "
-        + (f"{counts['partial']} partial, " if counts["partial"] else "")
-        + f"{counts['to-train']} to train."
-    )
+    counts = Counter("failed" if status.failed else _state(status) for status in statuses.values())
+    told = {"stored": "stored", "partial": "partial", "failed": "failed", "to-train": "to train"}
+    print(", ".join(f"{counts[state]} {words}" for state, words in told.items() if counts[state]) + ".")
 
 
 def _tell_outcomes(

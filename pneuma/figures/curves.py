@@ -72,8 +72,7 @@ def _draw_killed(axes: Axes, data: StudyData, evaluations: pd.DataFrame, band: s
         axes.axhline(level, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)), label="random player")
     axes.set(title="Monsters killed in evaluation", xlabel="Environment steps", ylabel="Share killed")
     axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
-    decimals = 0 if axes.get_ylim()[1] > 0.05 else 1
-    axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=decimals))
+    axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=None))
 
 
 def _add_words(figure: Figure, axes: Axes, headline: str, caption: str) -> None:
@@ -102,8 +101,9 @@ def _draw_panel(
         look = condition_look(data.conditions.index(curve.condition))
         low, high = curve.band(band)
         axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
-        at_end = int(curve.count[-1]) if len(curve.count) else 0
-        fewer = f", {at_end} at the end" if at_end < len(curve.runs) else ""
+        ends = [run.end for run in data.of_condition(curve.condition)]
+        at_end = sum(end == max(ends) for end in ends)
+        fewer = f", {at_end} at the end" if at_end < len(ends) else ""
         label = f"{curve.condition} (n = {len(curve.runs)}{fewer})"
         look["marker"] = look["marker"] if marked else ""
         whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)

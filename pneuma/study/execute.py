@@ -143,7 +143,8 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     failed = [name for name, status in statuses.items() if status.failed and name not in todo]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))
-        notes.append(f"{len(failed)} runs failed before ({kinds}); --retry-failed tries them again")
+        runs = "1 run" if len(failed) == 1 else f"{len(failed)} runs"
+        notes.append(f"{runs} failed before ({kinds}); --retry-failed tries again")
     return notes
 
 

@@ -95,17 +95,13 @@ def _measure(run: Run) -> Pace | None:
             moments.append((time.monotonic(), event["step"]))
 
     with tempfile.TemporaryDirectory() as folder:
-        how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=_calibration_timeout())
+        how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=CALIBRATION_SECONDS)
         run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
     if len(moments) < 2 or moments[-1][1] == moments[0][1]:
         return None
     (first, early), (last, late) = moments[0], moments[-1]
     per_step = (last - first) / (late - early)
     return Pace(max(0.0, first - begun - early * per_step), per_step)
-
-
-def _calibration_timeout() -> float:
-    return CALIBRATION_SECONDS + 4.0  # besides what a worker takes to start
 
 
 def _calibration_path(store: Store) -> Path:
@@ -173,6 +169,8 @@ class TimeLeft:
         if progress.status:
             self._ended.add(name)
         elif progress.step:
+            if progress.step < self._last.get(name, (0.0, 0))[1]:
+                del self._first[name]  # it went back to a checkpoint
             self._first.setdefault(name, (self._clock(), progress.step))
             self._last[name] = (self._clock(), progress.step)
 

@@ -102,7 +102,13 @@ def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
     with ExitStack() as locks:
         mine = {}
         for name, run in job.runs.items():
-            if not locks.enter_context(RunLock(job.store.run_folder(name))):
+            try:
+                free = locks.enter_context(RunLock(job.store.run_folder(name)))
+            except OSError as error:
+                reason = f"{job.store.run_folder(name)}: cannot be written ({error.strerror})"
+                reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
+                continue
+            if not free:
                 reporter.send("busy", name)
             elif (status := job.store.status(name)).finished:
                 reporter.send("end", name, status=status.name, step=status.step, trained=False)
@@ -121,8 +127,9 @@ def _train(job: Job, runs: Mapping[str, Run], reporter: Reporter, stop: threadin
             name: Resume(job.store, name, run, job.checkpoint_seconds, job.keep, reporter.send)
             for name, run in runs.items()
         }
-        for resume in resumes.values():
-            resume.sweep()
+        for name, run in runs.items():
+            resumes[name].sweep()
+            job.store.write(job.store.run_folder(name) / "run.json", run_document(run, name))  # or fail now
         while waiting:
             _train_or_discard(job.store, waiting, resumes, reporter, stop)
     except Exception as error:

@@ -349,7 +349,7 @@ def test_ctrl_c_stops_a_running_study(tmp_path: Path) -> None:
     assert process.returncode == 130
     assert err.splitlines()[-1].startswith("Stopped.")
     assert "Traceback" not in err
-    assert {path.name for path in tmp_path.glob("runs/*/*")} <= {"checkpoints"}
+    assert {path.name for path in tmp_path.glob("runs/*/*")} <= {"checkpoints", "run.json"}
 
 
 # --- list, show ----------------------------------------------------------------------------------

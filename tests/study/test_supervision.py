@@ -123,7 +123,7 @@ def test_a_run_past_its_time_is_stopped_kept_and_retried_only_when_asked(tmp_pat
 
     code, told, runs = run(tmp_path, study)
     assert (code, runs) == (1, [("timeout", False)])
-    assert "1 runs failed before (timeout); --retry-failed tries them again" in told
+    assert "1 run failed before (timeout); --retry-failed tries again" in told
 
     code, told, runs = run(tmp_path, study, "--retry-failed", "--timeout", "4")
     assert (code, runs) == (1, [("timeout", True)])

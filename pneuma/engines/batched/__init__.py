@@ -100,8 +100,12 @@ class Learner:
         Args:
             first_step: agent steps taken before.
         """
-        run = self.run
         rollout = self.collector.collect(self.networks["actor"])
+        return self.learn_from(rollout), episode_rows(rollout, first_step, self.run.slots)
+
+    def learn_from(self, rollout: Rollout) -> dict[str, float]:
+        """Take all gradient steps of an update; return its metrics."""
+        run = self.run
         batch, values, dead = self._judge(rollout)
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
@@ -117,13 +121,12 @@ class Learner:
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
         shares = np.bincount(batch["actions"], minlength=len(ACTION_NAMES)) / count
-        metrics = {
+        return {
             **{name: float(value) for name, value in told.items()},
             "explained_variance": _explained_variance(values, batch["returns"]),
             "dead_units": dead,
             **{f"action_{i}": float(share) for i, share in enumerate(shares)},
         }
-        return metrics, episode_rows(rollout, first_step, run.slots)
 
     def _judge(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
         """Return the batch to learn from, slot by slot; its values; and the share of dead units."""

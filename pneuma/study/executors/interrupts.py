@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from contextlib import suppress
 from types import FrameType
 from typing import Any
 
@@ -44,4 +45,9 @@ class Interrupts:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
+        if self.count == 1:
+            with suppress(OSError):
+                os.write(
+                    2, b"Stopping: every run comes to a checkpoint first. Again, and all stop at once.\n"
+                )
         os.write(self._other_end, b"!")

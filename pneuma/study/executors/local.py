@@ -32,6 +32,8 @@ OnEvent = Callable[[Event], None]
 
 BUSY_SECONDS = 1.0
 """How long to wait before asking again for a run that another process holds."""
+START_SECONDS = 60.0
+"""How long a worker may take to its first update before its time-out begins all the same."""
 STOP_SECONDS = 30.0
 """How long a run past its time-out may take to come to a checkpoint."""
 TRIES = 2
@@ -111,6 +113,7 @@ class _Worker:
     task: _Task
     errors: IO[bytes]
     started: float
+    begun: float | None = None
     ended: set[str] = field(default_factory=set)
     crashed: dict[str, Event] = field(default_factory=dict)
     late: dict[str, int] = field(default_factory=dict)
@@ -193,10 +196,14 @@ class _Supervisor:
             if worker.timed_out:
                 due.append((worker.asked_to_stop or now) + STOP_SECONDS)
             elif self._how.timeout_seconds is not None:
-                due.append(worker.started + self._how.timeout_seconds)
+                due.append(self._deadline(worker, self._how.timeout_seconds))
         if len(self._workers()) < self._how.workers:
             due += [task.not_before for task in self._tasks]
         return max(0.0, min(due) - now) + 0.01 if due else None
+
+    def _deadline(self, worker: _Worker, seconds: float) -> float:
+        """Return when a worker's time is up, counted from its first update."""
+        return worker.started + START_SECONDS + seconds if worker.begun is None else worker.begun + seconds
 
     def _end_overdue(self) -> None:
         """Ask runs past their time-out for a checkpoint; kill those that have not come to one in time."""
@@ -204,7 +211,7 @@ class _Supervisor:
             return
         now = time.monotonic()
         for worker in self._workers():
-            if not worker.timed_out and now >= worker.started + self._how.timeout_seconds:
+            if not worker.timed_out and now >= self._deadline(worker, self._how.timeout_seconds):
                 worker.timed_out = True
                 _ask_to_stop(worker)
             elif worker.timed_out and worker.asked_to_stop and now >= worker.asked_to_stop + STOP_SECONDS:
@@ -227,6 +234,7 @@ class _Supervisor:
         elif event["event"] == "end":
             self._end(worker, event)
         else:
+            worker.begun = worker.begun or (time.monotonic() if event["event"] == "step" else None)
             self._on_event(event)
 
     def _wait_for_another(self, worker: _Worker, name: str) -> None:
