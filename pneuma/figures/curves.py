@@ -101,13 +101,15 @@ def _draw_panel(
         look = condition_look(data.conditions.index(curve.condition))
         low, high = curve.band(band)
         axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
-        ends = [run.end for run in data.of_condition(curve.condition)]
-        at_end = sum(end == max(ends) for end in ends)
-        fewer = f", {at_end} at the end" if at_end < len(ends) else ""
+        at_end = int(curve.count[-1]) if len(curve.count) else 0
+        runs = data.of_condition(curve.condition)
+        longest = max(run.budget for run in runs)
+        whole = all(run.status == "done" and run.end >= longest for run in runs)
+        fewer = "" if whole else f", {at_end} at the end"  # other conditions may go further
         label = f"{curve.condition} (n = {len(curve.runs)}{fewer})"
         look["marker"] = look["marker"] if marked else ""
-        whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
-        (line,) = axes.plot(curve.step, whole, label=label, markersize=2.8, clip_on=False, **look)
+        of_all = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
+        (line,) = axes.plot(curve.step, of_all, label=label, markersize=2.8, clip_on=False, **look)
         line.set_in_layout(False)  # it may reach over the edge, and may be empty
         axes.plot(curve.step, curve.mean, alpha=0.35, markersize=2.8, zorder=1.5, **look)
     axes.set_xlim(0, data.budget)

@@ -136,7 +136,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     """Return what a person should know of stored runs: damage, and failures that are not tried again."""
     told = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
     notes = [
-        f"{told[name]}: {status.detail} is damaged; the run is trained again"
+        f"{told[name]}: {status.detail!r} is damaged; the run is trained again"
         for name, status in statuses.items()
         if status.name == "damaged"
     ]

@@ -94,7 +94,7 @@ class Resume:
             return
         history = {**self.history, "attempts": [*self.history["attempts"], attempt.so_far(progress.step)]}
         try:
-            self._write(encode(progress.checkpoint(), history), progress.step)
+            self._write(encode(progress.checkpoint(), history, run_id=self._name), progress.step)
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
         took = time.monotonic() - now

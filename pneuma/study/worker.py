@@ -179,7 +179,7 @@ def _train_waiting(
     for result in load_engine(group[0].engine).train(group, checkpoints, update):
         name = name_of[result.run]
         if result.status != "stopped":
-            about = finished_provenance(attempt, resumes[name].history)
+            about = finished_provenance(attempt, resumes[name].history, result.step)
             store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
             resumes[name].finish()
         del waiting[name]

@@ -83,7 +83,7 @@ def test_what_takes_long_to_write_is_written_less_often(
 ) -> None:
     """At least 40 times as far apart as the last write took: 2 s to write, 80 s until the next."""
 
-    def slowly(*_: Any) -> bytes:
+    def slowly(*_: Any, **__: Any) -> bytes:
         clock.now += 2.0
         return b""
 
