@@ -109,7 +109,10 @@ def export(
 ) -> None:
     """Write a study's records as one tidy table."""
     _check_choice("--table", table, EXPORT_TABLES)
-    form = format or EXPORT_SUFFIXES.get(out.suffix, "csv")
+    form = format or EXPORT_SUFFIXES.get(out.suffix, "csv" if str(out) == "-" else "")
+    if not form:
+        endings = ", ".join(EXPORT_SUFFIXES)
+        raise UserError(f"--out {out}: its ending tells no format; end it in {endings}, or give --format")
     _check_choice("--format", form, EXPORT_FORMATS)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)

@@ -119,14 +119,22 @@ class Store:
 
     def runs(self) -> list[str]:
         """Return the ids of all runs of which anything is stored, sorted."""
-        names = os.listdir(self.root / "runs") if (self.root / "runs").is_dir() else []
+        try:
+            names = os.listdir(self.root / "runs")
+        except FileNotFoundError:
+            names = []
+        except OSError as error:
+            raise UserError(f"{self.root / 'runs'}: cannot be read ({error.strerror})") from None
         return sorted(name for name in names if _RUN_ID.fullmatch(name))
 
     def status(self, run_id: str) -> Status:
         """Return how far a run is, judged by the checksums of all its files."""
         manifest = self._manifest(run_id)
         if manifest is None:
-            return self._unfinished(run_id)
+            try:
+                return self._unfinished(run_id)
+            except OSError as error:
+                return Status("damaged", 0, f"{run_id} ({error.strerror})")
         damaged = [name for name in manifest["files"] if self._read(run_id, name, manifest) is None]
         if damaged:
             return Status("damaged", 0, damaged[0])
