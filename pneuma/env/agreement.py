@@ -148,7 +148,7 @@ def _difference(entry: Entry, right: Entry) -> str:
 
 def _single(env_id: str, settings: Settings, world: int) -> Iterator[Entry]:
     """Yield the story of one world as the single face tells it."""
-    env = PneumaEnv(env_id, None, **settings)
+    env = PneumaEnv(env_id, None, "map", **settings)
     yield {0: (env.reset(seed=SEED + world)[0],)}
     for action in _actions(world, env.state.config)[:, 0]:
         observation, reward, terminated, truncated, _ = env.step(action)

@@ -36,6 +36,7 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         env_id: str = ENVIRONMENTS[0],
         players: int = 2,
         render_mode: str | None = None,
+        camera: str = "map",
         **settings: object,
     ) -> None:
         self.worlds = Worlds(1, make_env_config({"players": players, **settings}, env_id))
@@ -46,7 +47,7 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         count = int(self.worlds.action_space.n)
         self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
         self._keyed = False
-        self._set_up_rendering(render_mode)
+        self._set_up_rendering(render_mode, camera)
 
     @property
     def rendered(self) -> Worlds:

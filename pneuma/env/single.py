@@ -59,7 +59,11 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
     """
 
     def __init__(
-        self, env_id: str = ENVIRONMENTS[0], render_mode: str | None = None, **settings: object
+        self,
+        env_id: str = ENVIRONMENTS[0],
+        render_mode: str | None = None,
+        camera: str = "map",
+        **settings: object,
     ) -> None:
         config = make_env_config(settings, env_id)
         if config.players != 1:
@@ -70,7 +74,7 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
-        self._set_up_rendering(render_mode)
+        self._set_up_rendering(render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
         self._action_count = int(self.state.action_space.n)
         self._keyed = False
@@ -136,9 +140,13 @@ class PneumaMOEnv(PneumaEnv):
     """
 
     def __init__(
-        self, env_id: str = ENVIRONMENTS[0], render_mode: str | None = None, **settings: object
+        self,
+        env_id: str = ENVIRONMENTS[0],
+        render_mode: str | None = None,
+        camera: str = "map",
+        **settings: object,
     ) -> None:
-        super().__init__(env_id, render_mode, **refuse_reward(settings))
+        super().__init__(env_id, render_mode, camera, **refuse_reward(settings))
         self.reward_space = parts_space(self.state)
         self.reward_dim = len(PARTS)
 

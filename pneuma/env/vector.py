@@ -44,6 +44,7 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         env_id: str = ENVIRONMENTS[0],
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        camera: str = "map",
         **settings: object,
     ) -> None:
         config = make_env_config(settings, env_id)
@@ -56,7 +57,7 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.state = Worlds(num_envs // config.players, config)
         self.slots = Slots(self.state)
-        self._set_up_rendering(render_mode)
+        self._set_up_rendering(render_mode, camera)
         self.single_observation_space = self.state.slot_space
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -49,6 +49,16 @@ def expected(level: str, seed: int, *actions: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [*ENVIRONMENTS, *MO_ENVIRONMENTS])
+def test_the_camera_can_follow_the_player(name: str, arena: str) -> None:
+    env = gymnasium.make(name, render_mode="rgb_array", level=arena, camera="follow")
+    env.reset(seed=0)
+    state = env.unwrapped.state  # type: ignore[attr-defined]
+    assert np.array_equal(np.asarray(env.render()), Renderer(state, "follow").frame())
+    with pytest.raises(UserError, match="unknown camera 'folow'.*did you mean follow"):
+        gymnasium.make(name, render_mode="rgb_array", camera="folow")
+
+
+@pytest.mark.parametrize("name", [*ENVIRONMENTS, *MO_ENVIRONMENTS])
 def test_gymnasium_gets_a_frame_of_every_environment(name: str, arena: str) -> None:
     env = gymnasium.make(name, render_mode="rgb_array", level=arena)
     assert env.render_mode == "rgb_array"
