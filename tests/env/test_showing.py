@@ -83,7 +83,7 @@ def test_a_frame_shows_the_world_as_it_is_now(arena: str) -> None:
     assert not np.array_equal(frames[0], frames[1])  # nor is a frame overwritten
 
 
-def test_the_camera_can_follow_the_player(arena: str) -> None:
+def test_the_camera_can_be_changed_before_the_first_frame(arena: str) -> None:
     env = PneumaEnv(level=arena, render_mode="rgb_array")
     env.camera = "follow"
     env.reset(seed=3)
