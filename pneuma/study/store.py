@@ -98,12 +98,21 @@ class Store:
             if any(path.is_file() for path in (self.root, *self.root.parents)):
                 raise OSError(0, "there is a file in its place")
             self.root.mkdir(parents=True, exist_ok=True)
+            for name in ("runs", "studies"):
+                self._check_part(self.root / name)
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
             raise UserError(
                 f"--results {self.root}: cannot be written ({error.strerror}); name another folder"
             ) from None
+
+    def _check_part(self, folder: Path) -> None:
+        """Refuse a part of the results that is a link out of them, or no folder."""
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"{folder}: there is a file in place of the folder; remove it")
+        if not folder.resolve().is_relative_to(self.root.resolve()):
+            raise UserError(f"{folder}: is a link out of the results folder; link the whole folder instead")
 
     # --- Runs ---------------------------------------------------------------------------------
 

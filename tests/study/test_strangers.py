@@ -306,3 +306,20 @@ def test_a_figure_replaces_a_link_and_leaves_what_it_leads_to(
     code, told = called("study", "plot", "mine", "--results", store.root)
     assert (code, "leads out of the results folder" in told) == (2, True)
     assert sorted(os.listdir(tmp_path)) == ["precious.png", "results"]
+
+
+@pytest.mark.parametrize("part", ["runs", "studies"])
+def test_a_part_that_is_a_link_out_or_a_file_is_told_before_anything_is_trained(
+    tmp_path: Path, part: str
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / part).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="link out of the results folder; link the whole folder"):
+        Store(tmp_path / "results").check_writable()
+    (tmp_path / "results" / part).unlink()
+    (tmp_path / "results" / part).write_text("")
+    with pytest.raises(UserError, match="a file in place of the folder"):
+        Store(tmp_path / "results").check_writable()
+    (tmp_path / "whole").symlink_to(tmp_path / "elsewhere")  # the folder itself may be one
+    Store(tmp_path / "whole").check_writable()
