@@ -65,7 +65,7 @@ def plan_(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
-    paces = foresight.known_paces(planned, store)
+    paces = foresight.known_paces(planned, statuses, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
         paces = foresight.calibrate(planned, store, paces, lambda text: say(text, as_json=True))
     seconds: dict[str, float | None] = {}

@@ -23,7 +23,7 @@ from pneuma.study.files import read_sealed, seal
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
 from pneuma.study.provenance import machine
-from pneuma.study.store import Store
+from pneuma.study.store import Status, Store
 
 CALIBRATION_SECONDS = 4.0
 BYTES_PER_STEP = 3.0
@@ -49,11 +49,11 @@ class Pace:
         return self.start + steps * self.per_step
 
 
-def known_paces(plan: Plan, store: Store) -> dict[str, Pace]:
+def known_paces(plan: Plan, statuses: Mapping[str, Status], store: Store) -> dict[str, Pace]:
     """Return the pace of every kind of run in a plan that is known here, by `kind`."""
     rates: dict[str, list[float]] = {}
     for cell in plan.cells:
-        if store.status(cell.run_id).finished:
+        if statuses[cell.run_id].finished:
             told = json.loads(store.read_file(cell.run_id, "provenance.json"))
             rates.setdefault(kind(cell.run), []).append(told["wall_seconds"] / cell.run.steps)
     calibrated = _calibrations(store)

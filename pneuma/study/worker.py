@@ -47,7 +47,7 @@ class Job:
 
     Attributes:
         store: the results folder.
-        runs: by id; of equal shapes.
+        runs: by id; of equal shapes, so that they share compiled programs.
         checkpoint_seconds: time between two checkpoints of a run.
         keep: how many checkpoints of each run to keep when it has ended.
         final: whether a crash is the runs' end, and not to be tried once more.
@@ -94,10 +94,9 @@ class Reporter:
 
 
 def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
-    """Train runs of equal shapes with their engine; store each as it ends.
+    """Train runs with their engine, whose compiled programs they share; store each as it ends.
 
-    Runs that another process holds or has finished meanwhile are left out. A crash is stored as the
-    end of every run that had not ended.
+    Runs that another process holds or has finished meanwhile are left out.
     """
     with ExitStack() as locks:
         mine = {}
@@ -114,91 +113,74 @@ def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
                 reporter.send("end", name, status=status.name, step=status.step, trained=False)
             else:
                 mine[name] = run
-        return _train(job, mine, reporter, stop) if mine else 0
+        return _train_all(job, mine, reporter, stop)
 
 
-def _train(job: Job, runs: Mapping[str, Run], reporter: Reporter, stop: threading.Event) -> int:
-    waiting = dict(runs)
-    try:
-        for name, run in runs.items():
-            if run_id(run) != name:
-                raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")
-        resumes = {
-            name: Resume(job.store, name, run, job.checkpoint_seconds, job.keep, reporter.send)
-            for name, run in runs.items()
-        }
-        for name, run in runs.items():
-            resumes[name].sweep()
-            job.store.write(job.store.run_folder(name) / "run.json", run_document(run, name))  # or fail now
-        while waiting:
-            _train_or_discard(job.store, waiting, resumes, reporter, stop)
-    except Exception as error:
-        return _end_crashed(job, waiting, reporter, error)
-    return 0
+def _train_all(job: Job, runs: Mapping[str, Run], reporter: Reporter, stop: threading.Event) -> int:
+    """Train runs one after another, so that each is timed, stored and crashes alone; return the exit code."""
+    code = 0
+    for name, run in runs.items():
+        if stop.is_set():
+            reporter.send("end", name, status="stopped", step=0, trained=True)
+            continue
+        try:
+            _train(job, name, run, reporter, stop)
+        except Exception as error:
+            _end_crashed(job, name, run, reporter, error)
+            code = 1
+    return code
 
 
-def _train_or_discard(
-    store: Store,
-    waiting: dict[str, Run],
-    resumes: Mapping[str, Resume],
-    reporter: Reporter,
-    stop: threading.Event,
-) -> None:
-    """Train what waits; where an engine cannot go on from a checkpoint, give up the latest ones.
+def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Event) -> None:
+    """Train a run to its end, giving up checkpoints that its engine cannot go on from.
 
     Raises:
         CheckpointError: when there is none left to give up.
     """
-    try:
-        _train_waiting(store, waiting, resumes, reporter, stop)
-    except CheckpointError:
-        if not any([resumes[name].discard() for name in waiting]):
-            raise
+    if run_id(run) != name:
+        raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")
+    resume = Resume(job.store, name, run, job.checkpoint_seconds, job.keep, reporter.send)
+    resume.sweep()
+    job.store.write(job.store.run_folder(name) / "run.json", run_document(run, name))  # or fail now
+    while True:
+        try:
+            return _train_once(job.store, name, run, resume, reporter, stop)
+        except CheckpointError:
+            if not resume.discard():
+                raise
 
 
-def _train_waiting(
-    store: Store,
-    waiting: dict[str, Run],
-    resumes: Mapping[str, Resume],
-    reporter: Reporter,
-    stop: threading.Event,
+def _train_once(
+    store: Store, name: str, run: Run, resume: Resume, reporter: Reporter, stop: threading.Event
 ) -> None:
-    """Train the runs of `waiting`, from their checkpoints where there are any, and take out what ends."""
-    names = list(waiting)
-    group = list(waiting.values())
-    name_of = dict(zip(group, names, strict=True))
-    checkpoints = {i: start for i, name in enumerate(names) if (start := resumes[name].latest())}
+    """Train a run, from its latest checkpoint where there is one, and store how it ended."""
+    start = resume.latest()
     attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS)
 
     def update(progress: Progress) -> bool:
-        name = name_of[progress.run]
         reporter.step(name, progress.step)
-        resumes[name].update(progress, attempt, stop.is_set())
+        resume.update(progress, attempt, stop.is_set())
         return not stop.is_set()
 
-    for result in load_engine(group[0].engine).train(group, checkpoints, update):
-        name = name_of[result.run]
-        if result.status != "stopped":
-            about = finished_provenance(attempt, resumes[name].history, result.step)
-            store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
-            resumes[name].finish()
-        del waiting[name]
-        reporter.send("end", name, status=result.status, step=result.step, trained=True)
+    (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
+    if result.status != "stopped":
+        about = finished_provenance(attempt, resume.history, result.step)
+        store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
+        resume.finish()
+    reporter.send("end", name, status=result.status, step=result.step, trained=True)
 
 
-def _end_crashed(job: Job, waiting: Mapping[str, Run], reporter: Reporter, error: Exception) -> int:
-    """Tell of a crash for every run that had not ended, and store it if it is final and can be stored."""
+def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
+    """Tell of a run's crash, and store it if it is final and can be stored."""
     trace = traceback.format_exc().encode()
-    for name, run in waiting.items():
-        reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
-        try:
+    reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+    try:
+        if job.final:
             files = {"run.json": run_document(run, name), "error.txt": trace}
-            if job.final:
-                job.store.save_run(name, Status("crashed"), files)
-        except UserError as unwritten:
-            reason = str(unwritten)
-        reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
-    return 1
+            job.store.save_run(name, Status("crashed"), files)
+    except UserError as unwritten:
+        reason = str(unwritten)
+    reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
 
 
 def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:

@@ -36,20 +36,25 @@ TABLES = {"episodes.parquet", "metrics.parquet", "evaluations.parquet"}
 class _Engine:
     """Trains nothing: seed 0 ends well, and seed 1 diverges or breaks the engine."""
 
-    def __init__(self, breaks: bool = False) -> None:
+    def __init__(self, breaks: bool = False, seconds: float = 0.0) -> None:
         self._breaks = breaks
+        self._seconds = seconds
 
     def train(
         self, runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
     ) -> Iterator[Result]:
-        for run in runs:
-            on_update(Progress(run, 256, Records(), lambda: Checkpoint(256, {})))
         layer = (np.zeros((3, 2), np.float32), np.zeros(2, np.float32))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
-        yield Result(runs[0], "done", 512, Records(), Policy("tanh", (layer,), (layer,)))
-        if self._breaks:
-            raise RuntimeError("the engine broke")
-        yield Result(runs[1], "diverged", 256, Records(metrics=metrics), None)
+        for run in runs:
+            if not on_update(Progress(run, 256, Records(), lambda: Checkpoint(256, {}))):
+                yield Result(run, "stopped", 256, Records(), None)
+            elif run.seed == 0:
+                time.sleep(self._seconds)
+                yield Result(run, "done", 512, Records(), Policy("tanh", (layer,), (layer,)))
+            elif self._breaks:
+                raise RuntimeError("the engine broke")
+            else:
+                yield Result(run, "diverged", 256, Records(metrics=metrics), None)
 
 
 def _train(
@@ -85,7 +90,7 @@ def test_a_diverged_run_keeps_its_records_and_has_no_policy(
     assert (row["step"], row["policy_loss"]) == (256, 0.5)
 
 
-def test_an_engine_that_breaks_is_a_crash_of_the_runs_that_had_not_ended(
+def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch)
@@ -95,6 +100,26 @@ def test_an_engine_that_breaks_is_a_crash_of_the_runs_that_had_not_ended(
     error = store.read_file(run_id(RUNS[1]), "error.txt").decode()
     assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
+
+
+def test_a_run_is_timed_by_itself_and_not_with_those_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, store, _ = _train(_Engine(seconds=0.5), tmp_path, monkeypatch)
+    told = [json.loads(store.read_file(run_id(run), "provenance.json"))["wall_seconds"] for run in RUNS]
+    assert told[0] >= 0.5 > told[1]
+
+
+def test_after_a_stop_the_runs_that_wait_are_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "load_engine", lambda _: pytest.fail("a run was begun"))
+    events, stop = io.StringIO(), threading.Event()
+    stop.set()
+    job = worker.Job(Store(tmp_path), {run_id(run): run for run in RUNS})
+    assert worker.train_group(job, worker.Reporter(events), stop) == 0
+    ends = [json.loads(line) for line in events.getvalue().splitlines()]
+    assert [(end["run_id"], end["status"]) for end in ends] == [(run_id(run), "stopped") for run in RUNS]
 
 
 def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
