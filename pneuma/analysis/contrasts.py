@@ -1,0 +1,278 @@
+"""Contrasts: one arm of runs against another, or against a constant, with an effect, an interval and tests.
+
+A contrast carries three one-sided p-values, each valid by itself: that the effect is above no
+difference, below it, and within the margin on both sides. What they come to for a claim is for
+`pneuma.analysis.verdicts`. Which test each kind uses, and what it assumes, is in docs/evidence.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pneuma.analysis import incidence, intervals, permutation, spread
+from pneuma.analysis.estimates import deviation, finite
+from pneuma.analysis.intervals import Interval, no_interval
+
+CONTRAST_KINDS = ("mean", "spread", "incidence", "paired")
+"""Difference of means; ratio of standard deviations; difference of shares of runs with an event (values
+0 or 1); mean difference of runs that belong together one by one."""
+
+CONSTANT_KINDS = ("mean", "incidence")
+"""Which of them one arm can be held against a constant in."""
+
+LEVEL = 0.05
+"""The error rate at which too few seeds are called too few."""
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """What runs say on one comparison.
+
+    Attributes:
+        kind: one of `CONTRAST_KINDS`.
+        effect: mean, or share, of a less that of b or the constant; or the ratio of deviations a over b.
+        interval: its 95 % interval.
+        p_greater: one-sided p-value that the effect is above no difference (0; or a ratio of 1).
+        p_less: that it is below.
+        p_equivalent: that it is within the margin on both sides; 1 where there is no margin.
+        seeds: runs of a and of b; 0 for a constant.
+        reason: what hinders a conclusion, in words; empty where nothing does.
+        smallest_p: the smallest one-sided p-value that so many runs can give.
+    """
+
+    kind: str
+    effect: float
+    interval: Interval
+    p_greater: float
+    p_less: float
+    p_equivalent: float
+    seeds: tuple[int, int]
+    reason: str = ""
+    smallest_p: float = 0.0
+
+    @property
+    def p_different(self) -> float:
+        """The two-sided p-value of a difference: twice the lesser of both directions."""
+        return min(1.0, 2 * min(self.p_greater, self.p_less))
+
+    @property
+    def p_any(self) -> float:
+        """The p-value of the list's correction: it bounds the chance of any false verdict."""
+        return min(self.p_different, self.p_equivalent)
+
+
+def compare(
+    kind: str, a: ArrayLike, b: ArrayLike, margin: float | None, generator: np.random.Generator
+) -> Contrast:
+    """Compare arm a with arm b.
+
+    Args:
+        kind: one of `CONTRAST_KINDS`.
+        a: (runs,) finite values, one per run.
+        b: the same of the other arm; of as many runs, in the same order, for "paired".
+        margin: within what a difference counts as none: in the outcome's unit, or as a share, or as a
+            ratio above 1 for "spread". None where no such claim can be made.
+        generator: draws relabelings where there are too many to count.
+
+    Raises:
+        ValueError: for an unknown kind, values that are not finite, or a margin out of range.
+    """
+    first, second = finite(a), finite(b)
+    _check(kind, CONTRAST_KINDS, margin)
+    if kind == "paired" and first.size != second.size:
+        raise ValueError(f"paired arms of {first.size} and {second.size} runs")
+    fewest = 1 if kind == "incidence" else 2
+    seeds = (first.size, second.size)
+    if min(seeds) < fewest:
+        return _undecided(kind, _effect(kind, first, second), seeds, _too_few(seeds, fewest))
+    if kind == "paired":
+        return _one_sample(first - second, margin, generator, "paired", seeds)
+    if kind == "incidence":
+        return _incidence(first, second, margin)
+    return (_mean if kind == "mean" else _spread)(first, second, margin, generator)
+
+
+def compare_with(
+    kind: str, a: ArrayLike, value: float, margin: float | None, generator: np.random.Generator
+) -> Contrast:
+    """Compare one arm with a constant: is its mean, or its share of runs, above or below it?
+
+    Args:
+        kind: one of `CONSTANT_KINDS`.
+        a: (runs,) finite values.
+        value: the constant, in their unit.
+        margin: as for `compare`.
+        generator: draws turns of signs where there are too many to count.
+
+    Raises:
+        ValueError: as for `compare`.
+    """
+    runs = finite(a)
+    _check(kind, CONSTANT_KINDS, margin)
+    seeds = (runs.size, 0)
+    if kind == "incidence":
+        return _incidence_with(runs, value, margin)
+    if runs.size < 2:
+        effect = float(runs[0] - value) if runs.size else float("nan")
+        return _undecided(kind, effect, seeds, _too_few(seeds[:1], 2))
+    return _one_sample(runs - value, margin, generator, "mean", seeds)
+
+
+def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
+    if kind not in kinds:
+        raise ValueError(f"contrast of kind {kind!r}; there are " + ", ".join(kinds))
+    if margin is not None and not margin > (1 if kind == "spread" else 0):
+        raise ValueError(f"a margin of {margin} for a contrast of kind {kind}")
+
+
+def _mean(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
+    labels = permutation.relabel(a.size, b.size, generator)
+    shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
+    samples = np.stack([np.concatenate([a + shift, b]) for shift in shifts])
+    p_greater, p_less = permutation.tails(permutation.studentised_difference(samples, labels))
+    return Contrast(
+        "mean",
+        float(a.mean() - b.mean()),
+        intervals.difference_interval(a, b),
+        float(p_greater[0]),
+        float(p_less[0]),
+        _within(p_greater, p_less),
+        (a.size, b.size),
+        _reason(labels.smallest_p),
+        labels.smallest_p,
+    )
+
+
+def _spread(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
+    seeds, effect = (a.size, b.size), _effect("spread", a, b)
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        both = np.ptp(a) == 0 and np.ptp(b) == 0
+        arms = "both arms" if both else "arm a" if np.ptp(a) == 0 else "arm b"
+        return _undecided(
+            "spread", effect, seeds, f"all runs of {arms} are equal: there is no spread to compare"
+        )
+    labels = permutation.relabel(a.size, b.size, generator)
+    ratios = np.array([1.0] if margin is None else [1.0, 1 / margin, margin])
+    p_greater, p_less = permutation.tails(spread.log_ratios(a, b, ratios, labels))
+    return Contrast(
+        "spread",
+        effect,
+        intervals.deviation_ratio_interval(a, b),
+        float(p_greater[0]),
+        float(p_less[0]),
+        _within(p_greater, p_less),
+        seeds,
+        _reason(labels.smallest_p),
+        labels.smallest_p,
+    )
+
+
+def _one_sample(
+    differences: np.ndarray,
+    margin: float | None,
+    generator: np.random.Generator,
+    kind: str,
+    seeds: tuple[int, int],
+) -> Contrast:
+    signs = permutation.sign_flips(differences.size, generator)
+    shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
+    p_greater, p_less = permutation.tails(signs @ (differences + shifts[:, None]).T)
+    smallest = 1 / len(signs)
+    return Contrast(
+        kind,
+        float(differences.mean()),
+        intervals.mean_interval(differences),
+        float(p_greater[0]),
+        float(p_less[0]),
+        _within(p_greater, p_less),
+        seeds,
+        _reason(smallest),
+        smallest,
+    )
+
+
+def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None) -> Contrast:
+    counts = (_count(a), a.size, _count(b), b.size)
+    swapped = (*counts[2:], *counts[:2])
+    greater = partial(incidence.p_share_greater, *counts)
+    less = partial(incidence.p_share_greater, *swapped)  # a below b by more than d: b above a by more than d
+    smallest = incidence.p_share_greater(a.size, a.size, 0, b.size)
+    return Contrast(
+        "incidence",
+        float(a.mean() - b.mean()),
+        intervals.incidence_difference_interval(*counts),
+        greater(),
+        less(),
+        1.0 if margin is None or margin >= 1 else max(greater(-margin), less(-margin)),
+        (a.size, b.size),
+        _reason(smallest),
+        smallest,
+    )
+
+
+def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Contrast:
+    if not runs.size:
+        return _undecided("incidence", float("nan"), (0, 0), _too_few((0,), 1))
+    count, share = _count(runs), float(runs.mean())
+    own = intervals.incidence_interval(count, runs.size)
+    equivalent = 1.0
+    if margin is not None:
+        above = incidence.p_share_above(count, runs.size, max(0.0, value - margin))
+        below = incidence.p_share_below(count, runs.size, min(1.0, value + margin))
+        equivalent = max(above, below)
+    smallest = min(
+        incidence.p_share_above(runs.size, runs.size, value), incidence.p_share_below(0, runs.size, value)
+    )
+    return Contrast(
+        "incidence",
+        share - value,
+        Interval(own.low - value, own.high - value, own.level, own.method),
+        incidence.p_share_above(count, runs.size, value),
+        incidence.p_share_below(count, runs.size, value),
+        equivalent,
+        (runs.size, 0),
+        _reason(smallest),
+        smallest,
+    )
+
+
+def _count(runs: np.ndarray) -> int:
+    if not np.isin(runs, (0, 1)).all():
+        raise ValueError("an incidence is of values 0 or 1")
+    return int(runs.sum())
+
+
+def _within(p_greater: np.ndarray, p_less: np.ndarray) -> float:
+    """Return the p-value of two one-sided tests: rows are no shift, less the margin, and plus it."""
+    return 1.0 if len(p_greater) == 1 else float(max(p_less[1], p_greater[2]))
+
+
+def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
+    if not a.size or not b.size:
+        return float("nan")
+    if kind != "spread":
+        return float(a.mean() - b.mean())
+    over, under = float(deviation(a)), float(deviation(b))
+    if under == 0 or np.ptp(b) == 0:
+        return float("inf") if over > 0 and np.ptp(a) > 0 else float("nan")
+    return over / under
+
+
+def _undecided(kind: str, effect: float, seeds: tuple[int, int], reason: str) -> Contrast:
+    return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0)
+
+
+def _too_few(seeds: tuple[int, ...], fewest: int) -> str:
+    if min(seeds) == 0:
+        return "an arm has no runs"
+    return f"an arm has {min(seeds)} run{'s' * (min(seeds) > 1)}; it takes {fewest} to see how runs differ"
+
+
+def _reason(smallest: float) -> str:
+    if 2 * smallest <= LEVEL:
+        return ""
+    return f"too few seeds: the smallest p possible is {2 * smallest:.2g}"

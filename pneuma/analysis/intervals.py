@@ -1,0 +1,194 @@
+"""Intervals: between what bounds an estimate over runs lies.
+
+Every interval says its level and its method. Where there are too few runs, or none that differ, there
+is none: its ends are NaN and its method is "none". What each covers at which number of runs is
+printed by `pneuma bench calibration` and told in docs/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import special
+
+from pneuma.analysis.estimates import finite
+
+LEVEL = 0.95
+RESAMPLES = 2_000
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Bounds of an estimate, NaN where there are none.
+
+    Attributes:
+        low: the lower end.
+        high: the upper end.
+        level: how often it is to cover, 0 to 1.
+        method: what made it, or "none".
+    """
+
+    low: float
+    high: float
+    level: float
+    method: str
+
+    @property
+    def exists(self) -> bool:
+        """Whether it has ends."""
+        return self.method != "none"
+
+
+def no_interval(level: float = LEVEL) -> Interval:
+    """Return the interval that says that there is none."""
+    return Interval(float("nan"), float("nan"), level, "none")
+
+
+def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
+    """Return Student's t interval of the mean of (runs,)."""
+    runs = finite(values)
+    if runs.size < 2 or np.ptp(runs) == 0:
+        return no_interval(level)
+    half = runs.std(ddof=1) / np.sqrt(runs.size) * special.stdtrit(runs.size - 1, (1 + level) / 2)
+    return Interval(float(runs.mean() - half), float(runs.mean() + half), level, "t")
+
+
+def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
+    """Return Welch's t interval of the difference of means, a less b."""
+    first, second = finite(a), finite(b)
+    if min(first.size, second.size) < 2 or np.ptp(first) + np.ptp(second) == 0:
+        return no_interval(level)
+    parts = np.array([first.var(ddof=1) / first.size, second.var(ddof=1) / second.size])
+    freedom = parts.sum() ** 2 / (parts**2 / [first.size - 1, second.size - 1]).sum()
+    half = np.sqrt(parts.sum()) * special.stdtrit(freedom, (1 + level) / 2)
+    centre = first.mean() - second.mean()
+    return Interval(float(centre - half), float(centre + half), level, "Welch t")
+
+
+def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
+    """Return Bonett's interval of the standard deviation: it asks for no normal distribution.
+
+    Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal
+    distributions.
+    """
+    runs = finite(values)
+    if runs.size < 5 or np.ptp(runs) == 0:
+        return no_interval(level)
+    z = special.ndtri((1 + level) / 2)
+    factor = runs.size / (runs.size - z)
+    half = z * factor * np.sqrt(_log_variance_error((runs,)))
+    centre = np.log(factor * runs.var(ddof=1))
+    return _of_log_variance(float(centre), float(half), level)
+
+
+def deviation_ratio_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
+    """Return Bonett's interval of the ratio of standard deviations, a over b.
+
+    Source: Bonett (2006), Robust confidence interval for a ratio of standard deviations: the error of
+    a log variance follows from the kurtosis of both arms together.
+    """
+    first, second = finite(a), finite(b)
+    if min(first.size, second.size) < 5 or np.ptp(first) == 0 or np.ptp(second) == 0:
+        return no_interval(level)
+    z = special.ndtri((1 + level) / 2)
+    factor = first.size / (first.size - z) * (second.size - z) / second.size
+    half = z * np.sqrt(_log_variance_error((first, second)))
+    centre = np.log(factor * first.var(ddof=1) / second.var(ddof=1))
+    return _of_log_variance(float(centre), float(half), level)
+
+
+def _of_log_variance(centre: float, half: float, level: float) -> Interval:
+    low, high = exp((centre - half) / 2), exp((centre + half) / 2)
+    return Interval(low, high, level, "Bonett")
+
+
+def _log_variance_error(arms: tuple[np.ndarray, ...]) -> float:
+    """Return the variance of the log variance, or of the difference of two, by their joint kurtosis."""
+    fourth = sum(((arm - _trimmed_centre(arm)) ** 4).sum() for arm in arms)
+    squares = sum((arm.size - 1) * arm.var(ddof=1) for arm in arms)
+    kurtosis = sum(arm.size for arm in arms) * fourth / squares**2
+    return sum((kurtosis - (arm.size - 3) / arm.size) / (arm.size - 1) for arm in arms)
+
+
+def _trimmed_centre(arm: np.ndarray) -> float:
+    cut = int(arm.size / (2 * np.sqrt(arm.size - 4)))
+    return float(np.sort(arm)[cut : arm.size - cut].mean()) if 2 * cut < arm.size else float(np.median(arm))
+
+
+def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
+    """Return Clopper and Pearson's interval of a share: the only one that never covers too little."""
+    if runs < 1:
+        return no_interval(level)
+    tail = (1 - level) / 2
+    low = special.betaincinv(count, runs - count + 1, tail) if count else 0.0
+    high = special.betaincinv(count + 1, runs - count, 1 - tail) if count < runs else 1.0
+    return Interval(float(low), float(high), level, "Clopper-Pearson")
+
+
+def incidence_difference_interval(
+    count_a: int, runs_a: int, count_b: int, runs_b: int, level: float = LEVEL
+) -> Interval:
+    """Return Newcombe's interval of a difference of shares, a less b, from the scores of both.
+
+    Source: Newcombe (1998), method 10.
+    """
+    if min(runs_a, runs_b) < 1:
+        return no_interval(level)
+    (share_a, low_a, high_a), (share_b, low_b, high_b) = (
+        _wilson(count_a, runs_a, level),
+        _wilson(count_b, runs_b, level),
+    )
+    centre = share_a - share_b
+    low = centre - np.hypot(share_a - low_a, high_b - share_b)
+    high = centre + np.hypot(high_a - share_a, share_b - low_b)
+    return Interval(float(low), float(high), level, "Newcombe")
+
+
+def _wilson(count: int, runs: int, level: float) -> tuple[float, float, float]:
+    z = special.ndtri((1 + level) / 2)
+    share = count / runs
+    centre = (share + z**2 / (2 * runs)) / (1 + z**2 / runs)
+    half = z / (1 + z**2 / runs) * np.sqrt(share * (1 - share) / runs + z**2 / (4 * runs**2))
+    return share, float(centre - half), float(centre + half)
+
+
+def bootstrap_interval(
+    values: ArrayLike,
+    statistic: Callable[[ArrayLike], np.ndarray],
+    generator: np.random.Generator,
+    level: float = LEVEL,
+    resamples: int = RESAMPLES,
+) -> Interval:
+    """Return the BCa bootstrap interval of a statistic over runs (Efron 1987).
+
+    Args:
+        values: (runs,).
+        statistic: works along the last axis, as those of `POINT_ESTIMATES` do.
+        generator: draws the resamples.
+        level: how often it is to cover. With few runs it covers less: see docs/evidence.md.
+        resamples: how many to draw.
+    """
+    runs = finite(values)
+    if runs.size < 3 or np.ptp(runs) == 0:
+        return no_interval(level)
+    seen = float(statistic(runs))
+    drawn = statistic(runs[generator.integers(0, runs.size, (resamples, runs.size))])
+    below = (np.count_nonzero(drawn < seen) + 0.5 * np.count_nonzero(drawn == seen)) / resamples
+    bias = special.ndtri(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples))
+    z = special.ndtri(np.array([(1 - level) / 2, (1 + level) / 2]))
+    shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
+    low, high = np.quantile(drawn, shares)
+    return Interval(float(low), float(high), level, "BCa bootstrap")
+
+
+def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]) -> float:
+    """Return the skew of the statistic over the sample with each run left out once, as BCa wants it."""
+    kept = ~np.eye(runs.size, dtype=bool)
+    left = statistic(np.broadcast_to(runs, (runs.size, runs.size))[kept].reshape(runs.size, -1))
+    skew = left.mean() - left
+    squares = (skew**2).sum()
+    return float((skew**3).sum() / (6 * squares**1.5)) if squares > 0 else 0.0
