@@ -13,7 +13,7 @@ import typer
 
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
 
 StudyName = Annotated[
     str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
@@ -61,6 +61,14 @@ Settings = Annotated[
     list[str] | None,
     typer.Option(
         "--set", metavar="KEY=VALUE", help="Set a field of the run in every condition (may be repeated)."
+    ),
+]
+SettingName = Annotated[
+    str | None,
+    typer.Option(
+        "--setting",
+        metavar="|".join(SETTINGS),
+        help="The thesis's text (default), or godot: the published code, literally.",
     ),
 ]
 

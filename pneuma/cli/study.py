@@ -16,6 +16,7 @@ from pneuma.cli.options import (
     Preset,
     Results,
     Seeds,
+    SettingName,
     Settings,
     Steps,
     StudyName,
@@ -23,7 +24,7 @@ from pneuma.cli.options import (
     read_selection,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_records import known_studies, run_states, study_record
+from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
 from pneuma.config import as_settings, make_run
 from pneuma.study import plan, spec
 from pneuma.study.store import Store
@@ -53,11 +54,13 @@ def list_(json: Json = False) -> None:
 
 
 @app.command()
-def show(name: StudyName, results: Results = RESULTS, json: Json = False) -> None:
+def show(
+    name: StudyName, setting: SettingName = None, results: Results = RESULTS, json: Json = False
+) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    if name not in spec.list_studies() and name in known_studies(Store(results)):
-        return _show_record(study_record(Store(results), name, None), json)
-    study = spec.load_study(name)
+    if not is_shipped(name) and name in known_studies(Store(results)):
+        return _show_record(study_record(Store(results), name, None, setting), json)
+    study = spec.load_study(name, setting)
     selection = plan.Selection(preset=next(iter(study.presets), "quick"))
     differing = plan.differing_settings(plan.make_plan(study, selection))
     if json:
@@ -68,6 +71,8 @@ def show(name: StudyName, results: Results = RESULTS, json: Json = False) -> Non
                 "title": study.title,
                 "section": study.section,
                 "about": study.about,
+                "setting": study.setting,
+                "settings": list(study.settings_known),
                 "baseline": study.baseline,
                 "conditions": {c: study.settings(c) for c in study.conditions},
                 "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
@@ -80,6 +85,7 @@ def show(name: StudyName, results: Results = RESULTS, json: Json = False) -> Non
     for key, values in differing.items():
         print(f"  {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
     print(f"Compared with: {study.baseline}")
+    print(f"Runs in: {', '.join(study.settings_known)} (here {study.setting})")
     print("\nAll conditions share:")
     for key, value in as_settings(make_run(study.settings(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):
@@ -101,18 +107,19 @@ def status(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
+    setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Say how far the runs of a study are, as it was last run or as selected."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    names = [name] if name else known_studies(store)
+    names = [name] if name else known_studies(store, setting)
     if not names and not json:
         print(f"No study was run in {results} yet.")
     documents = []
     for study in names:
-        record = study_record(store, study, selection)
+        record = study_record(store, study, selection, setting)
         states = run_states(store, record)
         runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
         documents.append({"schema": 1, "study": record["study"], "runs": runs})

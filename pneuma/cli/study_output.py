@@ -19,6 +19,7 @@ from pneuma.cli.options import (
     Preset,
     Results,
     Seeds,
+    SettingName,
     Settings,
     Steps,
     StudyName,
@@ -69,6 +70,7 @@ def plot(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
+    setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -77,7 +79,7 @@ def plot(
     _check_looks(band, window, formats)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    studies = _studies_to_draw(store, names or known_studies(store), selection, window)
+    studies = _studies_to_draw(store, names or known_studies(store, setting), selection, window, setting)
     paths = _draw(store, studies, out, lambda data, folder: _figure(data, folder, band, window, formats))
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
@@ -104,6 +106,7 @@ def export(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
+    setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -116,7 +119,7 @@ def export(
     _check_choice("--format", form, EXPORT_FORMATS)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    record = study_record(store, name, selection)
+    record = study_record(store, name, selection, setting)
     from pneuma.analysis.export import encode_table
     from pneuma.analysis.sources import open_study
 
@@ -145,13 +148,14 @@ def publish(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
+    setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    record = study_record(store, name, selection)
+    record = study_record(store, name, selection, setting)
     from pneuma.analysis.published import PublishedRuns, encode_study, published_path, published_studies
     from pneuma.analysis.sources import open_study
 
@@ -181,14 +185,18 @@ def _check_looks(band: str, window: str | None, formats: Iterable[str]) -> None:
 
 
 def _studies_to_draw(
-    store: Store, names: Sequence[str], selection: Selection | None, window: str | None
+    store: Store,
+    names: Sequence[str],
+    selection: Selection | None,
+    window: str | None,
+    setting: str | None,
 ) -> list[StudyData]:
     """Return the data of studies, each with a figure's name of its own."""
     from pneuma.analysis.sources import open_study
 
     if not names:
         raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
-    studies = [open_study(store, study_record(store, name, selection)) for name in names]
+    studies = [open_study(store, study_record(store, name, selection, setting)) for name in names]
     for data in studies:
         data.checked_window(window)
     stems = Counter(data.figure for data in studies)

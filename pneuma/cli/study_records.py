@@ -12,29 +12,39 @@ from pneuma.study.store import Store
 from pneuma.study.trust import own_things
 
 
-def study_record(store: Store, name: str, selection: plan.Selection | None) -> dict[str, Any]:
+def study_record(
+    store: Store, name: str, selection: plan.Selection | None, setting: str | None = None
+) -> dict[str, Any]:
     """Return a study's latest record, or the one of a selection; what that leaves open is the latest's.
 
-    A study that was never run here is the published one, where there is one.
+    A study that was never run here is the published one, where there is one. A setting has records and
+    published tables of its own.
 
     Raises:
-        UserError: for a study that is nowhere, or a selection that it does not have.
+        UserError: for a study that is nowhere, or a selection or setting that it does not have.
     """
-    stem = Path(name).stem if name.endswith(".toml") else name
+    stem = _record_name(name, setting)
     record = store.selection(stem) or _published_record(store, stem)
     if record is None and selection is None:
-        raise _unknown(store, name, stem)
+        raise _unknown(store, name, stem, setting)
     if selection is None:
         return record or {}
     if record is not None and _only_picks(record, selection, _is_asked_for(name)):
         return _pick(record, selection)
-    study = spec.load_study(name)
+    study = spec.load_study(name, setting)
     latest = _recorded_selection(record) if record and "selection" in record else plan.Selection()
     return execute.selection_record(plan.make_plan(study, selection.over(latest)))
 
 
-def known_studies(store: Store) -> list[str]:
+def is_shipped(name: str) -> bool:
+    """Tell whether a name stands for a shipped study, in either setting."""
+    return spec.split_setting(name)[0] in spec.list_studies()
+
+
+def known_studies(store: Store, setting: str | None = None) -> list[str]:
     """Return the names of the studies that were run, imported or published here, sorted.
+
+    Only those of a setting, where one is named.
 
     What looks like a study's file is none of them: such a name is for a person to give.
     """
@@ -43,7 +53,12 @@ def known_studies(store: Store) -> list[str]:
         from pneuma.analysis.published import published_studies
 
         names |= {*published_studies(store)}
-    return sorted(name for name in names if not name.endswith(".toml"))
+    _check_setting(setting)
+    return sorted(
+        name
+        for name in names
+        if not name.endswith(".toml") and setting in (None, spec.split_setting(name)[1])
+    )
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
@@ -63,6 +78,24 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, 
     return [(run, published.status(run["run_id"]).name) for run in record["runs"]]
 
 
+def _record_name(name: str, setting: str | None) -> str:
+    """Return what the record of a study is called.
+
+    Raises:
+        UserError: for a setting that there is not, or that a shipped study is not run in.
+    """
+    _check_setting(setting)
+    if is_shipped(name):
+        return spec.load_study(name, setting).name
+    stem = Path(name).stem if name.endswith(".toml") else name
+    return spec.in_setting(stem, setting or spec.TEXT)
+
+
+def _check_setting(setting: str | None) -> None:
+    if setting not in (None, *spec.SETTINGS):
+        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', spec.SETTINGS)}")
+
+
 def _published_record(store: Store, study: str) -> dict[str, Any] | None:
     if not (store.root / "published").is_dir():
         return None
@@ -76,7 +109,7 @@ def _is_asked_for(name: str) -> bool:
 
     A file that a record names may be a stranger's, and loading it would run the reward that it names.
     """
-    return name.endswith(".toml") or name in spec.list_studies()
+    return name.endswith(".toml") or is_shipped(name)
 
 
 def _only_picks(record: Mapping[str, Any], selection: plan.Selection, asked_for: bool) -> bool:
@@ -164,13 +197,14 @@ def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any
     return {**record, "runs": runs, "same": [names for names in same if len(names) > 1]}
 
 
-def _unknown(store: Store, name: str, stem: str) -> UserError:
+def _unknown(store: Store, name: str, stem: str, setting: str | None) -> UserError:
     path = store.root / "studies" / f"{stem}.json"
+    told = f"{name} --setting {setting}" if setting else name
     if path.exists():
-        return UserError(f"{path}: damaged; `pneuma study run {name}` writes it anew")
-    if stem not in spec.list_studies() and not name.endswith(".toml"):
+        return UserError(f"{path}: damaged; `pneuma study run {told}` writes it anew")
+    if not _is_asked_for(name):
         return unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
     return UserError(
-        f"study {stem} has no runs in {store.root}: run `pneuma study run {name}` first, "
+        f"study {stem} has no runs in {store.root}: run `pneuma study run {told}` first, "
         "or name the folder with --results"
     )

@@ -17,6 +17,7 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     Seeds,
+    SettingName,
     Settings,
     Steps,
     StudyName,
@@ -47,6 +48,7 @@ def plan_(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
+    setting: SettingName = None,
     workers: Workers = None,
     calibrate: Annotated[
         bool,
@@ -59,7 +61,7 @@ def plan_(
     from pneuma.study import foresight
 
     selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
-    planned = plan.make_plan(spec.load_study(name), selection)
+    planned = plan.make_plan(spec.load_study(name, setting), selection)
     at_once = available_cores() if workers is None else read_count("--workers", workers)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
@@ -99,6 +101,7 @@ def run(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
+    setting: SettingName = None,
     workers: Workers = None,
     checkpoint_seconds: Annotated[
         str,
@@ -117,7 +120,7 @@ def run(
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
-    planned = plan.make_plan(spec.load_study(name), selection)
+    planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
         workers=available_cores() if workers is None else read_count("--workers", workers),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds, None) or 15.0,

@@ -24,7 +24,7 @@ from pneuma.errors import UserError
 from pneuma.study.event_files import EventFile, Scalar, read_event_file
 from pneuma.study.log_folders import LogFolder, find_logs
 from pneuma.study.plan import Selection
-from pneuma.study.spec import list_studies
+from pneuma.study.spec import list_studies, split_setting
 from pneuma.study.store import SCALARS_FILE, Status, Store, to_json
 
 SOURCE = "tensorboard"
@@ -252,7 +252,7 @@ def _study_name(folder: Path, name: str | None, store: Store) -> str:
     study = asked if name is not None else re.sub(r"[^A-Za-z0-9._-]+", "-", asked).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study):
         raise UserError(f"--name {asked}: a study's name is letters, digits, dots, - and _; give another")
-    if study in list_studies():
+    if split_setting(study)[0] in list_studies():
         raise UserError(f"--name {study}: a shipped study is called that; give another")
     record = store.selection(study)
     if record and record.get("source") != SOURCE:

@@ -37,6 +37,7 @@ figure = "all"
 base = "table-6-1"
 baseline = "adam"
 keep_checkpoints = 3
+settings = ["text", "godot"]
 
 [run]   # what all conditions share
 env = "pneuma/Pneuma-v0"
@@ -146,6 +147,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "base": (('"table-6-3"', "62", '""'), ("table-6-1", "table-6-2")),
     "baseline": (("3", '"admm"'), ("condition",)),
     "keep_checkpoints": _count(0, 1000),
+    "settings": (("3", '"godot"', "[]", '["godo"]', "[3]"), ("text", "godot")),
     "env": _one_of("pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"),
     "level": (('"thesi"', '"/nowhere/level"', '"random:train:x"', '""', "3", "[]"), ("level",)),
     "random_levels": _count(1, 10_000),
@@ -210,6 +212,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "steps": _count(1, 10**12),
     "run": (("3", "[]"), ("table",)),
+    "factors": (("3", "[]"), ("table",)),
     "conditions": (("3", "[]"), ("table",)),
     "presets": (("3", "[]"), ("table",)),
 }
@@ -249,15 +252,16 @@ class Place:
 
 
 def _places(text: str) -> Iterator[Place]:
-    """Yield the keys with values that stand at the beginning of a line."""
+    """Yield the keys with values that stand at the beginning of a line, but not those of [factors]."""
     lines = text.splitlines()
-    number = 0
+    number, header = 0, ""
     while number < len(lines):
+        header = lines[number] if lines[number].startswith("[") else header
         found = re.match(r"([\w-]+)\s*=\s*(\"\"\")?", lines[number])
         length = 1
         if found and found[2]:
             length = next(i for i, line in enumerate(lines[number + 1 :], 2) if line.endswith('"""'))
-        if found and found[1] != OWN_NAME:
+        if found and found[1] != OWN_NAME and header.strip() != "[factors]":
             yield Place(found[1], number + 1, length, 0)
         number += length
 
@@ -322,12 +326,13 @@ def _known(line: str) -> set[str]:
 
 
 def test_the_maximal_study_is_right_and_has_every_key(here: Path, capsys: Captured) -> None:
-    tables = {"title": {"run", "conditions", "presets"}, "gamma": set[str](), "seeds": set[str]()}
+    tables = {"title": {"run", "factors", "conditions", "presets"}, "gamma": set[str](), "seeds": set[str]()}
     known = set[str]()
     for key, more in tables.items():
         place = next(place for place in _places(MAXIMAL) if place.key == key)
         known |= _known(_refusal(place.replaced(MAXIMAL, key="zzz"), capsys)) | more
-    assert {place.key for place in _places(MAXIMAL)} | {"run", "conditions", "presets"} == known == set(WRONG)
+    headers = {"run", "factors", "conditions", "presets"}
+    assert {place.key for place in _places(MAXIMAL)} | headers == known == set(WRONG)
     path = here / "mine.toml"
     path.write_text(MAXIMAL, encoding="utf-8")
     assert set(load_study(str(path)).conditions) == {"adam", "sgd", "rmsprop", "slow"}
@@ -378,7 +383,7 @@ def test_a_shipped_study_wrong_in_every_way_is_refused(study: str, here: Path, c
     _walk_values(SHIPPED[study], capsys, every=True)
 
 
-@pytest.mark.parametrize("table", ["run", "conditions", "presets"])
+@pytest.mark.parametrize("table", ["run", "factors", "conditions", "presets"])
 def test_a_value_in_place_of_a_table_is_told(table: str, here: Path, capsys: Captured) -> None:
     lines = MAXIMAL.splitlines()
     kept, inside = [], False

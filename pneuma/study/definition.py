@@ -1,0 +1,149 @@
+"""What a study is: named conditions that differ in what they set, and the two settings that it runs in.
+
+file → Study (`spec.py`), here → Plan (`plan.py`). A study owns no results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from pneuma.config import BASES, ENVIRONMENT_SLOTS
+from pneuma.errors import UserError, unknown_name
+
+PRESETS = ("quick", "standard", "paper")
+
+TEXT, GODOT = "text", "godot"
+SETTINGS = (TEXT, GODOT)
+"""What a study can be run in: as its file says, which is as the thesis's text, or as the published code."""
+
+_PUBLISHED_CODE: dict[str, Any] = {
+    "env": "pneuma/PneumaGodot-v0",
+    "clip_range": 0.2,
+    "actor": (256,),
+}
+"""What the published code sets other than the thesis's tables (facts 3); its four slots come with `env`."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How much of a study to run: seeds, and agent steps of each run."""
+
+    seeds: tuple[int, ...]
+    steps: int
+
+
+@dataclass(frozen=True)
+class Study:
+    """A comparison: named conditions that differ in what they set.
+
+    Attributes:
+        name: the file's name, or what its owner calls it; in godot's setting it ends so.
+        path: the file; None for a study that is none, such as a fork.
+        title, section, about: for people.
+        figure: file stem of its figure.
+        baseline: the condition that the others are compared with.
+        base: name of the settings to start from.
+        shared: settings of every condition on top of the base.
+        conditions: what each condition sets on top.
+        presets: by name.
+        keep_checkpoints: of each run, evenly spread, for `pneuma run fork`.
+        levels: of each condition of a crossed study, the value's name of every factor.
+        setting: one of `SETTINGS`.
+        settings_known: those of `SETTINGS` that it can be run in.
+        godot: what all conditions share in godot's setting, over everything that they share in the text's.
+    """
+
+    name: str
+    path: Path | None
+    title: str
+    section: str
+    about: str
+    figure: str
+    baseline: str
+    base: str
+    shared: Mapping[str, Any]
+    conditions: Mapping[str, Mapping[str, Any]]
+    presets: Mapping[str, Preset] = field(default_factory=dict)
+    keep_checkpoints: int = 0
+    levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    setting: str = TEXT
+    settings_known: tuple[str, ...] = SETTINGS
+    godot: Mapping[str, Any] = field(default_factory=dict)
+
+    def settings(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what a condition sets, base and shared settings included, `over` on top of all."""
+        return join_settings(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
+
+    def in_setting(self, setting: str) -> Study:
+        """Return the study as it is run in one of `SETTINGS`, with a name and a figure of its own there.
+
+        In godot's, all conditions share the published code's environment, and its clip range and small
+        actor where the study sets none itself.
+
+        Raises:
+            UserError: for a setting that there is not, or that the study is not run in.
+        """
+        if setting not in SETTINGS:
+            raise unknown_name("setting", setting, SETTINGS)
+        if setting not in self.settings_known:
+            known = ", ".join(self.settings_known)
+            raise UserError(f"study {self.name} is not run in the setting {setting}; it is in {known}")
+        if setting == TEXT or setting == self.setting:
+            return self
+        set_by_itself = {*self.shared, *(key for own in self.conditions.values() for key in own)} - {"env"}
+        usual = {key: value for key, value in _PUBLISHED_CODE.items() if key not in set_by_itself}
+        return replace(
+            self,
+            name=in_setting(self.name, setting),
+            title=f"{self.title} (godot)",
+            figure=in_setting(self.figure, setting),
+            shared={**self.shared, **usual, **self.godot},
+            setting=setting,
+        )
+
+    @property
+    def own_path(self) -> str | None:
+        """The path of a user's own file; None for a shipped study, and for one that is no file."""
+        if self.path is None or self.path.parent == studies_folder():
+            return None
+        return str(self.path.resolve())
+
+    def preset(self, name: str) -> Preset:
+        """Return a preset by its name.
+
+        Raises:
+            UserError: when the study has none of that name.
+        """
+        if name not in self.presets:
+            raise unknown_name(f"preset of study {self.name}", name, self.presets)
+        return self.presets[name]
+
+
+def join_settings(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay settings over a base and over what the environment they choose brings along."""
+    env = own.get("env")
+    slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
+    return {**BASES[base], **slots, **own}
+
+
+def in_setting(name: str, setting: str) -> str:
+    """Return what a study, a record or a figure is called in a setting."""
+    return name if setting == TEXT or name.endswith(f"-{setting}") else f"{name}-{setting}"
+
+
+def split_setting(name: str) -> tuple[str, str]:
+    """Return the study's own name and the setting that a name stands for."""
+    own = name.removesuffix(f"-{GODOT}")
+    return (own, GODOT) if own != name else (name, TEXT)
+
+
+def studies_folder() -> Path:
+    """Return the folder of shipped studies: in an installed package, or beside it in a source tree."""
+    try:
+        return Path(next(iter(import_module("pneuma.studies").__path__)))
+    except ModuleNotFoundError:
+        return Path(__file__).parents[2] / "studies"
