@@ -7,7 +7,7 @@ EXPORT_TABLES = (*RECORD_TABLES, "curves")
 EXPORT_FORMATS = ("csv", "parquet", "latex")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex"}
 
-EPISODE_QUANTITIES = ("return", "length", "kills")
+EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
 """What a training curve may average over episodes."""
 
 UPDATE_QUANTITIES = (
@@ -20,3 +20,6 @@ UPDATE_QUANTITIES = (
     *(f"action_{i}" for i in range(5)),
 )
 """What it may average over updates: columns of the metrics table."""
+
+PEAKED_QUANTITIES = ("entropy", "grad_norm")
+"""Those of which the least and the greatest single update are kept, as means would hide them."""

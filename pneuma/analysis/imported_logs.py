@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
-from pneuma.analysis.tables import FinishedRun
-from pneuma.analysis.windows import TRAILING_EPISODES, logged_curve, update_curve
+from pneuma.analysis.tables import FinishedRun, told_seconds
+from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, logged_curve, peak_curve, update_curve
 from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import from_parquet
 
@@ -97,6 +97,15 @@ class ImportedLogs:
         _, values = self._logged(run, quantity)
         finite = values[np.isfinite(values)]
         return float(finite[-1]) if len(finite) else float("nan")
+
+    def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
+        """Return the extreme value that was logged since each point before, (points,)."""
+        step, values = self._logged(run, quantity)
+        return peak_curve(step, values, grid, EXTREMES[quantity])
+
+    def wall_seconds(self, run: FinishedRun) -> float | None:
+        """Return the time from the first to the last entry of the run's logs."""
+        return told_seconds(self.provenance(run))
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what a run was imported from.

@@ -24,7 +24,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis import EPISODE_QUANTITIES, PEAKED_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
@@ -36,6 +36,7 @@ KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "
 """What produced a run, without the times at which it did: a run that is trained again publishes the same."""
 
 _EVALUATIONS = "evaluations"
+_PEAKS = "extreme"
 _NO_SUM = "sha256:" + "0" * 64
 _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
@@ -69,6 +70,10 @@ def encode_study(data: StudyData) -> bytes:
         for name, window, kind in _curve_columns(quantity, data.windows):
             curve = partial(data.curve, quantity=quantity, window=window)
             columns[name] = column(curve, pa.list_(kind))
+        if quantity in PEAKED_QUANTITIES:
+            columns[f"{quantity} {_PEAKS}"] = column(
+                partial(data.peaks, quantity=quantity), pa.list_(pa.float32())
+            )
     if _EVALUATIONS in data.tables:
         rows_of = partial(data.source.table, name=_EVALUATIONS)
         columns[_EVALUATIONS] = column(lambda run: rows_of(run).to_dict("records"), _row_type(data))
@@ -224,6 +229,14 @@ class PublishedRuns:
     def final(self, run: FinishedRun, quantity: str) -> float:
         """Return the mean of a run's last 100 episodes, or its last update's value."""
         return float(self._cell(run.run_id, f"final_{quantity}"))
+
+    def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
+        """Return the extreme update since each point before, (points,)."""
+        return np.array(self._cell(run.run_id, f"{quantity} {_PEAKS}"), float)
+
+    def wall_seconds(self, run: FinishedRun) -> float | None:
+        """Return nothing: the same runs publish the same bytes, however long they took."""
+        return None
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run, without when it did."""

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.analysis.tables import FinishedRun
-from pneuma.analysis.windows import TRAILING_EPISODES, episode_curve, update_curve
+from pneuma.analysis.tables import FinishedRun, told_seconds
+from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, episode_curve, peak_curve, update_curve
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
@@ -70,6 +70,15 @@ class RunRecords:
         else:
             last = _column(self._episodes(run), quantity)[-TRAILING_EPISODES:]
         return float(last.mean()) if len(last) else float("nan")
+
+    def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
+        """Return the extreme update since each point before, (points,)."""
+        updates = self.table(run, "metrics")
+        return peak_curve(_column(updates, "step"), _column(updates, quantity), grid, EXTREMES[quantity])
+
+    def wall_seconds(self, run: FinishedRun) -> float | None:
+        """Return what the run's provenance tells."""
+        return told_seconds(self.provenance(run))
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run.

@@ -82,9 +82,23 @@ class Source(Protocol):
         """Return the mean of a run's last 100 episodes (of its last update, for what updates have)."""
         ...
 
+    def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
+        """Return the extreme of `PEAKED_QUANTITIES` since the point before, (points,), NaN for none."""
+        ...
+
+    def wall_seconds(self, run: FinishedRun) -> float | None:
+        """Return how long a run trained; None where that is not known."""
+        ...
+
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run."""
         ...
+
+
+def told_seconds(provenance: Mapping[str, Any]) -> float | None:
+    """Return how long a run trained, as its provenance, which may be a stranger's, tells."""
+    seconds = provenance.get("wall_seconds")
+    return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
 
 
 class StudyData:
@@ -213,6 +227,19 @@ class StudyData:
         """
         self._check(quantity)
         return self.source.final(run, quantity) if quantity in self.source.quantities(run) else float("nan")
+
+    def peaks(self, run: FinishedRun, quantity: str) -> np.ndarray:
+        """Return the extreme of a run's updates since each point before, (points,), NaN where none was.
+
+        The least of the entropy, and the greatest of the gradient norm: of `PEAKED_QUANTITIES`.
+
+        Raises:
+            UserError: for a quantity that there is not.
+        """
+        self._check(quantity)
+        if quantity not in self.source.quantities(run):
+            return np.full(self.grid.shape, np.nan)
+        return self.source.peaks(run, quantity, self.grid)
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`, the first for None.

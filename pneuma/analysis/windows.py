@@ -13,6 +13,8 @@ GRID_POINTS = 200
 WINDOW_POINTS = 10
 """A twentieth of the grid: the window of a training curve."""
 TRAILING_EPISODES = 100
+EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax}
+"""Which extreme is kept of each of `PEAKED_QUANTITIES`."""
 
 
 def make_grid(budget_steps: int) -> np.ndarray:
@@ -59,6 +61,22 @@ def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: in
     total, first, last = _window(step, values, grid)
     first = np.minimum(first, np.maximum(last - 1, 0))
     curve = _quotient(total[last] - total[first], last - first, (last > 0) & (grid <= end))
+    return curve.astype(np.float32).astype(float)
+
+
+def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, take: np.ufunc) -> np.ndarray:
+    """Return, at each t, the extreme of the updates since the point before, NaN where there was none.
+
+    Args:
+        step: (updates,).
+        values: (updates,); one that is not finite counts as none.
+        grid: (points,); an update past its end belongs to the last point.
+        take: `np.fmin` or `np.fmax`.
+    """
+    curve = np.full(grid.shape, np.nan)
+    finite = np.isfinite(values)
+    places = np.minimum(np.searchsorted(grid, step[finite], side="left"), len(grid) - 1)
+    take.at(curve, places, values[finite])
     return curve.astype(np.float32).astype(float)
 
 

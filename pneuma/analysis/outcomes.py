@@ -1,0 +1,263 @@
+"""Outcomes: one number per run, which every summary, test and verdict is about.
+
+    StudyData, run and name → float; condition and name → (seeds,)
+
+A number is NaN where the run has none; `reason` says why. A diverged run counts with its last recorded
+values, in every outcome. Each can be had `at_step`, the largest step count that all conditions reached.
+"Final" is a run's last evaluation, or the last point of its training curve: the mean of the last 5 %
+of the budget. Runs and their published table give the same numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pneuma.analysis.run_view import RunView, Series, mean_height, view
+from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.config import ACTION_NAMES
+from pneuma.errors import UserError, nearest_name, unknown_name
+
+NAN = float("nan")
+ANYTHING = (-np.inf, np.inf)
+SHARE = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run comes to in one respect.
+
+    Attributes:
+        words: for people.
+        unit: of the number; empty for a plain one.
+        better: 'higher', 'lower', or empty where neither is.
+        bounds: least and greatest value that it can take, for a look at floor and ceiling.
+        source: what it is taken from: a table, a quantity, or 'times'.
+        measure: gives the number.
+    """
+
+    words: str
+    unit: str
+    better: str
+    bounds: tuple[float, float]
+    source: str
+    measure: Callable[[RunView], float]
+
+
+def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
+    """Return a run's outcome; NaN where it has none.
+
+    Args:
+        data: the study.
+        run: one of its finished runs.
+        name: one of `OUTCOMES`, or steps-to:X for a share X of monsters killed.
+        at_step: as the run stood then; at its budget when left out.
+
+    Raises:
+        UserError: for a name that is no outcome's.
+    """
+    return find_outcome(name).measure(view(data, run, at_step))
+
+
+def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
+    """Return an outcome of every finished run of a condition, in the selection's order, (seeds,).
+
+    Raises:
+        UserError: for a name that is no outcome's, or a condition that the study does not have.
+    """
+    if condition not in data.conditions:
+        raise unknown_name(f"condition of study {data.study}", condition, data.conditions)
+    return np.array([outcome(data, run, name, at_step) for run in data.of_condition(condition)], float)
+
+
+def find_outcome(name: str) -> Outcome:
+    """Return an outcome by its name.
+
+    Raises:
+        UserError: for a name that is none's.
+    """
+    if name in OUTCOMES:
+        return OUTCOMES[name]
+    threshold = re.fullmatch(r"steps-to:(0?\.\d+|1(\.0+)?)", name)
+    if threshold and float(threshold[1]) > 0:
+        share = float(threshold[1])
+        words = f"steps until {share:.0%} of the monsters are killed (inf: never)"
+        return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", partial(_steps_to, share=share))
+    known = ", ".join((*OUTCOMES, "steps-to:X (X a share of monsters killed)"))
+    raise UserError(f"unknown outcome {name!r}{nearest_name(name, OUTCOMES)}; known are {known}")
+
+
+def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
+    """Say why a run has no value of an outcome; empty where it has one."""
+    found = find_outcome(name)
+    if not np.isnan(found.measure(view(data, run, at_step))):
+        return ""
+    if found.source == "times":
+        return f"{data.source.what} does not tell how long the run took"
+    if found.source not in (*data.tables, *data.quantities):
+        return f"{data.source.what} holds no {found.source}"
+    early = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
+    return f"{early} has no value of its {found.source} to take {name} from"
+
+
+# --- From evaluations ------------------------------------------------------------------------------
+
+
+def _final_evaluation(seen: RunView, column: str) -> float:
+    return _last(seen.evaluations(column))
+
+
+def _share_area(seen: RunView) -> float:
+    return mean_height(seen.evaluations("share_killed"), seen.until)
+
+
+def _steps_to(seen: RunView, share: float) -> float:
+    step, values = seen.evaluations("share_killed")
+    if not len(values):
+        return NAN
+    reached = step[values >= share]
+    return float(reached[0]) if len(reached) else np.inf
+
+
+def _fall(seen: RunView) -> float:
+    _, values = seen.evaluations("share_killed")
+    return float(values.max() - values[-1]) if len(values) else NAN
+
+
+def _roughness(seen: RunView) -> float:
+    """Return how far the curve goes up and down beyond its net change, an evaluation: monotone, 0."""
+    _, values = seen.evaluations("share_killed")
+    if len(values) < 3:
+        return NAN
+    travelled = np.abs(np.diff(values)).sum()
+    return float((travelled - abs(values[-1] - values[0])) / (len(values) - 1))
+
+
+def _overestimation(seen: RunView) -> float:
+    """Return by how much the learner's own value of its play exceeds what that play returned."""
+    return _last(seen.evaluations("q_estimate")) - _last(seen.evaluations("q_true"))
+
+
+# --- From training curves --------------------------------------------------------------------------
+
+
+def _final_point(seen: RunView, quantity: str) -> float:
+    return _last(seen.curve(quantity))
+
+
+def _area(seen: RunView, quantity: str) -> float:
+    return mean_height(seen.curve(quantity), seen.until)
+
+
+def _of_curve(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floating]) -> float:
+    _, values = seen.curve(quantity)
+    return float(take(values)) if len(values) else NAN
+
+
+def _of_peaks(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floating]) -> float:
+    _, values = seen.peaks(quantity)
+    return float(take(values)) if len(values) else NAN
+
+
+# --- From the clock --------------------------------------------------------------------------------
+
+
+def _wall_seconds(seen: RunView) -> float:
+    """Return the seconds of training up to a step, taken to pass evenly."""
+    pace = _pace(seen)
+    return min(seen.run.end, seen.until) / pace if pace > 0 else NAN
+
+
+def _pace(seen: RunView) -> float:
+    seconds = seen.data.source.wall_seconds(seen.run)
+    return seen.run.end / seconds if seconds else NAN
+
+
+def _last(series: Series) -> float:
+    _, values = series
+    return float(values[-1]) if len(values) else NAN
+
+
+# --- The list --------------------------------------------------------------------------------------
+
+
+def _evaluated(words: str, column: str, better: str, bounds: tuple[float, float], unit: str = "") -> Outcome:
+    return Outcome(words, unit, better, bounds, "evaluations", partial(_final_evaluation, column=column))
+
+
+def _from_share(
+    words: str, measure: Callable[[RunView], float], better: str, bounds: tuple[float, float] = SHARE
+) -> Outcome:
+    return Outcome(words, "share", better, bounds, "evaluations", measure)
+
+
+def _trained(
+    words: str,
+    quantity: str,
+    measure: Callable[..., float] = _final_point,
+    better: str = "",
+    bounds: tuple[float, float] = ANYTHING,
+    unit: str = "",
+    **more: object,
+) -> Outcome:
+    return Outcome(words, unit, better, bounds, quantity, partial(measure, quantity=quantity, **more))
+
+
+POSITIVE = (0.0, np.inf)
+
+OUTCOMES: dict[str, Outcome] = {
+    "final-share-killed": _evaluated(
+        "monsters killed, last evaluation", "share_killed", "higher", SHARE, "share"
+    ),
+    "auc-share-killed": _from_share("monsters killed, mean over all evaluations", _share_area, "higher"),
+    "argmax-share-killed": _evaluated(
+        "monsters killed by the most probable actions", "argmax_share_killed", "higher", SHARE, "share"
+    ),
+    "normalised-score": _evaluated("score (0 random player, 1 scripted hunter)", "score", "higher", ANYTHING),
+    "evaluated-return": _evaluated("return, last evaluation", "return", "higher", ANYTHING),
+    "final-return": _trained("return at the end of training", "return", better="higher"),
+    "auc-return": _trained("return, mean over training", "return", _area, "higher"),
+    "best-return": _trained("best return of training", "return", _of_curve, "higher", take=np.max),
+    "final-length": _trained("episode length at the end", "length", bounds=POSITIVE, unit="steps"),
+    "final-hp": _trained(
+        "HP at the end of an episode", "hp", better="higher", bounds=POSITIVE, unit="points"
+    ),
+    "final-died": _evaluated("evaluation episodes that ended in death", "died", "lower", SHARE, "share"),
+    "final-entropy": _trained("entropy of the policy at the end", "entropy", bounds=POSITIVE, unit="nats"),
+    "least-entropy": _trained(
+        "least entropy of any update", "entropy", _of_peaks, bounds=POSITIVE, unit="nats", take=np.min
+    ),
+    "max-grad-norm": _trained(
+        "greatest gradient norm of any update", "grad_norm", _of_peaks, "lower", POSITIVE, take=np.max
+    ),
+    "median-grad-norm": _trained(
+        "median of the curve of gradient norms", "grad_norm", _of_curve, "lower", POSITIVE, take=np.median
+    ),
+    "final-dead-units": _trained(
+        "dead hidden units at the end", "dead_units", better="lower", bounds=SHARE, unit="share"
+    ),
+    **{
+        f"final-action-{i}": _trained(
+            f"share of the action {name} at the end", f"action_{i}", bounds=SHARE, unit="share"
+        )
+        for i, name in enumerate(ACTION_NAMES)
+    },
+    "fall-from-best": _from_share("best evaluation less the last, in monsters killed", _fall, "lower"),
+    "curve-roughness": _from_share(
+        "ups and downs of monsters killed beyond the net change, per evaluation", _roughness, "lower"
+    ),
+    "wall-seconds": Outcome("time that training took", "s", "lower", POSITIVE, "times", _wall_seconds),
+    "steps-per-second": Outcome(
+        "agent steps trained per second", "steps/s", "higher", POSITIVE, "times", _pace
+    ),
+    "q-overestimation": Outcome(
+        "estimated value of play less what it returned", "", "lower", ANYTHING, "evaluations", _overestimation
+    ),
+}
+"""By name; `find_outcome` also knows steps-to:X."""
+
+PRIMARY = "final-share-killed"

@@ -1,0 +1,249 @@
+"""Outcomes by hand, and the same from runs and from their published table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, outcome_values, reason
+from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.run_view import common_step
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.errors import UserError
+from pneuma.study.imported import import_tensorboard
+from pneuma.study.store import Status, Store, to_json
+from pneuma.study.tables import to_parquet
+
+BUDGET = 1000
+SHARES = (0.2, 0.6, 0.4, 0.5)
+"""Share killed at the evaluations at steps 250, 500, 750 and 1,000."""
+
+
+def episode(k: int) -> dict[str, Any]:
+    """An episode that ended at step 50 k, returned k / 3 and left its player with k HP."""
+    return {
+        "slot": 0, "episode": k, "step": 50 * k, "return": k / 3, "length": 50, "kills": k, "hp": float(k),
+        "ending": "killed",
+    }  # fmt: skip
+
+
+def update(k: int, count: int) -> dict[str, Any]:
+    """Update k of a run: entropy falls and norms rise, but for one peak at the second of them."""
+    row = {**dict.fromkeys(METRIC_COLUMNS, 1 / 7), "step": BUDGET // count * k, "entropy": 1.6 - k / 10}
+    return {**row, "grad_norm": 50.0 if k == 2 else float(k), "action_0": 0.25}
+
+
+def evaluation(k: int, share: float) -> dict[str, Any]:
+    """Evaluation k of four."""
+    row = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "step": 250 * k, "episodes": 50, "argmax_starts": 6}
+    own = {"share_killed": share, "argmax_share_killed": share / 2, "score": share * 2, "died": 0.3}
+    return {**row, **own, "hunter_share_killed": 0.9, "return": 10 * share}
+
+
+def save(
+    store: Store, run_id: str, shares: Sequence[float] = SHARES, end: int = BUDGET, **more: Sequence[float]
+) -> None:
+    """Store a run that ended at `end`; `more` are further columns of its evaluations."""
+    rows = [
+        {**evaluation(k, share), **{name: values[k - 1] for name, values in more.items()}}
+        for k, share in enumerate(shares, start=1)
+    ]
+    tables = {
+        "episodes": to_parquet([episode(k) for k in range(1, end // 50 + 1)], EPISODE_COLUMNS),
+        "metrics": to_parquet([update(k, 10) for k in range(1, end // 100 + 1)], METRIC_COLUMNS),
+        "evaluations": to_parquet(rows, (*EVALUATION_COLUMNS, *more)),
+    }
+    files = {f"{name}.parquet": data for name, data in tables.items()}
+    files["provenance.json"] = to_json({"wall_seconds": 8.0, "python": "3.11"})
+    store.save_run(run_id, Status("done" if end == BUDGET else "diverged", end), files)
+
+
+def record(cells: Sequence[tuple[str, int, str]], **settings: Any) -> dict[str, Any]:
+    """Return the record of a study."""
+    run = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": BUDGET, **settings}
+    texts = {"study": "mine", "title": "Mine", "figure": "fig-mine", "baseline": "a", "same": []}
+    runs = [{"condition": c, "seed": s, "run_id": i, "run": run} for c, s, i in cells]
+    return {**texts, "selection": {}, "runs": runs}
+
+
+CELLS = (("a", 0, "a0" * 8), ("a", 1, "a1" * 8), ("b", 0, "b0" * 8))
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> StudyData:
+    """Two runs of `a`, of which the second diverged at step 600, and one of `b` that learns steadily."""
+    store = Store(tmp_path / "results")
+    save(store, "a0" * 8)
+    save(store, "a1" * 8, (0.2, 0.6), end=600)
+    save(store, "b0" * 8, (0.1, 0.2, 0.3, 0.4))
+    return open_study(store, record(CELLS))
+
+
+def republished(data: StudyData, folder: Path) -> StudyData:
+    """Return a study as a clone with nothing but its published table has it."""
+    clone = Store(folder / "clone")
+    path = published_path(clone, data.study)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_study(data))
+    return open_study(clone, read_published(clone, data.study).record)
+
+
+# --- Values by hand -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("final-share-killed", 0.5),
+        ("auc-share-killed", (0.4 + 0.5 + 0.45) / 3),  # trapezoids between 0.2, 0.6, 0.4, 0.5
+        ("argmax-share-killed", 0.25),
+        ("normalised-score", 1.0),
+        ("evaluated-return", 5.0),
+        ("final-return", 20 / 3),  # (950, 1000] holds the twentieth episode alone
+        ("best-return", 20 / 3),
+        ("final-length", 50),
+        ("final-hp", 20),
+        ("final-died", 0.3),
+        ("least-entropy", np.float32(0.6)),
+        ("max-grad-norm", 50),
+        ("final-action-0", 0.25),
+        ("fall-from-best", 0.1),
+        ("curve-roughness", (0.4 + 0.2 + 0.1 - 0.3) / 3),
+        ("steps-to:0.5", 500),
+        ("steps-to:0.9", np.inf),
+        ("wall-seconds", 8),
+        ("steps-per-second", 125),
+    ],
+)
+def test_a_done_runs_outcome(data: StudyData, name: str, expected: float) -> None:
+    assert outcome(data, data.runs[0], name) == pytest.approx(float(expected), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("final-share-killed", 0.6),  # its last evaluation
+        ("auc-share-killed", (0.4 * 250 + 0.6 * 500) / 750),  # which is carried on to the budget
+        ("final-return", 12 / 3),
+        ("final-hp", 12),
+        ("steps-per-second", 75),
+    ],
+)
+def test_a_diverged_run_counts_with_its_last_recorded_values(
+    data: StudyData, name: str, expected: float
+) -> None:
+    assert outcome(data, data.runs[1], name) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("final-share-killed", 0.6),
+        ("auc-share-killed", 0.4),
+        ("final-return", 10 / 3),
+        ("steps-to:0.5", 500),
+        ("least-entropy", np.float32(1.1)),
+        ("fall-from-best", 0.0),
+        ("wall-seconds", 4),
+    ],
+)
+def test_a_run_as_it_stood_at_a_step(data: StudyData, name: str, expected: float) -> None:
+    assert outcome(data, data.runs[0], name, at_step=500) == pytest.approx(float(expected), rel=1e-6)
+
+
+def test_an_evaluation_that_whole_horizons_put_just_after_the_step_counts(data: StudyData) -> None:
+    assert outcome(data, data.runs[0], PRIMARY, at_step=490) == 0.6
+    assert outcome(data, data.runs[0], PRIMARY, at_step=480) == 0.2
+
+
+def test_a_condition_has_one_value_a_run_in_the_selections_order(data: StudyData) -> None:
+    assert outcome_values(data, "a", PRIMARY).tolist() == [0.5, 0.6]
+    with pytest.raises(UserError, match="condition of study mine"):
+        outcome_values(data, "c", PRIMARY)
+
+
+def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    save(store, "a0" * 8, q_estimate=(1, 2, 3, 9.5), q_true=(1, 1, 1, 2))
+    data = open_study(store, record(CELLS[:1]))
+    assert outcome(data, data.runs[0], "q-overestimation") == 7.5
+
+
+# --- What there is not ----------------------------------------------------------------------------
+
+
+def test_a_run_without_a_value_says_why(data: StudyData, tmp_path: Path) -> None:
+    (run,) = data.of_condition("b")
+    assert np.isnan(outcome(data, run, "q-overestimation"))
+    assert reason(data, run, "q-overestimation") == (
+        "the run has no value of its evaluations to take q-overestimation from"
+    )
+    assert reason(data, run, PRIMARY) == ""
+    store = Store(tmp_path / "early")
+    save(store, "a0" * 8, (), end=40)
+    early = open_study(store, record(CELLS[:1]))
+    assert np.isnan(outcome(early, early.runs[0], PRIMARY))
+    assert "the run diverged at step 40 has no value" in reason(early, early.runs[0], PRIMARY)
+
+
+def test_logs_have_what_was_logged_and_say_so_of_the_rest(tmp_path: Path, write_events: Any) -> None:
+    store = Store(tmp_path / "results")
+    points = [
+        point
+        for k in range(1, 11)
+        for point in (("rollout/ep_rew_mean", 100 * k, k / 4), ("train/entropy_loss", 100 * k, -1 / k))
+    ]
+    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
+    import_tensorboard(tmp_path / "logs", store)
+    data = open_study(store, store.selection("logs") or {})
+    (run,) = data.runs
+    assert (outcome(data, run, "final-return"), outcome(data, run, "best-return")) == (2.5, 2.5)
+    assert outcome(data, run, "least-entropy") == pytest.approx(0.1)
+    assert outcome(data, run, "wall-seconds") > 0
+    assert np.isnan(outcome(data, run, PRIMARY))
+    assert reason(data, run, PRIMARY) == "a study of imported TensorBoard logs holds no evaluations"
+
+
+@pytest.mark.parametrize("name", ["final-share", "steps-to:0", "steps-to:1.5", "steps-to:x", ""])
+def test_an_unknown_outcome_is_told_with_those_there_are(data: StudyData, name: str) -> None:
+    with pytest.raises(UserError, match="unknown outcome .*known are final-share-killed, .*steps-to:X"):
+        outcome(data, data.runs[0], name)
+
+
+# --- Laws -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_step", [None, 500])
+@pytest.mark.parametrize("name", [*(set(OUTCOMES) - {"wall-seconds", "steps-per-second"}), "steps-to:0.5"])
+def test_the_published_table_gives_the_same_numbers(
+    data: StudyData, tmp_path: Path, name: str, at_step: int | None
+) -> None:
+    again = republished(data, tmp_path)
+    for condition in data.conditions:
+        ours = outcome_values(data, condition, name, at_step)
+        np.testing.assert_array_equal(ours, outcome_values(again, condition, name, at_step))
+
+
+@pytest.mark.parametrize("name", [*OUTCOMES, "steps-to:0.5"])
+def test_an_outcome_lies_within_its_bounds(data: StudyData, name: str) -> None:
+    low, high = find_outcome(name).bounds
+    assert find_outcome(name).better in ("higher", "lower", "")
+    for run in data.runs:
+        value = outcome(data, run, name)
+        assert np.isnan(value) or low <= value <= high
+
+
+def test_budgets_that_whole_horizons_put_apart_are_the_same(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    for run_id in ("a0" * 8, "b0" * 8):
+        save(store, run_id)
+    for other, common in ((1020, None), (2000, 1000)):
+        two = record((CELLS[0], CELLS[2]))
+        two["runs"][1] = {**two["runs"][1], "run": {**two["runs"][1]["run"], "steps": other}}
+        assert common_step(open_study(store, two)) == common
