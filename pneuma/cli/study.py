@@ -93,6 +93,8 @@ def show(
     print("\nPresets:")
     for preset, amount in study.presets.items():
         print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")
+        for condition, own in amount.conditions.items():
+            print(f"  {'':<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
     return None
 
 

@@ -6,7 +6,7 @@
     reward = ["thesis", "kills"]
     [conditions.tanh]            what one condition changes
 
-gives the conditions `reward=thesis, tanh` and `reward=kills, tanh`.
+gives the conditions `reward=thesis, tanh` and `reward=kills, tanh`. A study with factors needs no conditions.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _read_value(file: TomlFile, where: Where, line_key: str, key: str, value: ob
 
 def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     names = file.table(("conditions",))
-    if not names:
+    if not names and not file.table(("factors",)):
         raise file.mistake((), "a study needs at least one condition", "conditions")
     conditions, runs = {}, []
     for name in names:
@@ -125,7 +125,7 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
         runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))
         for key in unread_settings(runs[-1:], conditions[name]):
             raise file.mistake(where, does_nothing(key, runs[-1:]), key)
-    for key in unread_settings(runs, file.table(("run",))):
+    for key in unread_settings(runs, file.table(("run",)) if runs else ()):
         raise file.mistake(("run",), does_nothing(key, runs), key)
     return conditions
 
@@ -223,7 +223,7 @@ def _cross(
     """Return every condition with every combination of the factors' values, and the values' names."""
     crossed: Levels = {}
     levels: dict[str, dict[str, str]] = {}
-    every = {**factors, CONDITION: named}
+    every = {**factors, CONDITION: named} if named else factors
     count = 1
     for values in every.values():
         count *= len(values)

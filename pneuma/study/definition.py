@@ -30,10 +30,20 @@ _PUBLISHED_CODE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Preset:
-    """How much of a study to run: seeds, and agent steps of each run."""
+    """How much of a study to run: seeds, and agent steps of each run.
+
+    Attributes:
+        seeds, steps: of every condition.
+        conditions: those that have other ones, such as networks that take too long.
+    """
 
     seeds: tuple[int, ...]
     steps: int
+    conditions: Mapping[str, Preset] = field(default_factory=dict)
+
+    def of(self, condition: str) -> Preset:
+        """Return what the preset says of one condition."""
+        return self.conditions.get(condition, self)
 
 
 @dataclass(frozen=True)

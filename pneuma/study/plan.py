@@ -93,15 +93,20 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     """
     names = _conditions(study, selection.conditions)
     preset = study.preset(selection.preset or "quick")
-    steps = selection.steps or preset.steps
-    over = {"steps": steps, **_settings(selection.settings or {})}
+    steps = {name: selection.steps or preset.of(name).steps for name in names}
+    over = _settings(selection.settings or {})
     if selection.engine:
         over["engine"] = read_setting(Run, "engine", selection.engine)
-    runs = {name: make_run(study.settings(name, over)) for name in names}
+    runs = {name: make_run(study.settings(name, {"steps": steps[name], **over})) for name in names}
     for key in unread_settings(runs.values(), selection.settings or {}):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
-    seeds = selection.seeds or preset.seeds
-    cells = tuple(_cell(name, replace(runs[name], seed=seed)) for seed in seeds for name in names)
+    seeds = {name: selection.seeds or preset.of(name).seeds for name in names}
+    cells = tuple(
+        _cell(name, replace(runs[name], seed=seed))
+        for seed in dict.fromkeys(seed for own in seeds.values() for seed in own)
+        for name in names
+        if seed in seeds[name]
+    )
     return Plan(
         study, selection, cells, _same(runs), (*_notes(runs, steps), *_engine_notes(study, runs, over))
     )
@@ -140,9 +145,10 @@ def _cell(condition: str, run: Run) -> Cell:
 
 
 def _same(runs: Mapping[str, Run]) -> tuple[tuple[str, ...], ...]:
+    """Return groups of conditions with one configuration; a budget is none of it."""
     groups: dict[Run, list[str]] = {}
     for name, run in runs.items():
-        groups.setdefault(run, []).append(name)
+        groups.setdefault(replace(run, steps=1), []).append(name)
     return tuple(tuple(names) for names in groups.values() if len(names) > 1)
 
 
@@ -158,11 +164,15 @@ def _engine_notes(study: Study, runs: Mapping[str, Run], over: Mapping[str, Any]
     ]
 
 
-def _notes(runs: Mapping[str, Run], steps: int) -> tuple[str, ...]:
-    rounded = {run.steps: run.steps_per_update for run in runs.values() if run.steps != steps}
+def _notes(runs: Mapping[str, Run], steps: Mapping[str, int]) -> tuple[str, ...]:
+    rounded = dict.fromkeys(
+        (steps[name], run.steps, run.steps_per_update)
+        for name, run in runs.items()
+        if run.steps != steps[name]
+    )
     notes = [
-        f"{steps:,} steps are rounded up to {whole:,}, whole updates of {horizon:,}"
-        for whole, horizon in rounded.items()
+        f"{asked:,} steps are rounded up to {whole:,}, whole updates of {horizon:,}"
+        for asked, whole, horizon in rounded
     ]
     notes += [
         f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"

@@ -7,7 +7,8 @@ changes (`conditions.py`). `plan.py` resolves it to runs.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ def _read_study(file: TomlFile) -> Study:
     data = file.data
     file.refuse_unknown((), data, _TOP_KEYS)
     for key in ("title", "base", "conditions", "presets"):
-        if key not in data:
+        if key not in data and not (key == "conditions" and "factors" in data):
             raise UserError(f"{file.path}: the key {key!r} is missing")
     texts = {key: _text(file, key) for key in ("title", "section", "about", "figure", "base", "baseline")}
     if texts["base"] not in BASES:
@@ -132,7 +133,7 @@ def _read_study(file: TomlFile) -> Study:
         base=texts["base"],
         shared=sets.shared,
         conditions=sets.own,
-        presets=_read_presets(file),
+        presets=_read_presets(file, sets.own),
         keep_checkpoints=_read_kept(file),
         levels=sets.levels,
         settings_known=settings_known or _usual_settings(sets.own),
@@ -195,7 +196,7 @@ def _text(file: TomlFile, key: str) -> str:
     return value
 
 
-def _read_presets(file: TomlFile) -> dict[str, Preset]:
+def _read_presets(file: TomlFile, conditions: Collection[str]) -> dict[str, Preset]:
     presets = {}
     for name in file.table(("presets",)):
         where = ("presets", name)
@@ -204,12 +205,29 @@ def _read_presets(file: TomlFile) -> dict[str, Preset]:
             message = f"unknown preset {name!r}{hint}; known are {', '.join(PRESETS)}"
             raise file.mistake(("presets",), message, name)
         table = file.table(where)
-        file.refuse_unknown(where, table, ("seeds", "steps"))
+        file.refuse_unknown(where, table, ("seeds", "steps", "conditions"))
         for key in ("seeds", "steps"):
             if key not in table:
                 raise file.mistake(where, f"the key {key!r} is missing")
-        presets[name] = Preset(_preset_seeds(file, where, table), _preset_steps(file, where, table))
+        usual = Preset(_preset_seeds(file, where, table), _preset_steps(file, where, table))
+        presets[name] = replace(usual, conditions=_preset_conditions(file, where, usual, conditions))
     return presets
+
+
+def _preset_conditions(
+    file: TomlFile, where: Where, usual: Preset, conditions: Collection[str]
+) -> dict[str, Preset]:
+    """Read [presets.NAME.conditions.CONDITION]: what one condition has instead of the preset's usual."""
+    own = {}
+    for name in file.table((*where, "conditions")):
+        place = (*where, "conditions", name)
+        if name not in conditions:
+            raise file.mistake(place[:-1], str(unknown_name("condition", name, conditions)), name)
+        table = file.table(place)
+        file.refuse_unknown(place, table, ("seeds", "steps"))
+        seeds = _preset_seeds(file, place, table) if "seeds" in table else usual.seeds
+        own[name] = Preset(seeds, _preset_steps(file, place, table) if "steps" in table else usual.steps)
+    return own
 
 
 def _preset_seeds(file: TomlFile, where: Where, table: Mapping[str, Any]) -> tuple[int, ...]:

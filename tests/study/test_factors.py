@@ -64,6 +64,17 @@ def test_a_crossed_baseline_is_the_first_condition_that_it_is_part_of(tmp_path: 
     assert _load(tmp_path, CROSSED.replace('baseline = "relu"', whole)).baseline == whole[12:-1]
 
 
+def test_factors_alone_make_a_study(tmp_path: Path) -> None:
+    text = CROSSED[: CROSSED.index("[factors.betas]")] + CROSSED[CROSSED.index("[presets") :]
+    study = _load(tmp_path, text.replace('baseline = "relu"\n', ""))
+    assert list(study.conditions) == [
+        f"learning_rate={rate}, reward={reward}"
+        for rate in ("3e-4", "1e-3")
+        for reward in ("thesis", "kills")
+    ]
+    assert study.levels[study.baseline] == {"learning_rate": "learning_rate=3e-4", "reward": "reward=thesis"}
+
+
 def test_a_study_without_factors_has_no_levels(tmp_path: Path) -> None:
     assert load_study("activation").levels == {}
 

@@ -149,3 +149,58 @@ def test_what_differs_between_conditions_is_told(study: Study) -> None:
 
 def test_nothing_differs_between_one_configuration_and_itself(study: Study) -> None:
     assert differing_settings(make_plan(study, Selection(conditions=("adam", "also-adam")))) == {}
+
+
+# --- Presets of single conditions ------------------------------------------------------------------
+
+OWN_PRESET = """\
+title = "T"
+base = "table-6-2"
+
+[conditions.small]
+
+[conditions.big]
+actor = [1024]
+
+[presets.quick]
+seeds = 3
+steps = 2_048
+
+[presets.quick.conditions.big]
+seeds = [1]
+steps = 1_024
+"""
+
+
+def test_a_preset_may_say_less_for_one_condition(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(OWN_PRESET, encoding="utf-8")
+    plan = make_plan(load_study(str(path)), Selection())
+    assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
+        ("small", 0, 2048), ("small", 1, 2048), ("big", 1, 1024), ("small", 2, 2048),
+    ]  # fmt: skip
+    plan = make_plan(load_study(str(path)), Selection(seeds=(5,), steps=512))
+    assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
+        ("small", 5, 512), ("big", 5, 512),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "conditions.big]\ns",
+            "conditions.bgi]\ns",
+            "line 13: [presets.quick.conditions] unknown condition 'bgi'",
+        ),
+        ("steps = 1_024", "stps = 1_024", "line 15: [presets.quick.conditions.big] unknown key 'stps'"),
+        ("seeds = [1]", "seeds = 0", "line 14: [presets.quick.conditions.big] seeds = 0 is not allowed"),
+    ],
+)
+def test_a_mistake_in_a_conditions_own_preset_is_told(old: str, new: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    assert OWN_PRESET.count(old) == 1
+    path.write_text(OWN_PRESET.replace(old, new), encoding="utf-8")
+    with pytest.raises(UserError) as refused:
+        load_study(str(path))
+    assert words in str(refused.value)
