@@ -8,14 +8,14 @@ difference, below it, and within the margin on both sides. What they come to for
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pneuma.analysis import incidence, intervals, permutation, spread
+from pneuma.analysis import incidence, intervals, permutation, two_arms
 from pneuma.analysis.estimates import deviation, finite
 from pneuma.analysis.intervals import Interval, no_interval
+from pneuma.analysis.two_arms import PValues
 
 CONTRAST_KINDS = ("mean", "spread", "incidence", "paired")
 """Difference of means; ratio of standard deviations; difference of shares of runs with an event (values
@@ -131,44 +131,30 @@ def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
 
 def _mean(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
     labels = permutation.relabel(a.size, b.size, generator)
-    shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
-    samples = np.stack([np.concatenate([a + shift, b]) for shift in shifts])
-    p_greater, p_less = permutation.tails(permutation.studentised_difference(samples, labels))
-    return Contrast(
-        "mean",
-        float(a.mean() - b.mean()),
-        intervals.difference_interval(a, b),
-        float(p_greater[0]),
-        float(p_less[0]),
-        _within(p_greater, p_less),
-        (a.size, b.size),
-        _reason(labels.smallest_p),
-        labels.smallest_p,
-    )
+    found = two_arms.mean_p_values(a[None], b[None], margin, labels)
+    interval = intervals.difference_interval(a, b)
+    return _contrast("mean", _effect("mean", a, b), interval, found, (a.size, b.size), labels.smallest_p)
 
 
 def _spread(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
     seeds, effect = (a.size, b.size), _effect("spread", a, b)
-    if np.ptp(a) == 0 or np.ptp(b) == 0:
-        both = np.ptp(a) == 0 and np.ptp(b) == 0
-        arms = "both arms" if both else "arm a" if np.ptp(a) == 0 else "arm b"
-        return _undecided(
-            "spread", effect, seeds, f"all runs of {arms} are equal: there is no spread to compare"
-        )
+    equal = [name for name, arm in (("a", a), ("b", b)) if np.ptp(arm) == 0]
+    if equal:
+        reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
+        return _undecided("spread", effect, seeds, reason)
     labels = permutation.relabel(a.size, b.size, generator)
-    ratios = np.array([1.0] if margin is None else [1.0, 1 / margin, margin])
-    p_greater, p_less = permutation.tails(spread.log_ratios(a, b, ratios, labels))
-    return Contrast(
-        "spread",
-        effect,
-        intervals.deviation_ratio_interval(a, b),
-        float(p_greater[0]),
-        float(p_less[0]),
-        _within(p_greater, p_less),
-        seeds,
-        _reason(labels.smallest_p),
-        labels.smallest_p,
-    )
+    found = two_arms.spread_p_values(a[None], b[None], margin, labels)
+    interval = intervals.deviation_ratio_interval(a, b)
+    return _contrast("spread", effect, interval, found, seeds, labels.smallest_p)
+
+
+def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None) -> Contrast:
+    counts_a, counts_b = np.array([_count(a)]), np.array([_count(b)])
+    found = two_arms.incidence_p_values(counts_a, a.size, counts_b, b.size, margin)
+    interval = intervals.incidence_difference_interval(counts_a[0], a.size, counts_b[0], b.size)
+    most = two_arms.incidence_p_values(np.array([a.size]), a.size, np.array([0]), b.size, None)
+    seeds, smallest = (a.size, b.size), float(most.greater[0])
+    return _contrast("incidence", _effect("incidence", a, b), interval, found, seeds, smallest)
 
 
 def _one_sample(
@@ -178,77 +164,44 @@ def _one_sample(
     kind: str,
     seeds: tuple[int, int],
 ) -> Contrast:
+    """Test a mean of differences by turning their signs, which supposes that they lie alike to both sides."""
     signs = permutation.sign_flips(differences.size, generator)
     shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
     p_greater, p_less = permutation.tails(signs @ (differences + shifts[:, None]).T)
-    smallest = 1 / len(signs)
-    return Contrast(
-        kind,
-        float(differences.mean()),
-        intervals.mean_interval(differences),
-        float(p_greater[0]),
-        float(p_less[0]),
-        _within(p_greater, p_less),
-        seeds,
-        _reason(smallest),
-        smallest,
-    )
-
-
-def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None) -> Contrast:
-    counts = (_count(a), a.size, _count(b), b.size)
-    swapped = (*counts[2:], *counts[:2])
-    greater = partial(incidence.p_share_greater, *counts)
-    less = partial(incidence.p_share_greater, *swapped)  # a below b by more than d: b above a by more than d
-    smallest = incidence.p_share_greater(a.size, a.size, 0, b.size)
-    return Contrast(
-        "incidence",
-        float(a.mean() - b.mean()),
-        intervals.incidence_difference_interval(*counts),
-        greater(),
-        less(),
-        1.0 if margin is None or margin >= 1 else max(greater(-margin), less(-margin)),
-        (a.size, b.size),
-        _reason(smallest),
-        smallest,
-    )
+    equivalent = np.ones(1) if margin is None else np.maximum(p_less[1:2], p_greater[2:])
+    found = PValues(p_greater[:1], p_less[:1], equivalent)
+    interval = intervals.mean_interval(differences)
+    return _contrast(kind, float(differences.mean()), interval, found, seeds, 1 / len(signs))
 
 
 def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Contrast:
     if not runs.size:
         return _undecided("incidence", float("nan"), (0, 0), _too_few((0,), 1))
-    count, share = _count(runs), float(runs.mean())
+    count, above, below = _count(runs), incidence.p_share_above, incidence.p_share_below
     own = intervals.incidence_interval(count, runs.size)
+    interval = Interval(own.low - value, own.high - value, own.level, own.method)
     equivalent = 1.0
     if margin is not None:
-        above = incidence.p_share_above(count, runs.size, max(0.0, value - margin))
-        below = incidence.p_share_below(count, runs.size, min(1.0, value + margin))
-        equivalent = max(above, below)
-    smallest = min(
-        incidence.p_share_above(runs.size, runs.size, value), incidence.p_share_below(0, runs.size, value)
-    )
-    return Contrast(
-        "incidence",
-        share - value,
-        Interval(own.low - value, own.high - value, own.level, own.method),
-        incidence.p_share_above(count, runs.size, value),
-        incidence.p_share_below(count, runs.size, value),
-        equivalent,
-        (runs.size, 0),
-        _reason(smallest),
-        smallest,
-    )
+        low, high = max(0.0, value - margin), min(1.0, value + margin)
+        equivalent = max(above(count, runs.size, low), below(count, runs.size, high))
+    one_sided = (above(count, runs.size, value), below(count, runs.size, value), equivalent)
+    found = PValues(*(np.array([p]) for p in one_sided))
+    smallest = min(above(runs.size, runs.size, value), below(0, runs.size, value))
+    return _contrast("incidence", float(runs.mean() - value), interval, found, (runs.size, 0), smallest)
+
+
+def _contrast(
+    kind: str, effect: float, interval: Interval, found: PValues, seeds: tuple[int, int], smallest: float
+) -> Contrast:
+    """Return the contrast of one sample."""
+    one_sided = (float(found.greater[0]), float(found.less[0]), float(found.equivalent[0]))
+    return Contrast(kind, effect, interval, *one_sided, seeds, _reason(smallest), smallest)
 
 
 def _count(runs: np.ndarray) -> int:
     if not np.isin(runs, (0, 1)).all():
         raise ValueError("an incidence is of values 0 or 1")
     return int(runs.sum())
-
-
-def _within(p_greater: np.ndarray, p_less: np.ndarray) -> float:
-    """Return the p-value of two one-sided tests: rows are no shift, less the margin, and plus it."""
-    return 1.0 if len(p_greater) == 1 else float(max(p_less[1], p_greater[2]))
 
 
 def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:

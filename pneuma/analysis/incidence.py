@@ -16,9 +16,11 @@ SHARES = 201
 """On how many common shares the greatest chance is looked for."""
 
 
-def p_share_greater(count_a: int, runs_a: int, count_b: int, runs_b: int, difference: float = 0.0) -> float:
-    """Return the p-value that the share of a exceeds that of b by more than a difference."""
-    return float(_p_table(runs_a, runs_b, difference)[count_a, count_b])
+def p_share_greater(
+    counts_a: np.ndarray, runs_a: int, counts_b: np.ndarray, runs_b: int, difference: float = 0.0
+) -> np.ndarray:
+    """Return the p-values that the share of a exceeds that of b by more than a difference, (samples,)."""
+    return _p_table(runs_a, runs_b, difference)[counts_a, counts_b]
 
 
 @lru_cache(maxsize=256)

@@ -21,7 +21,7 @@ DRAWS = 20_000
 _SLACK = 1e-9
 """By how much of itself a statistic may fall short of the seen one and still be as extreme: sums in
 another order differ in their last bits."""
-_LEAST_VARIANCE = 1e-13
+LEAST_VARIANCE = 1e-13
 """Of values scaled to at most 1: below it, a variance is rounding, and the arm has no spread."""
 
 
@@ -89,7 +89,7 @@ def studentised_difference(samples: np.ndarray, labels: Relabelings) -> np.ndarr
     sum_a, squares_a = labels.in_a @ values.T, labels.in_a @ (values**2).T
     sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
     variance = _of_mean(sum_a, squares_a, size_a) + _of_mean(sum_b, squares_b, size_b)
-    return (sum_a / size_a - sum_b / size_b) / np.sqrt(np.maximum(variance, _LEAST_VARIANCE))
+    return (sum_a / size_a - sum_b / size_b) / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
 
 
 def scaled(samples: np.ndarray) -> np.ndarray:

@@ -1,12 +1,18 @@
-"""`pneuma bench …`: how fast the environment and the engines are on this machine."""
+"""`pneuma bench …`: how fast environment and engines are on this machine, and how far to trust verdicts."""
 
 from __future__ import annotations
 
+from typing import Annotated, Any
+
 import typer
 
-from pneuma.cli.options import Json, print_json
+from pneuma.cli.options import Json, print_json, read_count, say
 
-app = typer.Typer(help="Measure speed on this machine.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Measure speed on this machine, and calibrate the statistics.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
 
 @app.command()
@@ -50,3 +56,30 @@ def engines(json: Json = False) -> None:
     print(f"the update runs at {share:.0%} of the core's matrix product of {product:.0f} GFLOP/s")
     print(f"peak memory, ten small runs and Stable-Baselines3: {report['peak_megabytes_ten_small']:.0f} MB")
     return None
+
+
+@app.command()
+def calibration(
+    lists: Annotated[
+        str,
+        typer.Option("--lists", metavar="N", help="How many lists of claims to simulate in each setting."),
+    ] = "2000",
+    json: Json = False,
+) -> None:
+    """Simulate lists of claims whose truth is known; say how often a verdict or an interval is wrong."""
+    from pneuma.bench.calibration import bench_calibration
+
+    tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
+    for table, row in bench_calibration(read_count("--lists", lists)):
+        tables[table].append(row)
+        say(_told(table, row), as_json=json)
+    return print_json({"schema": 1, **tables}) if json else None
+
+
+def _told(table: str, row: dict[str, Any]) -> str:
+    if table == "coverage":
+        covers = f"{row['method']:<16} {row['distribution']:<14} {row['seeds']:>8} seeds"
+        return f"{covers}  covers {row['coverage']:.3f}"
+    setting = f"{row['truth']:<16} {row['distribution']:<14} {row['seeds']:>8} seeds"
+    rate, bound = f"{row['false_rate']:.4f}", f"{row['upper_bound']:.4f}"
+    return f"{setting}  false in {rate} of {row['lists']} lists, at most {bound}"

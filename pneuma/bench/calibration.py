@@ -1,0 +1,27 @@
+"""Calibration of the statistics, shown: how often a verdict is false, and how often an interval covers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pneuma.bench import claim_lists, coverage
+
+LISTS = 2_000
+COVERED_PER_LIST = 10
+
+
+def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield rows of two tables as they come: ("false_verdicts", row), then ("coverage", row).
+
+    Args:
+        lists: how many lists of claims to simulate in each setting.
+        seed: of the generator of everything that is drawn.
+    """
+    generator = np.random.default_rng(seed)
+    for row in coverage.coverages(lists * COVERED_PER_LIST, generator):
+        yield "coverage", row
+    for row in claim_lists.false_verdicts(lists, generator):
+        yield "false_verdicts", row

@@ -1,0 +1,179 @@
+"""How often a list of claims holds a false verdict: lists are simulated, and judged by what judges claims.
+
+Every list has claims on means, on spread and on incidence. What is true of a claim is known: its arms
+are alike, or they differ by exactly the margin, where a verdict of equivalence is hardest to hold back,
+or they lie far apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from pneuma.analysis import two_arms
+from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.intervals import incidence_interval, no_interval
+from pneuma.analysis.permutation import relabel
+from pneuma.analysis.sequential import decide, make_stages
+from pneuma.analysis.verdicts import INCONCLUSIVE, found, judge_list
+
+SEEDS = (3, 5, 10, 20, 50)
+CLAIMS = {"mean": 36, "spread": 14, "incidence": 10}
+"""How many of each kind a list has."""
+MARGINS = {"mean": 0.5, "spread": 1.5, "incidence": 0.2}
+"""Of means, in standard deviations."""
+FAR = {"mean": 2.0, "spread": 6.0, "incidence": 0.7}
+"""What lies far apart: the effect itself."""
+TRUTHS = {"alike": ("alike",), "at the margin": ("edge",), "mixed": ("alike", "edge", "far")}
+OTHER_TRUTHS_LISTS = 4
+"""Lists whose arms are not all alike are simulated so many times more rarely."""
+EVENT_SHARE = 0.2
+
+FEW_DRAWS, MANY_DRAWS = 400, 3_000
+FEW_ROWS, MANY_ROWS = 60, 10
+"""Samples at once: what they come to fits a processor's cache."""
+ROWS_PER_DRAW = 400
+"""Samples that share one set of many relabelings."""
+CLOSE = 0.1
+"""A p-value by few draws that is at most this is found again by many; no other can come to a verdict."""
+TRUE_FINDINGS = {"alike": ("equal",), "edge": ("greater",), "far": ("greater",)}
+"""What may be found of each truth without being false."""
+
+Draw = Callable[[np.random.Generator, tuple[int, int]], np.ndarray]
+
+
+def _bimodal(generator: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Draw four fifths of runs around 10 and a fifth, which failed, around 2, and set them off."""
+    values = np.where(generator.random(shape) < 0.8, 10.0, 2.0) + generator.normal(size=shape)
+    return (values - 8.4) / np.sqrt(1 + 0.16 * 64)
+
+
+DISTRIBUTIONS: dict[str, Draw] = {
+    "normal": lambda generator, shape: generator.normal(size=shape),
+    "80/20 bimodal": _bimodal,
+    "t, 3 degrees": lambda generator, shape: generator.standard_t(3, size=shape) / np.sqrt(3),
+}
+"""Of mean 0 and standard deviation 1."""
+
+
+def false_verdicts(lists: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield, for each truth, distribution and number of seeds, the rate of lists with a false verdict."""
+    for truth, kinds in TRUTHS.items():
+        for name, draw in DISTRIBUTIONS.items():
+            for seeds in SEEDS:
+                count = lists if truth == "alike" else max(1, lists // OTHER_TRUTHS_LISTS)
+                wrong = _wrong_lists(count, draw, seeds, kinds, generator)
+                yield _row(truth, name, str(seeds), wrong, count)
+    for name, draw in DISTRIBUTIONS.items():
+        stages = "/".join(str(stage.seeds) for stage in make_stages())
+        yield _row("alike", name, stages, _wrong_staged(lists, draw, generator), lists)
+
+
+def _row(truth: str, distribution: str, seeds: str, wrong: int, lists: int) -> dict[str, Any]:
+    return {
+        "truth": truth,
+        "distribution": distribution,
+        "seeds": seeds,
+        "lists": lists,
+        "false_rate": wrong / lists,
+        "upper_bound": incidence_interval(wrong, lists, level=0.9).high,  # one-sided, 95 %
+    }
+
+
+def _wrong_lists(
+    lists: int, draw: Draw, seeds: int, kinds: tuple[str, ...], generator: np.random.Generator
+) -> int:
+    claims = _make_claims(lists, draw, seeds, kinds, generator)
+    contrasts = _contrasts(claims, seeds, generator)
+    return sum(
+        any(
+            verdict != INCONCLUSIVE and found(contrast) not in TRUE_FINDINGS[truth]
+            for verdict, contrast, truth in zip(
+                judge_list([(c, "greater") for c in judged]), judged, claims.truths, strict=True
+            )
+        )
+        for judged in contrasts
+    )
+
+
+def _wrong_staged(lists: int, draw: Draw, generator: np.random.Generator) -> int:
+    """Return how many lists of arms alike, judged in stages, have a difference found at any."""
+    stages = make_stages()
+    claims = _make_claims(lists, draw, stages[-1].seeds, ("alike",), generator)
+    undecided = np.ones((lists, sum(CLAIMS.values())), dtype=bool)
+    wrong = np.zeros(lists, dtype=bool)
+    for stage in stages:
+        for row, judged in enumerate(_contrasts(claims, stage.seeds, generator)):
+            decided = np.array(decide(stage, [contrast.p_any for contrast in judged])) & undecided[row]
+            wrong[row] |= any(found(judged[i]) != "equal" for i in np.flatnonzero(decided))
+            undecided[row] &= ~decided
+    return int(wrong.sum())
+
+
+class _Claims:
+    """Both arms of every claim of many lists, by kind (lists, claims, seeds), and what is true of each."""
+
+    def __init__(self, lists: int, kinds: tuple[str, ...]) -> None:
+        self.lists = lists
+        self.arms: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self.truths = [kinds[i % len(kinds)] for size in CLAIMS.values() for i in range(size)]
+
+
+def _make_claims(
+    lists: int, draw: Draw, seeds: int, kinds: tuple[str, ...], generator: np.random.Generator
+) -> _Claims:
+    claims = _Claims(lists, kinds)
+    for kind, size in CLAIMS.items():
+        truths = [kinds[i % len(kinds)] for i in range(size)]
+        none = 1.0 if kind == "spread" else 0.0
+        effect = np.array([{"alike": none, "edge": MARGINS[kind], "far": FAR[kind]}[t] for t in truths])
+        shape = (lists * size, seeds)
+        each = np.tile(effect, lists)[:, None]
+        if kind == "incidence":
+            arms = (generator.random(shape) < EVENT_SHARE + each, generator.random(shape) < EVENT_SHARE)
+        elif kind == "spread":
+            arms = (draw(generator, shape) * each, draw(generator, shape))
+        else:
+            arms = (draw(generator, shape) + each, draw(generator, shape))
+        claims.arms[kind] = arms
+    return claims
+
+
+def _contrasts(claims: _Claims, seeds: int, generator: np.random.Generator) -> list[list[Contrast]]:
+    """Return the contrasts of every list, of the first so many seeds."""
+    lists: list[list[Contrast]] = [[] for _ in range(claims.lists)]
+    for kind, (a, b) in claims.arms.items():
+        found_p = _p_values(kind, a[:, :seeds], b[:, :seeds], generator)
+        for i, p in enumerate(zip(*found_p, strict=True)):
+            one_sided = (float(p[0]), float(p[1]), float(p[2]))
+            contrast = Contrast(kind, float("nan"), no_interval(), *one_sided, (seeds, seeds))
+            lists[i // CLAIMS[kind]].append(contrast)
+    return lists
+
+
+def _p_values(
+    kind: str, a: np.ndarray, b: np.ndarray, generator: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    """Return one-sided p-values that a is greater, less, and alike, each (samples,)."""
+    seeds = a.shape[1]
+    if kind == "incidence":
+        return two_arms.incidence_p_values(a.sum(axis=1), seeds, b.sum(axis=1), seeds, MARGINS[kind])
+    test = two_arms.mean_p_values if kind == "mean" else two_arms.spread_p_values
+    few = relabel(seeds, seeds, generator, FEW_DRAWS)
+    p = np.empty((3, len(a)))
+    for rows in _split(np.arange(len(a)), FEW_ROWS):
+        p[:, rows] = test(a[rows], b[rows], MARGINS[kind], few)
+    if few.exact:
+        return tuple(p)
+    close = np.flatnonzero(np.minimum(2 * np.minimum(p[0], p[1]), p[2]) <= CLOSE)
+    for shared in _split(close, ROWS_PER_DRAW):
+        many = relabel(seeds, seeds, generator, MANY_DRAWS)
+        for rows in _split(shared, MANY_ROWS):
+            p[:, rows] = test(a[rows], b[rows], MARGINS[kind], many)
+    return tuple(p)
+
+
+def _split(rows: np.ndarray, size: int) -> list[np.ndarray]:
+    return [rows[start : start + size] for start in range(0, len(rows), size)]

@@ -1,0 +1,81 @@
+"""How often an interval or band covers the true mean, or spread, of what its runs were drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from pneuma.analysis import intervals
+from pneuma.analysis.estimates import mean
+from pneuma.bench.claim_lists import DISTRIBUTIONS, EVENT_SHARE, SEEDS
+
+Edges = tuple[np.ndarray, np.ndarray]
+
+BOOTSTRAPPED = 20
+"""Bands are drawn so many times as often as what is worked out one sample at a time."""
+
+
+def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], Edges]:
+    return lambda runs: (runs.mean(axis=1) - half(runs), runs.mean(axis=1) + half(runs))
+
+
+def _error(runs: np.ndarray) -> np.ndarray:
+    return runs.std(axis=1, ddof=1) / np.sqrt(runs.shape[1])
+
+
+BANDS: dict[str, Callable[[np.ndarray], Edges]] = {
+    "ci": _around(lambda runs: _error(runs) * special.stdtrit(runs.shape[1] - 1, 0.975)),
+    "se": _around(_error),
+    "std": _around(lambda runs: runs.std(axis=1, ddof=1)),
+    "variance": _around(lambda runs: runs.var(axis=1, ddof=1)),
+    "minmax": lambda runs: (runs.min(axis=1), runs.max(axis=1)),
+    "iqr": lambda runs: (np.quantile(runs, 0.25, axis=1), np.quantile(runs, 0.75, axis=1)),
+}
+"""The bands of a curve, from (samples, runs) to both edges, each (samples,)."""
+
+
+def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield, for each distribution, number of seeds, and interval or band, how often it covers.
+
+    Args:
+        samples: how many times a band is drawn; a twentieth as often where each takes a while.
+        generator: draws the runs.
+    """
+    fewer = max(1, samples // BOOTSTRAPPED)
+    for name, draw in DISTRIBUTIONS.items():
+        for seeds in SEEDS:
+            runs = draw(generator, (samples, seeds))
+            for band, edges in BANDS.items():
+                low, high = edges(runs)
+                yield _row(band, name, seeds, float(((low <= 0) & (high >= 0)).mean()))
+            for method, interval, truth in _one_by_one(generator):
+                made = [interval(own) for own in runs[:fewer]]
+                covered = [own.low <= truth <= own.high for own in made if own.exists]
+                yield _row(method, name, seeds, float(np.mean(covered)) if covered else float("nan"))
+    for seeds in SEEDS:
+        yield _row("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, _share_coverage(seeds))
+
+
+def _one_by_one(
+    generator: np.random.Generator,
+) -> list[tuple[str, Callable[[np.ndarray], intervals.Interval], float]]:
+    """Return intervals of one sample, and what is true of it."""
+    return [
+        ("BCa bootstrap", lambda runs: intervals.bootstrap_interval(runs, mean, generator), 0.0),
+        ("deviation", intervals.deviation_interval, 1.0),
+    ]
+
+
+def _share_coverage(runs: int) -> float:
+    """Return how often the interval of a share covers, summed over every count."""
+    count = np.arange(runs + 1)
+    chance = special.comb(runs, count) * EVENT_SHARE**count * (1 - EVENT_SHARE) ** (runs - count)
+    made = [intervals.incidence_interval(int(k), runs) for k in count]
+    return float(sum(p for p, own in zip(chance, made, strict=True) if own.low <= EVENT_SHARE <= own.high))
+
+
+def _row(method: str, distribution: str, seeds: int, coverage: float) -> dict[str, Any]:
+    return {"method": method, "distribution": distribution, "seeds": seeds, "coverage": coverage}
