@@ -10,6 +10,8 @@ EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex"}
 EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
 """What a training curve may average over episodes."""
 
+ACTION_QUANTITIES = tuple(f"action_{i}" for i in range(5))
+
 UPDATE_QUANTITIES = (
     "entropy",
     "grad_norm",
@@ -17,7 +19,7 @@ UPDATE_QUANTITIES = (
     "grad_norm_critic",
     "explained_variance",
     "dead_units",
-    *(f"action_{i}" for i in range(5)),
+    *ACTION_QUANTITIES,
 )
 """What it may average over updates: columns of the metrics table."""
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis.signs import Stretch, update_signs
 from pneuma.analysis.tables import FinishedRun, told_seconds
 from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, logged_curve, peak_curve, update_curve
 from pneuma.study.store import SCALARS_FILE, Status, Store
@@ -102,6 +103,13 @@ class ImportedLogs:
         """Return the extreme value that was logged since each point before, (points,)."""
         step, values = self._logged(run, quantity)
         return peak_curve(step, values, grid, EXTREMES[quantity])
+
+    def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
+        """Return where the entropy, the one sign that is logged, is gone."""
+        if "entropy" not in self.quantities(run):
+            return {}
+        step, values = self._logged(run, "entropy")
+        return update_signs(step, {"entropy": values}, 0)
 
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return the time from the first to the last entry of the run's logs."""

@@ -17,7 +17,9 @@ from functools import partial
 
 import numpy as np
 
+from pneuma.analysis.collapse import Diagnosis, diagnose
 from pneuma.analysis.run_view import RunView, Series, mean_height, view
+from pneuma.analysis.signs import SIGNS
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError, nearest_name, unknown_name
@@ -36,7 +38,7 @@ class Outcome:
         unit: of the number; empty for a plain one.
         better: 'higher', 'lower', or empty where neither is.
         bounds: least and greatest value that it can take, for a look at floor and ceiling.
-        source: what it is taken from: a table, a quantity, or 'times'.
+        source: what it is taken from: a table, a quantity, 'signs' of collapse, or 'times'.
         measure: gives the number.
     """
 
@@ -98,10 +100,19 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
         return ""
     if found.source == "times":
         return f"{data.source.what} does not tell how long the run took"
+    if found.source == "signs":
+        return _no_sign(data, run, name)
     if found.source not in (*data.tables, *data.quantities):
         return f"{data.source.what} holds no {found.source}"
     early = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
     return f"{early} has no value of its {found.source} to take {name} from"
+
+
+def _no_sign(data: StudyData, run: FinishedRun, name: str) -> str:
+    found = diagnose(data, run)
+    if len(found.unseen) == len(SIGNS):
+        return f"{data.source.what} holds no sign of collapse"
+    return "the run never collapsed" if not found.collapsed else f"no evaluation tells of {name}"
 
 
 # --- From evaluations ------------------------------------------------------------------------------
@@ -161,6 +172,30 @@ def _of_curve(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floa
 def _of_peaks(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floating]) -> float:
     _, values = seen.peaks(quantity)
     return float(take(values)) if len(values) else NAN
+
+
+# --- From signs of collapse ------------------------------------------------------------------------
+
+
+def _diagnosis(seen: RunView) -> Diagnosis | None:
+    """Return the run's diagnosis; None where its records tell of no sign at all."""
+    found = diagnose(seen.data, seen.run, seen.until)
+    return None if len(found.unseen) == len(SIGNS) else found
+
+
+def _collapsed(seen: RunView) -> float:
+    found = _diagnosis(seen)
+    return NAN if found is None else float(found.collapsed)
+
+
+def _collapse_step(seen: RunView) -> float:
+    found = _diagnosis(seen)
+    return NAN if found is None or found.onset_step is None else float(found.onset_step)
+
+
+def _relearned(seen: RunView) -> float:
+    found = _diagnosis(seen)
+    return NAN if found is None or found.relearned is None else float(found.relearned)
 
 
 # --- From the clock --------------------------------------------------------------------------------
@@ -246,6 +281,11 @@ OUTCOMES: dict[str, Outcome] = {
         )
         for i, name in enumerate(ACTION_NAMES)
     },
+    "collapsed": Outcome("the run collapsed (1) or not (0)", "", "lower", SHARE, "signs", _collapsed),
+    "collapse-step": Outcome("onset of its collapse", "steps", "", POSITIVE, "signs", _collapse_step),
+    "relearned": Outcome(
+        "a collapsed run played as before again (1) or not (0)", "", "higher", SHARE, "signs", _relearned
+    ),
     "fall-from-best": _from_share("best evaluation less the last, in monsters killed", _fall, "lower"),
     "curve-roughness": _from_share(
         "ups and downs of monsters killed beyond the net change, per evaluation", _roughness, "lower"

@@ -25,6 +25,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.analysis import EPISODE_QUANTITIES, PEAKED_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis.published_times import read_times
+from pneuma.analysis.signs import Stretch
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
@@ -37,6 +39,7 @@ KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "
 
 _EVALUATIONS = "evaluations"
 _PEAKS = "extreme"
+_SIGNS = "signs"
 _NO_SUM = "sha256:" + "0" * 64
 _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
@@ -74,6 +77,7 @@ def encode_study(data: StudyData) -> bytes:
             columns[f"{quantity} {_PEAKS}"] = column(
                 partial(data.peaks, quantity=quantity), pa.list_(pa.float32())
             )
+    columns[_SIGNS] = column(lambda run: json.dumps(data.source.signs(run)), pa.string())
     if _EVALUATIONS in data.tables:
         rows_of = partial(data.source.table, name=_EVALUATIONS)
         columns[_EVALUATIONS] = column(lambda run: rows_of(run).to_dict("records"), _row_type(data))
@@ -174,7 +178,7 @@ def read_published(store: Store, study: str) -> PublishedRuns:
         raise UserError(f"{path}: is no published table of a study") from None
     if head["schema"] != SCHEMA:
         raise UserError(f"{path}: of schema {head['schema']}, which this version of Pneuma cannot read")
-    return PublishedRuns(head, table)
+    return PublishedRuns(head, table, read_times(store, study))
 
 
 class PublishedRuns:
@@ -182,9 +186,10 @@ class PublishedRuns:
 
     what = "the published table"
 
-    def __init__(self, head: Mapping[str, Any], table: pa.Table) -> None:
+    def __init__(self, head: Mapping[str, Any], table: pa.Table, times: Mapping[str, float]) -> None:
         self._head = head
         self._table = table
+        self._times = times
         self._place = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
         self.tables: tuple[str, ...] = tuple(head["tables"])
         self.windows: tuple[str, ...] = tuple(head["windows"])
@@ -234,9 +239,14 @@ class PublishedRuns:
         """Return the extreme update since each point before, (points,)."""
         return np.array(self._cell(run.run_id, f"{quantity} {_PEAKS}"), float)
 
+    def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
+        """Return where signs of collapse hold."""
+        found = json.loads(self._cell(run.run_id, _SIGNS))
+        return {sign: [(first, last) for first, last in parts] for sign, parts in found.items()}
+
     def wall_seconds(self, run: FinishedRun) -> float | None:
-        """Return nothing: the same runs publish the same bytes, however long they took."""
-        return None
+        """Return how long a run trained, where the file of times beside the table tells."""
+        return self._times.get(run.run_id)
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run, without when it did."""

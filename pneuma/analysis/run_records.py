@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis import ACTION_QUANTITIES, EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis.signs import Stretch, update_signs
 from pneuma.analysis.tables import FinishedRun, told_seconds
 from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, episode_curve, peak_curve, update_curve
 from pneuma.study.store import Status, Store
@@ -75,6 +76,12 @@ class RunRecords:
         """Return the extreme update since each point before, (points,)."""
         updates = self.table(run, "metrics")
         return peak_curve(_column(updates, "step"), _column(updates, quantity), grid, EXTREMES[quantity])
+
+    def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
+        """Return where every sign that updates tell of holds."""
+        updates = self.table(run, "metrics")
+        columns = {name: _column(updates, name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
+        return update_signs(_column(updates, "step"), columns, len(ACTION_QUANTITIES))
 
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return what the run's provenance tells."""

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
 from pneuma.study.store import Status
@@ -84,6 +85,10 @@ class Source(Protocol):
 
     def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme of `PEAKED_QUANTITIES` since the point before, (points,), NaN for none."""
+        ...
+
+    def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
+        """Return where each sign of collapse holds that it can tell of (`pneuma.analysis.signs`)."""
         ...
 
     def wall_seconds(self, run: FinishedRun) -> float | None:
@@ -174,6 +179,14 @@ class StudyData:
     def quantities(self) -> list[str]:
         """What curves some run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
         return list(dict.fromkeys(name for run in self.runs for name in self.source.quantities(run)))
+
+    @cached_property
+    def _settings(self) -> dict[tuple[str, str], Mapping[str, Any]]:
+        return {(run["condition"], run["run_id"]): run["run"] for run in self.record["runs"]}
+
+    def settings(self, run: FinishedRun) -> Mapping[str, Any]:
+        """Return a run's settings, as its record has them, which may be a stranger's."""
+        return self._settings[run.condition, run.run_id]
 
     def of_condition(self, condition: str) -> list[FinishedRun]:
         """Return the finished runs of a condition, in the selection's order."""

@@ -157,6 +157,7 @@ def publish(
     store = Store(results)
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.published import PublishedRuns, encode_study, published_path, published_studies
+    from pneuma.analysis.published_times import encode_times, times_path
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record)
@@ -166,6 +167,7 @@ def publish(
     encoded = encode_study(data)
     path = published_path(store, data.study)
     store.write(path, encoded)
+    store.write(times_path(store, data.study), encode_times(data))
     size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
     if size > MOST_PUBLISHED_BYTES:
         say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)

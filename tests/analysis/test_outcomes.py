@@ -11,6 +11,7 @@ import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, outcome_values, reason
 from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.published_times import encode_times, times_path
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
@@ -237,6 +238,19 @@ def test_an_outcome_lies_within_its_bounds(data: StudyData, name: str) -> None:
     for run in data.runs:
         value = outcome(data, run, name)
         assert np.isnan(value) or low <= value <= high
+
+
+def test_a_clone_knows_the_times_from_the_file_beside_the_table(data: StudyData, tmp_path: Path) -> None:
+    again = republished(data, tmp_path)
+    assert np.isnan(outcome(again, again.runs[0], "wall-seconds"))
+    assert reason(again, again.runs[0], "wall-seconds").endswith("does not tell how long the run took")
+    clone = Store(tmp_path / "clone")
+    times_path(clone, "mine").write_bytes(encode_times(data))
+    timed = open_study(clone, read_published(clone, "mine").record)
+    for name in ("wall-seconds", "steps-per-second"):
+        assert outcome_values(timed, "a", name).tolist() == outcome_values(data, "a", name).tolist()
+    times_path(clone, "mine").write_bytes(b'{"runs": [1]}')
+    assert np.isnan(outcome(again, again.runs[0], "wall-seconds"))
 
 
 def test_budgets_that_whole_horizons_put_apart_are_the_same(tmp_path: Path) -> None:

@@ -1,0 +1,197 @@
+"""Collapse, diagnosed: whether, when and by which signs a run did what thesis section 6.1 describes.
+
+    stretches of signs and evaluations of a run → Diagnosis → incidence per condition
+
+A run collapses where, for a twentieth of its budget or more, its policy has no entropy and one action
+alone; or where two evaluations or more in a row kill at most half of its best, a tenth of the monsters
+less than that best, and the best had been a tenth above the random player. It has recovered where
+that ends, and relearned where it then kills four fifths of its best before. Returns are not looked at:
+XP that never resets lets them sink in a straight line without any collapse.
+
+Logs that hold neither actions nor evaluations are judged by their entropy alone; what could not be
+seen is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from pneuma.analysis.intervals import incidence_interval
+from pneuma.analysis.run_view import RunView, view
+from pneuma.analysis.signs import (
+    FALL,
+    NO_ENTROPY,
+    ONE_ACTION,
+    SIGNS,
+    Stretch,
+    both,
+    joined,
+    share_held,
+    stretches,
+)
+from pneuma.analysis.tables import FinishedRun, StudyData
+
+SHORTEST = 0.05
+"""Share of the budget that a policy of one action must last to be one."""
+GAP = 0.01
+"""Share of the budget over which a sign may be interrupted."""
+FALLEN_TO = 0.5
+"""Share of its best that a fallen run kills at most."""
+DEPTH = 0.1
+"""Least fall, and least gain over the random player before it, in share of monsters killed: 1.4 of 14,
+twice the standard error of the difference of two evaluations of 50 episodes, or more."""
+RELEARNED = 0.8
+"""Share of its best before that a run kills once it has relearned."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What became of one run; of its first collapse where there are several.
+
+    Attributes:
+        collapsed: whether it ever did.
+        onset_step: agent steps after the first update, or evaluation, of the collapse.
+        onset_update: the number of that update; None where the run's settings do not tell.
+        sound_step: the last update, or evaluation, before it: from where a fork can begin.
+        signs: those of `SIGNS` that held over most of it.
+        unseen: those that the run's records cannot tell of.
+        recovered_step: where the collapse ended; None where it lasts.
+        relearned: whether it plays as before afterwards; None without a collapse or evaluations.
+    """
+
+    collapsed: bool
+    onset_step: int | None = None
+    onset_update: int | None = None
+    sound_step: int | None = None
+    signs: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    recovered_step: int | None = None
+    relearned: bool | None = None
+
+
+def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
+    """Diagnose a run, as it stood at a step where one is given."""
+    seen = view(data, run, at_step)
+    steps, shares = seen.evaluations("share_killed")
+    found = _clipped(data.source.signs(run), seen)
+    unseen = tuple(sign for sign in SIGNS if sign not in (*found, *([FALL] if len(steps) else [])))
+    falls = _falls(seen, steps, shares)
+    distance = _update_steps(data, run)
+    gap = GAP * run.budget + (distance or 0)
+    spells = joined(_one_action(found, seen, gap) + falls, gap)
+    if not spells:
+        return Diagnosis(False, unseen=unseen)
+    onset, last = spells[0]
+    signs = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > 0.5]
+    fell = [fall for fall in falls if onset <= fall[0] <= last]
+    end = min(run.end, seen.last_step)
+    recovered = None if last >= end - gap or last >= max(steps, default=np.inf) else int(last)
+    return Diagnosis(
+        True,
+        int(onset),
+        round(onset / distance) if distance else None,
+        _sound_step(onset, fell, steps, distance),
+        tuple(sign for sign in SIGNS if sign in signs or (sign == FALL and fell)),
+        unseen,
+        recovered,
+        _relearned(seen, steps, shares, onset, recovered),
+    )
+
+
+def diagnoses(data: StudyData) -> pd.DataFrame:
+    """Return every finished run's diagnosis, a row each, in the selection's order."""
+    rows = []
+    for run in data.runs:
+        found = diagnose(data, run)
+        named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
+        rows.append({**named, **vars(found), "signs": ", ".join(found.signs)})
+    frame = pd.DataFrame(rows).drop(columns="unseen")
+    whole = ["onset_step", "onset_update", "sound_step", "recovered_step"]
+    return frame.astype({**dict.fromkeys(whole, "Int64"), "relearned": "boolean"})
+
+
+def incidence(data: StudyData) -> pd.DataFrame:
+    """Return how many runs of each condition collapsed: counts, share and its 95 % interval."""
+    found = diagnoses(data)
+    rows = []
+    for condition in data.conditions:
+        own = found[found["condition"] == condition]
+        count, runs = int(own["collapsed"].sum()), len(own)
+        interval = incidence_interval(count, runs)
+        rows.append(
+            {
+                "condition": condition,
+                "runs": runs,
+                "diverged": int((own["status"] == "diverged").sum()),
+                "collapsed": count,
+                "share": count / runs if runs else float("nan"),
+                "low": interval.low,
+                "high": interval.high,
+                "interval": interval.method,
+                "recovered": int(own["recovered_step"].notna().sum()),
+                "relearned": int(own["relearned"].fillna(False).sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+# --- Spells ----------------------------------------------------------------------------------------
+
+
+def _clipped(found: dict[str, list[Stretch]], seen: RunView) -> dict[str, list[Stretch]]:
+    """Return stretches up to the step that the run is looked at."""
+    last = seen.last_step
+    return {sign: [(a, min(b, last)) for a, b in parts if a <= last] for sign, parts in found.items()}
+
+
+def _one_action(found: dict[str, list[Stretch]], seen: RunView, gap: float) -> list[Stretch]:
+    """Return where the policy is down to one action for long enough; by entropy alone if need be."""
+    parts = found.get(NO_ENTROPY, [])
+    if ONE_ACTION in found:
+        parts = both(parts, found[ONE_ACTION])
+    shortest = SHORTEST * seen.run.budget
+    return [(first, last) for first, last in joined(parts, gap) if last - first >= shortest]
+
+
+def _falls(seen: RunView, steps: np.ndarray, shares: np.ndarray) -> list[Stretch]:
+    """Return where two evaluations or more in a row lie far below the best before."""
+    _, random = seen.evaluations("random_share_killed")
+    if not len(shares) or not len(random):
+        return []
+    best = np.maximum.accumulate(shares)
+    learned = best - random[0] >= DEPTH
+    fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= DEPTH)
+    return [(first, last) for first, last in stretches(steps, fallen) if last > first]
+
+
+def _sound_step(onset: float, fell: list[Stretch], steps: np.ndarray, distance: int | None) -> int:
+    """Return the last update before the onset, or the last evaluation where a fall is the onset."""
+    if fell and fell[0][0] == onset:
+        return int(max(steps[steps < onset], default=0))
+    return int(max(onset - (distance or 1), 0))
+
+
+def _relearned(
+    seen: RunView, steps: np.ndarray, shares: np.ndarray, onset: float, recovered: int | None
+) -> bool | None:
+    """Tell whether evaluations after the recovery come near the best before the onset."""
+    _, random = seen.evaluations("random_share_killed")
+    if not len(shares) or not len(random):
+        return None
+    if recovered is None:
+        return False
+    best = max(shares[steps < onset], default=0.0)
+    after = max(shares[steps > recovered], default=0.0)
+    return bool(after >= max(RELEARNED * best, random[0] + DEPTH))
+
+
+def _update_steps(data: StudyData, run: FinishedRun) -> int | None:
+    """Return the agent steps of one update, None where the settings do not tell."""
+    settings = data.settings(run)
+    horizon, slots, players = settings.get("horizon"), settings.get("slots"), settings.get("players", 1)
+    if not (isinstance(horizon, int) and isinstance(slots, int) and isinstance(players, int)):
+        return None
+    return horizon * slots * players or None

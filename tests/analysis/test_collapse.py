@@ -1,0 +1,203 @@
+"""The detector of collapse, on records whose onset is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.analysis import signs
+from pneuma.analysis.collapse import Diagnosis, diagnose, diagnoses, incidence
+from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.study.imported import import_tensorboard
+from pneuma.study.store import Store
+
+from .collapse_records import BUDGET, healthy, learning, one_action, save_run, study_record
+
+
+def diagnosed(
+    folder: Path, updates: np.ndarray, shares: np.ndarray, at_step: float | None = None, **more: object
+) -> Diagnosis:
+    store = Store(folder / "results")
+    save_run(store, "a0" * 8, updates, shares, **more)  # type: ignore[arg-type]
+    data = open_study(store, study_record({("a", 0): "a0" * 8}))
+    return diagnose(data, data.runs[0], at_step)
+
+
+def after(shares: np.ndarray, first: int, value: float, last: int = 20) -> np.ndarray:
+    """Return evaluations with a value from one of them to another, both counted."""
+    shares = shares.copy()
+    shares[first - 1 : last] = value
+    return shares
+
+
+# --- Onset ----------------------------------------------------------------------------------------
+
+
+def test_a_policy_of_one_action_to_the_end_collapsed_at_its_first_update(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, one_action(61), after(learning(), 13, 0.05))
+    assert found == Diagnosis(
+        collapsed=True,
+        onset_step=6100,
+        onset_update=61,
+        sound_step=6000,
+        signs=("no entropy", "one action", "dead units", "fall"),
+        recovered_step=None,
+        relearned=False,
+    )
+
+
+def test_a_fall_for_good_is_a_collapse_without_any_loss_of_entropy(tmp_path: Path) -> None:
+    """Section 6.1: the agents "completely collapsed and reverted to doing nonsensical moves"."""
+    found = diagnosed(tmp_path, healthy(), after(learning(), 15, 0.1))
+    assert (found.collapsed, found.signs) == (True, ("fall",))
+    assert (found.onset_step, found.sound_step) == (7500, 7000)
+
+
+def test_two_signs_of_one_collapse_are_one_with_the_earlier_onset(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, one_action(85), after(learning(), 13, 0.05))
+    assert (found.onset_step, found.sound_step, found.recovered_step) == (6500, 6000, None)
+    assert found.signs == ("fall",)  # the others hold over less than half of it
+
+
+def test_an_interruption_shorter_than_a_hundredth_of_the_budget_is_none(tmp_path: Path) -> None:
+    updates = one_action(61)
+    updates[79] = healthy()[79]
+    assert diagnosed(tmp_path, updates, learning()).recovered_step is None
+    updates[80] = healthy()[80]
+    assert diagnosed(tmp_path, updates, learning()).recovered_step == 7900
+
+
+# --- What is none ---------------------------------------------------------------------------------
+
+
+def test_a_run_that_learns_has_not_collapsed(tmp_path: Path) -> None:
+    assert diagnosed(tmp_path, healthy(), learning()) == Diagnosis(False)
+
+
+def test_a_return_that_drifts_down_as_deaths_cost_xp_is_no_collapse(tmp_path: Path) -> None:
+    """Facts 4.3: XP that is never reset sinks in a straight line, whatever the policy does."""
+    drift = -20.0 * np.arange(100)
+    assert not diagnosed(tmp_path, healthy(), np.full(20, 0.4), returns=drift).collapsed
+
+
+def test_a_certain_policy_of_several_actions_is_no_collapse(tmp_path: Path) -> None:
+    updates = healthy()
+    updates[50:, 0] = 0.0
+    assert not diagnosed(tmp_path, updates, learning()).collapsed
+
+
+def test_dead_units_alone_are_no_collapse(tmp_path: Path) -> None:
+    updates = healthy()
+    updates[:, 2] = 0.9
+    assert not diagnosed(tmp_path, updates, learning()).collapsed
+
+
+def test_one_bad_evaluation_is_no_collapse(tmp_path: Path) -> None:
+    assert not diagnosed(tmp_path, healthy(), after(learning(), 15, 0.1, 15)).collapsed
+
+
+def test_a_run_that_never_learned_cannot_fall(tmp_path: Path) -> None:
+    shares = np.where(np.arange(20) < 10, 0.1, 0.0)
+    assert not diagnosed(tmp_path, healthy(), shares).collapsed
+
+
+@pytest.mark.parametrize(("last", "collapsed"), [(65, False), (66, True)])
+def test_a_spell_shorter_than_a_twentieth_of_the_budget_is_none(
+    tmp_path: Path, last: int, collapsed: bool
+) -> None:
+    """From update 61 at step 6,100 on, 500 steps are over at update 66."""
+    assert diagnosed(tmp_path, one_action(61, last), learning()).collapsed is collapsed
+
+
+# --- Recovery -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("best_after", "relearned"), [(0.27, False), (0.3, True)])
+def test_a_collapse_that_ends_has_recovered_and_relearned_by_its_evaluations(
+    tmp_path: Path, best_after: float, relearned: bool
+) -> None:
+    """The best before update 51 is 0.36 at the tenth evaluation; four fifths of it are 0.288."""
+    shares = np.linspace(0.0, 0.72, 21)[1:]
+    shares = after(after(shares, 11, 0.05, 14), 15, best_after)
+    found = diagnosed(tmp_path, one_action(51, 70), shares)
+    assert (found.onset_update, found.recovered_step) == (51, 7000)
+    assert found.relearned is relearned
+
+
+def test_a_diverged_run_is_diagnosed_up_to_its_end(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, one_action(61), learning(), end=8000)
+    assert (found.collapsed, found.onset_update, found.recovered_step) == (True, 61, None)
+
+
+def test_a_run_is_diagnosed_as_it_stood_at_a_step(tmp_path: Path) -> None:
+    assert not diagnosed(tmp_path, one_action(61), learning(), at_step=6000).collapsed
+    assert diagnosed(tmp_path, one_action(61), learning(), at_step=8000).onset_update == 61
+
+
+# --- Studies --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> StudyData:
+    """Of `relu` two runs of three collapse, the second recovers; of `tanh` none of two does."""
+    store = Store(tmp_path / "results")
+    cells = {("relu", 0): "a0" * 8, ("relu", 1): "a1" * 8, ("relu", 2): "a2" * 8}
+    cells |= {("tanh", 0): "b0" * 8, ("tanh", 1): "b1" * 8}
+    for run_id in cells.values():
+        save_run(store, run_id, healthy(), learning())
+    save_run(store, "a0" * 8, one_action(61), after(learning(), 13, 0.05))
+    save_run(store, "a1" * 8, one_action(31, 50), after(learning(), 7, 0.05, 10))
+    return open_study(store, study_record(cells))
+
+
+def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
+    """Clopper and Pearson's bounds of 2 of 3 and of 0 of 2, from their binomial equations."""
+    relu, tanh = incidence(data).to_dict("records")
+    assert [relu[key] for key in ("runs", "collapsed", "recovered", "relearned")] == [3, 2, 1, 1]
+    assert 3 * relu["low"] ** 2 * (1 - relu["low"]) + relu["low"] ** 3 == pytest.approx(0.025)
+    assert 1 - relu["high"] ** 3 == pytest.approx(0.025)
+    assert (tanh["collapsed"], tanh["share"], tanh["low"]) == (0, 0, 0)
+    assert (1 - tanh["high"]) ** 2 == pytest.approx(0.025)
+
+
+def test_outcomes_tell_of_collapse_and_the_published_table_tells_the_same(
+    data: StudyData, tmp_path: Path
+) -> None:
+    clone = Store(tmp_path / "clone")
+    path = published_path(clone, data.study)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_study(data))
+    again = open_study(clone, read_published(clone, data.study).record)
+    for found in (data, again):
+        assert outcome_values(found, "relu", "collapsed").tolist() == [1, 1, 0]
+        steps = outcome_values(found, "relu", "collapse-step")
+        np.testing.assert_array_equal(steps, [6100, 3100, np.nan])
+        np.testing.assert_array_equal(outcome_values(found, "relu", "relearned"), [0, 1, np.nan])
+    assert diagnoses(again).equals(diagnoses(data))
+
+
+def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write_events: object) -> None:
+    store = Store(tmp_path / "results")
+    entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
+    points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
+    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)  # type: ignore[operator]
+    import_tensorboard(tmp_path / "logs", store)
+    data = open_study(store, store.selection("logs") or {})
+    found = diagnose(data, data.runs[0])
+    assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
+    assert found.unseen == ("one action", "dead units", "fall")
+    assert found.relearned is None
+    assert data.budget == BUDGET
+
+
+def test_stretches_by_hand() -> None:
+    step = np.array([10, 20, 30, 40, 50])
+    assert signs.stretches(step, np.array([True, True, False, True, False])) == [(10, 20), (40, 40)]
+    assert signs.both([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
+    assert signs.joined([(40, 50), (10, 20), (25, 30)], gap=5) == [(10, 30), (40, 50)]
+    assert signs.share_held([(10, 20)], (10, 40), distance=10) == 0.5
