@@ -1,0 +1,270 @@
+"""What the report shows of a results folder: every study with its runs, or plain words on what is missing.
+
+The folder may be a stranger's: no study's file that only a record names is loaded.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pneuma.cli.study_records import known_studies, run_states, study_record
+from pneuma.config import BASES, as_settings, make_run
+from pneuma.errors import UserError
+from pneuma.study import execute, plan, spec
+from pneuma.study.store import FINISHED, Store
+from pneuma.study.stored_runs import default_settings
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
+    from pneuma.figures.report_studies import Conditions, Origin, Part, StudySection
+
+SETTING_TITLES = {"text": "In the text's environment", "godot": "In the published code's environment"}
+
+ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
+"""What is told of a run's provenance: without times, in which equal runs differ."""
+
+LONGEST_VALUE = 300
+"""Characters of a stranger's value that are shown."""
+
+
+def studies_to_report(store: Store, names: Sequence[str]) -> list[str]:
+    """Return the studies of the report: those named, or all shipped and all that were run here.
+
+    Those of the thesis come first, in its order.
+
+    Raises:
+        UserError: for a name that is no study's.
+    """
+    known = {*known_studies(store), *spec.list_studies()}
+    for name in names:
+        if _own_name(name) not in known:
+            study_record(store, name, None)
+    wanted = dict.fromkeys(_own_name(name) for name in names or sorted(known))
+    return sorted(wanted, key=_place)
+
+
+def study_section(store: Store, study: str) -> StudySection:
+    """Return a study as the report shows it, in each of its settings."""
+    from pneuma.figures.report_studies import StudySection
+
+    shipped = spec.load_study(study) if study in spec.list_studies() else None
+    parts = tuple(_part(store, study, setting) for setting in _settings(store, study, shipped))
+    if shipped:
+        return StudySection(study, shipped.title, shipped.section, shipped.about, parts)
+    return StudySection(study, _recorded_title(store, study), "", "", parts)
+
+
+# --- Which studies ---------------------------------------------------------------------------------
+
+
+def _own_name(name: str) -> str:
+    """Return a study's own name, without its file's ending and its setting's."""
+    return name.removesuffix(".toml").rpartition("/")[2].removesuffix("-godot")
+
+
+def _record_name(study: str, setting: str) -> str:
+    return study if setting == "text" else f"{study}-{setting}"
+
+
+def _settings(store: Store, study: str, shipped: spec.Study | None) -> list[str]:
+    """Return the settings that a study has a part for: those it was run in, and those it is meant for."""
+    known = known_studies(store)
+    meant = ("text",) if shipped else ()
+    return [name for name in SETTING_TITLES if name in meant or _record_name(study, name) in known]
+
+
+def _place(study: str) -> tuple[bool, list[int], str]:
+    """Return what sorts studies: by section of the thesis, those without one last."""
+    section = spec.load_study(study).section if study in spec.list_studies() else ""
+    numbers = [int(part) for part in section.split(".") if part.isdigit()]
+    return (not numbers, numbers, study)
+
+
+def _recorded_title(store: Store, study: str) -> str:
+    for setting in SETTING_TITLES:
+        record = store.selection(_record_name(study, setting))
+        if record:
+            return str(record["title"])
+    return study
+
+
+# --- One study in one setting ----------------------------------------------------------------------
+
+
+def _part(store: Store, study: str, setting: str) -> Part:
+    from pneuma.figures.report_studies import Part
+
+    name, title = _record_name(study, setting), SETTING_TITLES[setting]
+    mend = _command(study, setting)
+    if name not in known_studies(store):
+        record = execute.selection_record(plan.make_plan(spec.load_study(study), plan.Selection()))
+        conditions = _conditions(study, record)
+        return Part(name, title, ("No runs yet.",), mend, conditions=conditions)
+    try:
+        record = study_record(store, name, None)
+        states = run_states(store, record)
+    except UserError as error:
+        return Part(name, title, (_anywhere(store, error),), mend)
+    return _recorded_part(store, study, Part(name, title, mend=mend), record, states)
+
+
+def _recorded_part(
+    store: Store, study: str, part: Part, record: Mapping[str, Any], states: list[tuple[dict[str, Any], str]]
+) -> Part:
+    """Fill a part with what its record and its runs tell."""
+    from dataclasses import replace
+
+    from pneuma.figures.report_studies import RunRow
+
+    rows = tuple(RunRow(*_cell(run), state, _engine(run["run"])) for run, state in states)
+    whole = all(state in FINISHED for _, state in states)
+    part = replace(
+        part,
+        notes=tuple(_notes(record, [state for _, state in states])),
+        mend="" if whole else part.mend,
+        extent=_extent(record),
+        conditions=_conditions(study, record),
+        runs=rows,
+    )
+    if not any(state in FINISHED for _, state in states):
+        return part
+    return _with_data(store, part, record)
+
+
+def _cell(run: Mapping[str, Any]) -> tuple[str, int, str]:
+    return run["condition"], run["seed"], run["run_id"]
+
+
+def _engine(settings: Mapping[str, Any]) -> str:
+    return str(settings.get("engine") or "unknown")
+
+
+def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
+    """Add what only finished runs have: figures, numbers, and what produced them."""
+    from dataclasses import replace
+
+    from pneuma.analysis.sources import open_study
+    from pneuma.figures.report_pictures import study_pictures
+
+    try:
+        data = open_study(store, record)
+        return replace(
+            part, pictures=study_pictures(data), summary=_summary(data), origins=tuple(_origins(data))
+        )
+    except UserError as error:
+        return replace(part, notes=(*part.notes, _anywhere(store, error)))
+
+
+def _summary(data: StudyData) -> Any:
+    return None
+
+
+def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
+    """Return what a person should know before looking at a study's numbers."""
+    notes = [f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in record["same"]]
+    missing = sum(state not in FINISHED for state in states)
+    if missing == len(states):
+        return [*notes, "No run has finished yet."]
+    if missing:
+        notes.append(f"{missing} of {len(states)} runs are not finished, or damaged, and left out below.")
+    diverged = states.count("diverged")
+    if diverged:
+        notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
+    return notes
+
+
+def _extent(record: Mapping[str, Any]) -> str:
+    """Say how much a record is, as '3 conditions × 10 seeds × 50,176 steps'."""
+    runs = record["runs"]
+    steps = sorted({run["run"]["steps"] for run in runs})
+    amounts = f"{steps[0]:,}" if len(steps) == 1 else f"{steps[0]:,} to {steps[-1]:,}"
+    conditions, seeds = len({run["condition"] for run in runs}), len({run["seed"] for run in runs})
+    return f"{_count(conditions, 'condition')}, {_count(seeds, 'seed')}, {amounts} agent steps a run"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def _command(study: str, setting: str) -> str:
+    """Return the command that makes a study's runs."""
+    name = study if study in spec.list_studies() else f"{study}.toml"
+    return f"pneuma study run {name}" + ("" if setting == "text" else f" --setting {setting}")
+
+
+def _anywhere(store: Store, error: UserError) -> str:
+    """Return an error's words without this machine's folder: the page is for others to read."""
+    return str(error).replace(str(store.root), "results")
+
+
+# --- Settings and provenance -----------------------------------------------------------------------
+
+
+def _conditions(study: str, record: Mapping[str, Any]) -> Conditions:
+    """Sort a record's settings by whether its conditions differ in them, and from the base."""
+    from pneuma.figures.report_studies import Conditions
+
+    resolved: dict[str, Mapping[str, Any]] = {}
+    for run in record["runs"]:
+        resolved.setdefault(run["condition"], run["run"])
+    some = next(iter(resolved.values()))
+    base, usual = _base(study, some)
+    keys = [key for key in dict.fromkeys([*some, *usual]) if key not in ("seed", "steps")]
+    told = {key: tuple(_value(own, key) for own in (usual, *resolved.values())) for key in keys}
+    alike = {key: values for key, values in told.items() if len(set(values[1:])) == 1}
+    return Conditions(
+        base,
+        tuple(resolved),
+        differing={key: values for key, values in told.items() if key not in alike},
+        shared={key: (values[1], values[0]) for key, values in alike.items() if values[0] != values[1]},
+        rest={key: values[1] for key, values in alike.items() if values[0] == values[1]},
+    )
+
+
+def _base(study: str, some: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """Return what a study's conditions are set against: its base, or the defaults where none is known."""
+    if study in spec.list_studies():
+        base = spec.load_study(study).base
+        return base, as_settings(make_run(BASES[base]))
+    return "the defaults", default_settings(some)
+
+
+def _value(settings: Mapping[str, Any], key: str) -> str:
+    """Write a setting for people; one that a record lacks is unknown."""
+    if key not in settings:
+        return "unknown"
+    value = settings[key]
+    if value is None:
+        return "none"
+    shown = value if isinstance(value, str) and value else json.dumps(value, ensure_ascii=False)
+    return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
+
+
+def _origins(data: StudyData) -> list[Origin]:
+    """Return what produced a study's runs, with how many runs each set-up produced."""
+    from pneuma.figures.report_studies import Origin
+
+    counted: dict[tuple[tuple[str, str], ...], int] = {}
+    for run in data.runs:
+        try:
+            found = data.source.provenance(run)
+        except (UserError, ValueError):
+            found = None
+        facts = tuple(_facts(found).items())
+        counted[facts] = counted.get(facts, 0) + 1
+    return [Origin(dict(facts), runs) for facts, runs in counted.items()]
+
+
+def _facts(provenance: Any) -> dict[str, str]:
+    if not isinstance(provenance, dict):
+        return {"provenance": "missing or damaged"}
+    facts = {key: _fact(provenance[key]) for key in ORIGIN_FACTS if provenance.get(key) is not None}
+    return facts or {"provenance": "tells nothing"}
+
+
+def _fact(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {told}" for name, told in value.items())[:LONGEST_VALUE]
+    return _value({"": value}, "")

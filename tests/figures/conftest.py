@@ -1,0 +1,220 @@
+"""What the tests of the report share: a report made by hand, a reader of pages, and a real browser."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from pneuma.figures.report import Report
+from pneuma.figures.report_html import Picture
+from pneuma.figures.report_studies import Conditions, Origin, Part, RunRow, StudySection
+from pneuma.figures.report_verdicts import Claim, Verdict
+
+VOID = {"meta", "img", "br", "link", "hr", "input"}
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+QUIET = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"),
+)
+TINY_PICTURE = b'<svg xmlns="http://www.w3.org/2000/svg" width="700" height="300"><path d="M0 0h9"/></svg>'
+
+
+@dataclass
+class Element:
+    """An element of a page, with the text of all that is in it."""
+
+    tag: str
+    attributes: dict[str, str]
+    text: str = ""
+    within: tuple[str, ...] = ()
+
+
+@dataclass
+class Page(HTMLParser):
+    """A page as its elements, in their order; refuses tags that do not nest."""
+
+    source: str
+    elements: list[Element] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self._open: list[Element] = []
+        self.feed(self.source)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        within = tuple(each.tag for each in self._open)
+        element = Element(tag, {key: value or "" for key, value in attrs}, within=within)
+        assert len(element.attributes) == len(attrs)  # none twice
+        self.elements.append(element)
+        if tag not in VOID:
+            self._open.append(element)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open[-1].tag == tag
+        self._open.pop()
+
+    def handle_data(self, data: str) -> None:
+        for element in self._open:
+            element.text += data
+
+    def all(self, tag: str, of_class: str = "") -> list[Element]:
+        """Return the elements of a kind, of a class if one is given."""
+        return [
+            each
+            for each in self.elements
+            if each.tag == tag and (not of_class or of_class in each.attributes.get("class", "").split())
+        ]
+
+    @property
+    def anchors(self) -> list[str]:
+        """Every id of the page."""
+        return [each.attributes["id"] for each in self.elements if "id" in each.attributes]
+
+
+@pytest.fixture
+def read_page() -> Callable[[bytes], Page]:
+    """A function that takes a page apart."""
+    return lambda page: Page(page.decode())
+
+
+def _run_id(number: int) -> str:
+    return f"{number:016x}"
+
+
+def _part(record: str, setting: str, first: int) -> Part:
+    names = ("tanh", "relu")
+    runs = [RunRow(name, seed, _run_id(first + 2 * seed + k), "done", "batched")
+            for seed in range(3) for k, name in enumerate(names)]  # fmt: skip
+    number = {"statistic": "mean", "value": 0.25, "low": 0.125, "high": 0.5, "interval": "95 % t", "runs": 3}
+    outcomes = [{"condition": name, "outcome": f"outcome {k}"} for name in names for k in range(6)]
+    summary = pd.DataFrame([{**outcome, **number} for outcome in outcomes])
+    return Part(
+        record,
+        setting,
+        extent="2 conditions, 3 seeds, 50,176 agent steps a run",
+        pictures=(Picture(TINY_PICTURE, "svg", "Two lines, one above the other.", "Drawn."),),
+        summary=summary,
+        conditions=Conditions(
+            "table-6-2",
+            names,
+            {"activation": ("tanh", "tanh", "relu")},
+            {"gradient_limit": ("0.5", "none")},
+            {f"setting_{k}": str(k) for k in range(40)},
+        ),
+        runs=tuple(runs),
+        origins=(Origin({"packages": "torch 2.13.0, numpy 2.4.6", "cpu": "A processor"}, 6),),
+    )
+
+
+@pytest.fixture(scope="session")
+def example() -> Report:
+    """A report with every kind of thing in it: two claims, a study in two settings, one without runs."""
+    quote = "tanh both improves performance, and decreases variance"
+    verdicts = {
+        "text": Verdict(
+            "supported", "p = 0.004 after correction.", 0.12, (0.05, 0.19), "share killed", "10 and 10"
+        ),
+        "godot": Verdict("refuted", "Equivalent within the margin.", -0.001, (-0.02, 0.02), "", "10 and 10"),
+        "logs": Verdict("untestable", "One run an arm."),
+    }
+    spread = {"text": Verdict("inconclusive", "Its interval holds 1.", 1.3, (0.7, 2.4), "SD ratio", "", 33)}
+    return Report(
+        claims=(
+            Claim("6.2-tanh-better", quote, "6.2", "activation", verdicts),
+            Claim("6.2-tanh-steadier", quote, "6.2", "activation", spread),
+            Claim("6-small-best", "the small network performs best", "6", "sizes"),
+        ),
+        studies=(
+            StudySection(
+                "activation",
+                "Activation function",
+                "6.2",
+                "What differs, and why.",
+                (
+                    _part("activation", "In the text's environment", 16),
+                    _part("activation-godot", "In the published code's environment", 64),
+                ),
+            ),
+            StudySection(
+                "optimizer",
+                "Optimizer",
+                "6.1",
+                "",
+                (Part("optimizer", "In the text's environment", ("No runs yet.",), "pneuma study run x"),),
+            ),
+        ),
+        claims_source="claims.toml, sha256 0123456789abcdef",
+        version="0.1.0",
+    )
+
+
+# --- The browser -----------------------------------------------------------------------------------
+
+
+class Browser:
+    """A headless Chromium, started afresh for every question."""
+
+    def __init__(self, path: str, folder: Path) -> None:
+        self._path, self._folder, self._count = path, folder, 0
+
+    def _ask(self, page: Path, *options: str, dark: bool = False) -> str:
+        self._count += 1
+        profile = self._folder / f"profile-{self._count}"
+        command = [self._path, *QUIET, f"--user-data-dir={profile}"]
+        command += [f"--blink-settings=preferredColorScheme={0 if dark else 1}", *options, page.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        shutil.rmtree(profile, ignore_errors=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def screenshot(self, page: Path, to: Path, size: tuple[int, int], dark: bool = False) -> bytes:
+        """Return what the page looks like, as a PNG."""
+        self._ask(page, f"--screenshot={to}", f"--window-size={size[0]},{size[1]}", dark=dark)
+        return to.read_bytes()
+
+    def evaluate(
+        self, page: Path, script: str, widths: Sequence[int] = (1280,), dark: bool = False
+    ) -> list[str]:
+        """Return what a script finds in a page that is shown so wide: in frames, which no window limits.
+
+        The script is put before the page's policy, which would forbid it.
+        """
+        told = f"addEventListener('load', () => parent.postMessage([innerWidth, String({script})], '*'))"
+        source = page.read_text(encoding="utf-8").replace("<head>", f"<head><script>{told}</script>", 1)
+        (self._folder / "asked.html").write_text(source, encoding="utf-8")
+        frame = self._folder / "frame.html"
+        frame.write_text(
+            "<!DOCTYPE html><pre></pre><script>const found = {}; addEventListener('message', event => { "
+            "found[event.data[0]] = event.data[1]; "
+            "document.querySelector('pre').textContent = JSON.stringify(found); })</script>"
+            + "".join(
+                f'<iframe src="asked.html" width="{width}" height="800" style="border: 0"></iframe>'
+                for width in widths
+            )
+        )
+        budget = ("--virtual-time-budget=10000", "--window-size=1800,1000", "--dump-dom")
+        dumped = re.search("<pre>(.*?)</pre>", self._ask(frame, *budget, dark=dark), re.DOTALL)
+        assert dumped
+        found = json.loads(html.unescape(dumped[1]))
+        return [found[str(width)] for width in widths]
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A real browser, or a skip that says how to get one."""
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if path is None:
+        pytest.skip("no Chromium here: install it (Debian: apt-get install chromium) to test the page in it")
+    yield Browser(path, tmp_path_factory.mktemp("browser"))
