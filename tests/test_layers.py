@@ -36,6 +36,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
+    "pneuma.doctor": ("pneuma.study",),
     "pneuma.cli": ("pneuma",),
 }
 

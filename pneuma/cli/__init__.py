@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, env, import_, report, runs, study
+from pneuma.cli import bench, doctor, env, import_, report, runs, study
 from pneuma.cli.plain_text import plain
 from pneuma.errors import UserError
 
@@ -31,6 +31,7 @@ app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
 app.add_typer(import_.app, name="import")
 app.command("report")(report.report)
+app.command("doctor")(doctor.doctor)
 
 
 def _print_version(wanted: bool) -> None:

@@ -145,8 +145,11 @@ def _part(part: Part, places: RunPlaces) -> Html:
     inner = [element("h3", text(part.setting), "", anchor_name("record", part.record))]
     if part.extent:
         inner.append(paragraph(text(part.extent), "note"))
-    mend = [join([text("To train what is missing: "), code(part.mend)])] if part.mend else []
-    inner += [paragraph(note, "missing") for note in [*map(text, part.notes), *mend]]
+    notes = [text(note) for note in part.notes]
+    if part.mend:
+        notes.append(join([text("To train what is missing: "), code(part.mend)]))
+    if notes:
+        inner.append(paragraph(join(notes, " "), "missing"))
     if part.pictures:
         inner += [element("h4", text("Figure")), *(figure(picture) for picture in part.pictures)]
     if part.summary is not None and len(part.summary):

@@ -218,7 +218,7 @@ def test_numbers_have_three_digits_that_count(value: float, shown: str) -> None:
 
 def test_a_study_without_runs_says_how_to_get_them(page: Any) -> None:
     told = [each.text for each in page.all("p", "missing")]
-    assert told == ["No runs yet.", "To train what is missing: pneuma study run x"]
+    assert told == ["No runs yet. To train what is missing: pneuma study run x"]
 
 
 def test_conditions_are_set_against_their_base(page: Any) -> None:
