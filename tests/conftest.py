@@ -1,8 +1,10 @@
-"""What tests of several folders share: TensorBoard logs written by hand."""
+"""What tests of several folders share: TensorBoard logs written by hand, and a reader of web pages."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -30,3 +32,67 @@ def write_events() -> WriteEvents:
         return path
 
     return write
+
+
+VOID = {"meta", "img", "br", "link", "hr", "input"}
+"""Elements that have no end."""
+
+
+@dataclass
+class Element:
+    """An element of a page, with the text of all that is in it."""
+
+    tag: str
+    attributes: dict[str, str]
+    text: str = ""
+    within: tuple[str, ...] = ()
+
+
+@dataclass
+class Page(HTMLParser):
+    """A page as its elements, in their order; refuses tags that do not nest."""
+
+    source: str
+    elements: list[Element] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self._open: list[Element] = []
+        self.feed(self.source)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        within = tuple(each.tag for each in self._open)
+        element = Element(tag, {key: value or "" for key, value in attrs}, within=within)
+        assert len(element.attributes) == len(attrs)  # none twice
+        self.elements.append(element)
+        if tag not in VOID:
+            self._open.append(element)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open[-1].tag == tag
+        self._open.pop()
+
+    def handle_data(self, data: str) -> None:
+        for element in self._open:
+            element.text += data
+
+    def all(self, tag: str, of_class: str = "") -> list[Element]:
+        """Return the elements of a kind, of a class if one is given."""
+        return [
+            each
+            for each in self.elements
+            if each.tag == tag and (not of_class or of_class in each.attributes.get("class", "").split())
+        ]
+
+    @property
+    def anchors(self) -> list[str]:
+        """Every id of the page."""
+        return [each.attributes["id"] for each in self.elements if "id" in each.attributes]
+
+
+@pytest.fixture
+def read_page() -> Callable[[bytes], Page]:
+    """A function that takes a page apart."""
+    return lambda page: Page(page.decode())

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
+from pneuma.study.definition import in_setting
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
     from pneuma.figures.report_studies import Conditions, Origin, Part, StudySection
 
-SETTING_TITLES = {"text": "In the text's environment", "godot": "In the published code's environment"}
+SETTING_TITLES = {spec.TEXT: "In the text's environment", spec.GODOT: "In the published code's environment"}
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """What is told of a run's provenance: without times, in which equal runs differ."""
@@ -61,18 +63,14 @@ def study_section(store: Store, study: str) -> StudySection:
 
 def _own_name(name: str) -> str:
     """Return a study's own name, without its file's ending and its setting's."""
-    return name.removesuffix(".toml").rpartition("/")[2].removesuffix("-godot")
-
-
-def _record_name(study: str, setting: str) -> str:
-    return study if setting == "text" else f"{study}-{setting}"
+    return spec.split_setting(Path(name).stem if name.endswith(".toml") else name)[0]
 
 
 def _settings(store: Store, study: str, shipped: spec.Study | None) -> list[str]:
-    """Return the settings that a study has a part for: those it was run in, and those it is meant for."""
+    """Return the settings that a study has a part for: those it is meant for, and those it was run in."""
     known = known_studies(store)
-    meant = ("text",) if shipped else ()
-    return [name for name in SETTING_TITLES if name in meant or _record_name(study, name) in known]
+    meant = shipped.settings_known if shipped else ()
+    return [name for name in SETTING_TITLES if name in meant or in_setting(study, name) in known]
 
 
 def _place(study: str) -> tuple[bool, list[int], str]:
@@ -84,7 +82,7 @@ def _place(study: str) -> tuple[bool, list[int], str]:
 
 def _recorded_title(store: Store, study: str) -> str:
     for setting in SETTING_TITLES:
-        record = store.selection(_record_name(study, setting))
+        record = store.selection(in_setting(study, setting))
         if record:
             return str(record["title"])
     return study
@@ -96,10 +94,10 @@ def _recorded_title(store: Store, study: str) -> str:
 def _part(store: Store, study: str, setting: str) -> Part:
     from pneuma.figures.report_studies import Part
 
-    name, title = _record_name(study, setting), SETTING_TITLES[setting]
+    name, title = in_setting(study, setting), SETTING_TITLES[setting]
     mend = _command(study, setting)
     if name not in known_studies(store):
-        record = execute.selection_record(plan.make_plan(spec.load_study(study), plan.Selection()))
+        record = execute.selection_record(plan.make_plan(spec.load_study(study, setting), plan.Selection()))
         conditions = _conditions(study, record)
         return Part(name, title, ("No runs yet.",), mend, conditions=conditions)
     try:
@@ -155,6 +153,8 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
         )
     except UserError as error:
         return replace(part, notes=(*part.notes, _anywhere(store, error)))
+    except UnicodeError:
+        return replace(part, notes=(*part.notes, "A name in it is no text, so nothing is drawn of it."))
 
 
 def _summary(data: StudyData) -> Any:
@@ -191,7 +191,7 @@ def _count(number: int, what: str) -> str:
 def _command(study: str, setting: str) -> str:
     """Return the command that makes a study's runs."""
     name = study if study in spec.list_studies() else f"{study}.toml"
-    return f"pneuma study run {name}" + ("" if setting == "text" else f" --setting {setting}")
+    return f"pneuma study run {name}" + ("" if setting == spec.TEXT else f" --setting {setting}")
 
 
 def _anywhere(store: Store, error: UserError) -> str:

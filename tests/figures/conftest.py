@@ -1,4 +1,4 @@
-"""What the tests of the report share: a report made by hand, a reader of pages, and a real browser."""
+"""What the tests of the report share: a report made by hand, and a real browser."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from html.parser import HTMLParser
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -20,73 +18,12 @@ from pneuma.figures.report_html import Picture
 from pneuma.figures.report_studies import Conditions, Origin, Part, RunRow, StudySection
 from pneuma.figures.report_verdicts import Claim, Verdict
 
-VOID = {"meta", "img", "br", "link", "hr", "input"}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 QUIET = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"),
 )
 TINY_PICTURE = b'<svg xmlns="http://www.w3.org/2000/svg" width="700" height="300"><path d="M0 0h9"/></svg>'
-
-
-@dataclass
-class Element:
-    """An element of a page, with the text of all that is in it."""
-
-    tag: str
-    attributes: dict[str, str]
-    text: str = ""
-    within: tuple[str, ...] = ()
-
-
-@dataclass
-class Page(HTMLParser):
-    """A page as its elements, in their order; refuses tags that do not nest."""
-
-    source: str
-    elements: list[Element] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self._open: list[Element] = []
-        self.feed(self.source)
-        self.close()
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        within = tuple(each.tag for each in self._open)
-        element = Element(tag, {key: value or "" for key, value in attrs}, within=within)
-        assert len(element.attributes) == len(attrs)  # none twice
-        self.elements.append(element)
-        if tag not in VOID:
-            self._open.append(element)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open[-1].tag == tag
-        self._open.pop()
-
-    def handle_data(self, data: str) -> None:
-        for element in self._open:
-            element.text += data
-
-    def all(self, tag: str, of_class: str = "") -> list[Element]:
-        """Return the elements of a kind, of a class if one is given."""
-        return [
-            each
-            for each in self.elements
-            if each.tag == tag and (not of_class or of_class in each.attributes.get("class", "").split())
-        ]
-
-    @property
-    def anchors(self) -> list[str]:
-        """Every id of the page."""
-        return [each.attributes["id"] for each in self.elements if "id" in each.attributes]
-
-
-@pytest.fixture
-def read_page() -> Callable[[bytes], Page]:
-    """A function that takes a page apart."""
-    return lambda page: Page(page.decode())
 
 
 def _run_id(number: int) -> str:

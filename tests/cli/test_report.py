@@ -1,0 +1,248 @@
+"""`pneuma report`: what it shows of a results folder, and what it refuses before any work."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.cli import main, report_contents
+from pneuma.config import as_settings, make_run
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.study import spec
+from pneuma.study.store import Status, Store
+from pneuma.study.tables import to_parquet
+
+Captured = pytest.CaptureFixture[str]
+Read = Callable[[bytes], Any]
+BUDGET = 1024
+
+
+def _run_id(study: str, condition: str, seed: int) -> str:
+    return hashlib.sha256(f"{study} {condition} {seed}".encode(errors="replace")).hexdigest()[:16]
+
+
+def _record(store: Store, study: str, conditions: dict[str, dict[str, Any]], **other: Any) -> dict[str, Any]:
+    """Store a study of two seeds, and its record."""
+    runs = []
+    for name, own in conditions.items():
+        for seed in (0, 1):
+            settings = {**as_settings(make_run({"steps": BUDGET, **own})), **other.get("settings", {})}
+            run_id = _run_id(study, name, seed)
+            runs.append({"condition": name, "seed": seed, "run_id": run_id, "run": settings})
+            _store_run(store, run_id, other.get("status", "done"))
+    record = {
+        "study": study, "path": None, "title": other.get("title", study), "figure": f"fig-{study}",
+        "baseline": next(iter(conditions)), "same": [], "selection": {}, "runs": runs,
+    }  # fmt: skip
+    store.save_selection(study, record)
+    return record
+
+
+def _store_run(store: Store, run_id: str, status: str) -> None:
+    episode = {"slot": 0, "episode": 0, "step": 50, "return": 1.0, "length": 50, "kills": 1, "hp": 0.0}
+    evaluation = {
+        **dict.fromkeys(EVALUATION_COLUMNS, 0.5),
+        "step": BUDGET,
+        "episodes": 50,
+        "argmax_starts": 6,
+    }
+    provenance = {
+        "started": run_id,
+        "python": "3.11.7",
+        "packages": {"torch": "2.13.0"},
+        "cpu": "<b>fast</b>",
+    }
+    files = {
+        "episodes.parquet": to_parquet([{**episode, "ending": "killed"}], EPISODE_COLUMNS),
+        "metrics.parquet": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}], METRIC_COLUMNS),
+        "evaluations.parquet": to_parquet([evaluation], EVALUATION_COLUMNS),
+        "provenance.json": json.dumps(provenance).encode(),
+    }
+    store.save_run(run_id, Status(status, BUDGET), files)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "kept")
+
+
+@pytest.fixture
+def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
+    """A function that makes the report of some studies and takes it apart."""
+
+    def make(*names: str) -> Any:
+        out = tmp_path / "report.html"
+        assert main(["report", *names, "--out", str(out), "--results", str(store.root), "--quiet"]) == 0
+        return read_page(out.read_bytes())
+
+    return make
+
+
+TWO = {"tanh": {"activation": "tanh"}, "relu": {"activation": "relu"}}
+
+
+def _words(page: Any) -> str:
+    return str(page.all("body")[0].text)
+
+
+# --- What it shows ---------------------------------------------------------------------------------
+
+
+def test_without_any_run_every_shipped_study_says_how_to_get_them(make: Callable[..., Any]) -> None:
+    page = make()
+    words = _words(page)
+    for name in spec.list_studies():
+        assert f"No runs yet. To train what is missing: pneuma study run {name}" in words
+        assert f"pneuma study run {name} --setting godot" in words
+    assert page.all("img") == []
+
+
+def test_a_study_with_runs_has_figure_conditions_runs_and_provenance(
+    store: Store, make: Callable[..., Any]
+) -> None:
+    record = _record(store, "activation", TWO)
+    page = make("activation")
+    words = _words(page)
+    (image,) = page.all("img")
+    kind, _, data = image.attributes["src"].partition(";base64,")
+    assert kind == "data:image/svg+xml" and b"</svg>" in base64.b64decode(data)
+    assert "tanh (2 runs), relu (2 runs)" in image.attributes["alt"]
+    assert all(f"run-{run['run_id']}" in page.anchors for run in record["runs"])
+    assert "2 conditions, 2 seeds, 1,024 agent steps a run" in words
+    assert "4 runs: 4 done" in words
+    assert "What produced the runs: all by the same" in words  # though each started at a time of its own
+    assert "torch 2.13.0" in words and "<b>fast</b>" in words
+    assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
+
+
+def test_runs_that_are_missing_or_diverged_are_counted(store: Store, make: Callable[..., Any]) -> None:
+    record = _record(store, "activation", TWO)
+    store.save_run(record["runs"][0]["run_id"], Status("planned"), {})
+    (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
+    _store_run(store, record["runs"][1]["run_id"], "diverged")
+    words = _words(make("activation"))
+    assert "1 of 4 runs are not finished, or damaged, and left out below." in words
+    assert "1 of 4 runs diverged; they count in every number below." in words
+
+
+def test_settings_are_set_against_the_studys_base(store: Store, make: Callable[..., Any]) -> None:
+    _record(store, "activation", TWO, settings={"gamma": 0.5})
+    page = make("activation")
+    said = [each.text for each in page.all("li")]
+    assert "gamma = 0.5 (not 0.99)" in said
+    assert "activation" in [each.text for each in page.all("th") if each.attributes.get("scope") == "col"]
+
+
+def test_both_settings_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
+    _record(store, "activation", TWO)
+    _record(store, "activation-godot", TWO)
+    page = make("activation")
+    assert len(page.all("img")) == 2
+    headings = [each.text for each in page.all("h3")]
+    assert headings == ["In the text's environment", "In the published code's environment"]
+
+
+def test_the_same_results_give_the_same_bytes_and_tell_no_folder(
+    store: Store, make: Callable[..., Any], tmp_path: Path
+) -> None:
+    _record(store, "activation", TWO)
+    pages = [make("activation") and (tmp_path / "report.html").read_bytes() for _ in range(2)]
+    assert pages[0] == pages[1]
+    assert str(tmp_path).encode() not in pages[0]
+
+
+def test_studies_of_the_thesis_come_in_its_order_and_others_after_them(
+    store: Store, make: Callable[..., Any]
+) -> None:
+    _record(store, "a-study-of-my-own", TWO, title="Mine")
+    headings = [each.text for each in make().all("h2")][1:]
+    titles = {spec.load_study(name).section: spec.load_study(name).title for name in spec.list_studies()}
+    assert headings[-1] == "Mine"
+    assert headings.index(titles["6.1"]) < headings.index(titles["6.2"])
+
+
+# --- Strangers' folders ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["<script>alert(1)</script>", "\"' onload=alert(1)", "שמאלה", "a\u202eb\u200b", "x" * 400, "a\ud800b"],
+)
+def test_a_strangers_names_do_nothing(name: str, store: Store, make: Callable[..., Any]) -> None:
+    _record(store, "own", {name: {}, "relu": {"activation": "relu"}}, title=name, settings={"extra": name})
+    page = make("own")
+    assert not {each.tag for each in page.elements} & {"script", "object", "iframe", "svg", "link", "base"}
+    assert not [each for each in page.elements if any(key.startswith("on") for key in each.attributes)]
+    shown = page.all("h2")[1].text
+    assert shown == "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in name)
+
+
+def test_a_damaged_record_is_said_and_the_rest_is_shown(store: Store, make: Callable[..., Any]) -> None:
+    _record(store, "activation", TWO)
+    path = store.root / "studies" / "activation.json"
+    path.write_text(path.read_text().replace("tanh", "tank"))
+    words = _words(make())
+    assert "activation.json: damaged" in words
+    assert str(store.root) not in words
+
+
+def test_a_damaged_provenance_is_said(store: Store, make: Callable[..., Any]) -> None:
+    record = _record(store, "activation", TWO)
+    for run in record["runs"]:
+        folder = store.run_folder(run["run_id"])
+        files = {path.name: path.read_bytes() for path in folder.glob("*.parquet")}
+        store.save_run(run["run_id"], Status("done", BUDGET), {**files, "provenance.json": b"[1, 2]"})
+    assert "missing or damaged" in _words(make("activation"))
+
+
+# --- The command -----------------------------------------------------------------------------------
+
+
+def test_json_says_what_was_written(store: Store, tmp_path: Path, capsys: Captured) -> None:
+    _record(store, "own", TWO)
+    out = tmp_path / "page.html"
+    assert main(["report", "own", "--out", str(out), "--results", str(store.root), "--json"]) == 0
+    output = capsys.readouterr()
+    document = json.loads(output.out)
+    assert {key: document[key] for key in ("schema", "file", "studies")} == {
+        "schema": 1, "file": str(out), "studies": 1,
+    }  # fmt: skip
+    assert document["bytes"] == out.stat().st_size
+    assert isinstance(document["claims"], int)
+    assert "own" in output.err
+
+
+@pytest.mark.parametrize(
+    ("out", "told"),
+    [
+        ("folder.html", "is a folder"),
+        ("nowhere/report.html", "there is no folder"),
+        ("report.pdf", "must end in .html"),
+        ("file/report.html", "there is no folder"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_any_work(
+    out: str, told: str, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "folder.html").mkdir()
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(report_contents, "known_studies", lambda *_: pytest.fail("work was done"))
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["report", "--out", str(tmp_path / out), "--results", str(tmp_path / "none")]) == 2
+    assert told in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_unknown_study_is_refused_with_the_nearest_name(
+    store: Store, tmp_path: Path, capsys: Captured
+) -> None:
+    out = tmp_path / "report.html"
+    assert main(["report", "activatoin", "--out", str(out), "--results", str(store.root)]) == 2
+    assert "did you mean activation?" in capsys.readouterr().err
+    assert not out.exists()
