@@ -189,9 +189,7 @@ def _pins() -> Finding:
     if not other:
         return Finding("pins", GOOD, "every package as in constraints.txt")
     few = ", ".join(other[:5]) + (f" and {len(other) - 5} more" if len(other) > 5 else "")
-    mend = (
-        "others may change last bits; pip install -c constraints.txt . brings what the tests ran with"
-    )
+    mend = "others may change last bits; pip install -c constraints.txt . brings what the tests ran with"
     return Finding("pins", NOTE, few, mend)
 
 
@@ -274,9 +272,7 @@ def _results(folder: Path) -> list[Finding]:
     while not there.exists():
         there = there.parent
     free = shutil.disk_usage(there).free
-    state, mend = (
-        (GOOD, "") if free >= LITTLE_BYTES else (NOTE, "free some space: `study plan` foretells it")
-    )
+    state, mend = (GOOD, "") if free >= LITTLE_BYTES else (NOTE, "free some space: `study plan` foretells it")
     known = "" if folder.is_dir() else "not made yet, "
     return [Finding("results", state, f"{folder}: {known}{free / 1e9:.1f} GB free", mend), *_runs(folder)]
 
