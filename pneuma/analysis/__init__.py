@@ -3,9 +3,9 @@
 BAND_NAMES = ("std", "se", "minmax")
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
-EXPORT_TABLES = (*RECORD_TABLES, "curves")
-EXPORT_FORMATS = ("csv", "parquet", "latex")
-EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex"}
+EXPORT_TABLES = (*RECORD_TABLES, "curves", "summary")
+EXPORT_FORMATS = ("csv", "parquet", "latex", "markdown")
+EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}
 
 EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
 """What a training curve may average over episodes."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES
 from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
+from pneuma.analysis.rounding import decimals, shown
+from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import write_whole
@@ -27,7 +29,8 @@ def export_table(data: StudyData, table: str, form: str, path: Path) -> int:
 
 def encode_table(data: StudyData, table: str, form: str) -> tuple[bytes, int]:
     """Return what `export_table` writes, and the number of rows."""
-    frame = _curves(data) if table == "curves" else data.table(table)
+    made = {"curves": _curves, "summary": summary_table}
+    frame = made[table](data) if table in made else data.table(table)
     return _encode(frame, form), len(frame)
 
 
@@ -49,25 +52,50 @@ def _encode(frame: pd.DataFrame, form: str) -> bytes:
         return frame.to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
-    return _to_latex(frame).encode()
+    return (_to_latex if form == "latex" else _to_markdown)(frame).encode()
 
 
 def _to_latex(frame: pd.DataFrame) -> str:
     """Return a plain LaTeX tabular; written here because pandas' own wants Jinja2."""
     columns = "".join("r" if pd.api.types.is_numeric_dtype(kind) else "l" for kind in frame.dtypes)
     lines = [r"\begin{tabular}{" + columns + "}", r"\hline", _latex_row(frame.columns), r"\hline"]
-    lines += [_latex_row(row) for row in frame.itertuples(index=False)]
+    lines += [_latex_row(row) for row in _read_rows(frame)]
     return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
 
 
-def _latex_row(cells: Any) -> str:
+def _to_markdown(frame: pd.DataFrame) -> str:
+    """Return a pipe table; written here because pandas' own wants tabulate."""
+    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
+    rule = ["---:" if right else "---" for right in numeric]
+    rows = [[cell.translate(_MARKDOWN) for cell in row] for row in _read_rows(frame)]
+    lines = ["| " + " | ".join(cells) + " |" for cells in ([*map(str, frame.columns)], rule, *rows)]
+    return "\n".join([*lines, ""])
+
+
+def _read_rows(frame: pd.DataFrame) -> Iterator[list[str]]:
+    """Yield the cells of every row as people read them.
+
+    A number beside an interval is rounded with it; others keep six digits.
+    """
+    for row in frame.to_dict("records"):
+        if {"value", "low", "high"} <= row.keys():
+            places = decimals(row["value"], row["low"], row["high"])
+            row |= {key: shown(row[key], places) for key in ("value", "low", "high")}
+        yield [_cell(cell) for cell in row.values()]
+
+
+def _cell(cell: object) -> str:
+    if isinstance(cell, float):
+        return "–" if math.isnan(cell) else f"{cell:.6g}"
+    return str(cell)
+
+
+def _latex_row(cells: Iterable[object]) -> str:
     return " & ".join(_latex_cell(cell) for cell in cells) + r" \\"
 
 
 def _latex_cell(cell: object) -> str:
-    if isinstance(cell, float):
-        return "--" if math.isnan(cell) else f"{cell:.6g}"
-    return str(cell).translate(_LATEX)
+    return str(cell).translate(_LATEX).replace("–", "--")
 
 
 _LATEX = str.maketrans(
@@ -78,3 +106,5 @@ _LATEX = str.maketrans(
         "~": r"\textasciitilde{}",
     }
 )
+
+_MARKDOWN = str.maketrans({"|": r"\|", "\\": r"\\", "<": "&lt;", "*": r"\*", "_": r"\_", "`": r"\`"})

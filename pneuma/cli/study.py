@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import study_output, study_run
+from pneuma.cli import study_output, study_run, study_summary
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -38,6 +38,8 @@ app.command()(study_run.run)
 app.command()(study_output.plot)
 app.command()(study_output.export)
 app.command()(study_output.publish)
+app.command()(study_summary.summary)
+app.command()(study_summary.collapse)
 
 
 @app.command("list")

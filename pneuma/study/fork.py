@@ -50,15 +50,9 @@ def plan_fork(
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
     """
-    whole = _parent_run(store, parent, trust)
-    step = _checkpoint_step(store, parent, at, whole.steps)
-    changes = {**_changes(whole, settings), **({"fork_reset": _reset(reset)} if reset else {})}
-    if not changes:
-        raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
-    base = {**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""}
-    control, changed = make_run(base), _forked(base, changes)
-    if settings and replace(changed, fork_reset="") == control:
-        raise UserError(f"--set {', '.join(settings)}: changes nothing, because nothing in this run reads it")
+    whole, control = control_run(store, parent, at, trust)
+    step, changed = control.fork_step, changed_run(whole, control, settings, reset)
+    changes = {**settings, **({"fork_reset": reset} if reset else {})}
     name = ", ".join(
         [f"{key}={_shown(value)}" for key, value in settings.items()] + ([f"reset {reset}"] if reset else [])
     )
@@ -69,8 +63,34 @@ def plan_fork(
         for own in [replace(run, seed=seed)]
     )
     study = _study(parent, step, run_id(changed)[:4], name, changes)
-    notes = (f"forked at step {step:,} of {whole.steps:,}", *_elsewhere(store, parent))
+    notes = (f"forked at step {step:,} of {whole.steps:,}", *elsewhere(store, parent))
     return Plan(study, Selection(seeds=tuple(seeds)), cells, (), notes)
+
+
+def control_run(store: Store, parent: str, at: int, trust: bool = False) -> tuple[Run, Run]:
+    """Return a parent, and its fork from the checkpoint nearest before `at` with nothing changed.
+
+    Raises:
+        UserError: for a parent without such a checkpoint, or one that must not or cannot be forked.
+    """
+    whole = _parent_run(store, parent, trust)
+    step = _checkpoint_step(store, parent, at, whole.steps)
+    return whole, make_run({**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
+
+
+def changed_run(whole: Run, control: Run, settings: Mapping[str, Any], reset: str) -> Run:
+    """Return a fork with settings changed, and what is begun anew, beside its control.
+
+    Raises:
+        UserError: for a change that is none or cannot be made.
+    """
+    changes = {**_changes(whole, settings), **({"fork_reset": _reset(reset)} if reset else {})}
+    if not changes:
+        raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
+    changed = _forked(as_settings(control), changes)
+    if settings and replace(changed, fork_reset="") == control:
+        raise UserError(f"--set {', '.join(settings)}: changes nothing, because nothing in this run reads it")
+    return changed
 
 
 def _study(parent: str, step: int, digits: str, name: str, changes: Mapping[str, Any]) -> Study:
@@ -108,7 +128,7 @@ def _parent_run(store: Store, parent: str, trust: bool) -> Run:
     return run
 
 
-def _elsewhere(store: Store, parent: str) -> list[str]:
+def elsewhere(store: Store, parent: str) -> list[str]:
     """Say in what this machine differs from the one that trained the parent."""
     earlier = stored_run(store, parent).provenance
     changed = differences(earlier) if earlier else []

@@ -1,0 +1,161 @@
+"""Summaries: what the runs of each condition come to, with intervals.
+
+    outcomes of every run → a tidy table: condition, outcome, statistic, value, low, high, interval, runs
+
+Runs that have no value of an outcome are left out of its statistics; `runs` counts those that are in.
+Conditions of different budgets are compared at the largest step count that all reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pandas as pd
+
+from pneuma.analysis.estimates import (
+    deviation,
+    interquartile_mean,
+    mean,
+    median,
+    probability_of_improvement,
+)
+from pneuma.analysis.intervals import (
+    LEVEL,
+    RESAMPLES,
+    Interval,
+    bootstrap_interval,
+    deviation_interval,
+    incidence_interval,
+    mean_interval,
+    no_interval,
+)
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
+from pneuma.analysis.run_view import common_step
+from pneuma.analysis.tables import StudyData
+from pneuma.config import stream_seed
+
+SUMMARISED = (
+    PRIMARY,
+    "auc-share-killed",
+    "argmax-share-killed",
+    "normalised-score",
+    "final-return",
+    "auc-return",
+)
+THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
+
+COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
+STATISTICS = (
+    "mean", "median", "iqm", "deviation", "improvement", "reached", "share", "count",
+)  # fmt: skip
+"""IQM is the mean of the middle half; deviation that between seeds; improvement the probability that a run
+is better than one of the baseline; reached and share are of runs."""
+
+Row = tuple[str, str, str, float, Interval, int]
+
+
+def summary_table(data: StudyData) -> pd.DataFrame:
+    """Summarise every condition of a study in `COLUMNS`, one row for each statistic of an outcome.
+
+    Steps to a threshold that a run never reaches are endless: their median may be inf, and `reached`
+    is the share of runs that get there.
+    """
+    at_step = common_step(data)
+    rows = [row for condition in data.conditions for row in _rows(data, condition, at_step)]
+    flat = [(c, o, s, value, i.low, i.high, i.method, runs) for c, o, s, value, i, runs in rows]
+    return pd.DataFrame(flat, columns=list(COLUMNS))
+
+
+def _rows(data: StudyData, condition: str, at_step: int | None) -> Iterator[Row]:
+    runs = data.of_condition(condition)
+    yield condition, "runs", "count", float(len(runs)), no_interval(), len(runs)
+    diverged = sum(run.status == "diverged" for run in runs)
+    yield _share(condition, "diverged", diverged, len(runs))
+    collapsed = _known(outcome_values(data, condition, "collapsed", at_step))
+    if len(collapsed):
+        yield _share(condition, "collapsed", int(collapsed.sum()), len(collapsed))
+    for name in SUMMARISED:
+        values = _known(outcome_values(data, condition, name, at_step))
+        if len(values):
+            yield from _statistics(condition, name, values)
+            yield from _improvement(data, condition, name, values, at_step)
+    for name in THRESHOLDS:
+        yield from _threshold(data, condition, name, at_step)
+
+
+def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
+    generator = _generator(condition, name)
+    yield condition, name, "mean", float(mean(values)), mean_interval(values), len(values)
+    for statistic, estimate in _RESAMPLED.items():
+        interval = bootstrap_interval(values, estimate, generator)
+        yield condition, name, statistic, float(estimate(values)), interval, len(values)
+    yield condition, name, "deviation", float(deviation(values)), deviation_interval(values), len(values)
+
+
+_RESAMPLED: dict[str, Callable[..., np.ndarray]] = {"median": median, "iqm": interquartile_mean}
+
+
+def _improvement(
+    data: StudyData, condition: str, name: str, values: np.ndarray, at_step: int | None
+) -> Iterator[Row]:
+    """Give the probability that a run is better than one of the baseline's, which has none itself."""
+    baseline = data.record.get("baseline")
+    if condition == baseline or baseline not in data.conditions:
+        return
+    others = _known(outcome_values(data, baseline, name, at_step))
+    if not len(others):
+        return
+    turned = -1 if find_outcome(name).better == "lower" else 1
+    a, b = turned * values, turned * others
+    interval = _improvement_interval(a, b, _generator(condition, name, "improvement"))
+    yield condition, name, "improvement", probability_of_improvement(a, b), interval, len(values)
+
+
+def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> Interval:
+    """Return percentiles of the probability over resampled runs of both arms, as rliable does.
+
+    None for fewer than three runs, or where the resamples do not differ: it would claim too much.
+    """
+    if min(len(a), len(b)) < 3:
+        return no_interval()
+    first = a[generator.integers(0, len(a), (RESAMPLES, len(a)))]  # (resamples, runs)
+    second = b[generator.integers(0, len(b), (RESAMPLES, len(b)))]
+    difference = first[:, :, None] - second[:, None, :]
+    drawn = ((difference > 0) + 0.5 * (difference == 0)).mean(axis=(1, 2))
+    if np.ptp(drawn) == 0:
+        return no_interval()
+    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Interval(float(low), float(high), LEVEL, "bootstrap percentiles")
+
+
+def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:
+    steps = outcome_values(data, condition, name, at_step)
+    steps = steps[~np.isnan(steps)]
+    if not len(steps):
+        return
+    reached = int(np.isfinite(steps).sum())
+    interval = incidence_interval(reached, len(steps))
+    yield condition, name, "reached", reached / len(steps), interval, len(steps)
+    yield condition, name, "median", _endless_median(steps), no_interval(), len(steps)
+
+
+def _endless_median(steps: np.ndarray) -> float:
+    """Return the median of steps of which some may be endless; between an end and none it is endless."""
+    ordered = np.sort(steps)
+    low, high = ordered[(len(steps) - 1) // 2], ordered[len(steps) // 2]
+    return float(high if np.isinf(high) else (low + high) / 2)
+
+
+def _share(condition: str, name: str, count: int, runs: int) -> Row:
+    value = count / runs if runs else float("nan")
+    return condition, name, "share", value, incidence_interval(count, runs), runs
+
+
+def _known(values: np.ndarray) -> np.ndarray:
+    return values[np.isfinite(values)]
+
+
+def _generator(*words: str) -> np.random.Generator:
+    """Return draws of a row's own, so that no row depends on which others there are."""
+    return np.random.default_rng(stream_seed("summary", "/".join(words)))

@@ -1,0 +1,218 @@
+"""`pneuma study summary` and `collapse`: what a study's runs come to, and which of them broke down."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    Conditions,
+    EngineName,
+    Json,
+    Preset,
+    Quiet,
+    Results,
+    Seeds,
+    SettingName,
+    Settings,
+    Steps,
+    StudyName,
+    Workers,
+    print_json,
+    read_count,
+    read_seeds_option,
+    read_selection,
+    say,
+)
+from pneuma.cli.plain_text import plain
+from pneuma.cli.study_records import study_record
+from pneuma.cli.study_run import train
+from pneuma.errors import UserError
+from pneuma.study.cause_forks import plan_cause_forks
+from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pneuma.analysis.tables import StudyData
+
+RESULTS = Path("results")
+FORK_SEEDS = "3"
+
+
+def summary(
+    name: StudyName,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    setting: SettingName = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    data = _open(Store(results), name, selection, setting)
+    from pneuma.analysis.summaries import summary_table
+
+    table = summary_table(data)
+    if json:
+        return print_json({"schema": 1, "study": data.study, "summary": _records(table)})
+    print(plain(data.title))
+    for part in _readable(data, table):
+        print("\n" + part)
+    return None
+
+
+def collapse(
+    name: StudyName,
+    fork: Annotated[
+        bool, typer.Option("--fork", help="Go on from before each collapse, changing one thing at a time.")
+    ] = False,
+    run: Annotated[
+        list[str] | None,
+        typer.Option("--run", metavar="RUN_ID", help="Fork this collapsed run alone (may be repeated)."),
+    ] = None,
+    fork_seeds: Annotated[
+        str, typer.Option("--fork-seeds", metavar="N|LIST", help="Seeds of the forks of each run.")
+    ] = FORK_SEEDS,
+    workers: Workers = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    setting: SettingName = None,
+    results: Results = RESULTS,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Say which runs collapsed, when, by which signs, and how often in each condition."""
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    store = Store(results)
+    data = _open(store, name, selection, setting)
+    from pneuma.analysis.collapse import diagnoses, incidence
+
+    found = diagnoses(data)
+    if fork:
+        parents = _parents(data, found, run or ())
+        plan = plan_cause_forks(store, data.study, parents, read_seeds_option(fork_seeds))
+        plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
+        how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+        return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
+    if json:
+        document = {"schema": 1, "study": data.study, "runs": _records(found)}
+        print_json({**document, "incidence": _records(incidence(data))})
+        return 0
+    _print_collapses(data, found, incidence(data))
+    return 0
+
+
+def _open(store: Store, name: str, selection: Any, setting: str | None) -> StudyData:
+    record = study_record(store, name, selection, setting)
+    from pneuma.analysis.sources import open_study
+
+    data = open_study(store, record)
+    if data.left_out:
+        of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
+        say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
+    return data
+
+
+def _parents(data: StudyData, found: pd.DataFrame, wanted: Sequence[str]) -> dict[str, int]:
+    """Return the collapsed runs that are to be forked, and before what step.
+
+    Raises:
+        UserError: when there is none, or a wanted one did not collapse.
+    """
+    collapsed = found[found["collapsed"]]
+    steps = dict(zip(collapsed["run_id"], map(int, collapsed["sound_step"]), strict=True))
+    if not steps:
+        raise UserError(
+            f"study {data.study}: none of its {len(found)} runs collapsed, so there is nothing to fork"
+        )
+    for prefix in wanted:
+        if sum(run_id.startswith(prefix) for run_id in steps) != 1 or len(prefix) < 4:
+            known = ", ".join(run_id[:8] for run_id in steps)
+            raise UserError(f"--run {prefix}: is no collapsed run of study {data.study}; there are {known}")
+    return {
+        run_id: step
+        for run_id, step in steps.items()
+        if not wanted or any(run_id.startswith(prefix) for prefix in wanted)
+    }
+
+
+# --- For people ------------------------------------------------------------------------------------
+
+
+def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
+    """Yield a block of lines for each outcome: a condition a line."""
+    from pneuma.analysis.outcomes import find_outcome
+    from pneuma.analysis.rounding import shown_with_interval
+
+    for outcome, rows in table.groupby("outcome", sort=False):
+        if outcome in ("runs", "diverged", "collapsed"):
+            continue
+        lines = [f"{outcome}: {find_outcome(str(outcome)).words}"]
+        for condition, own in rows.groupby("condition", sort=False):
+            cells = [
+                f"{_WORDS.get(row['statistic'], row['statistic'])} "
+                f"{shown_with_interval(row['value'], row['low'], row['high'])}"
+                for row in own.to_dict("records")
+            ]
+            lines.append(f"  {plain(str(condition)):<18} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")
+        yield "\n".join(lines)
+    yield "\n".join(_failures(data, table))
+
+
+_WORDS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baseline)", "median": "median"}
+
+
+def _failures(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
+    from pneuma.analysis.rounding import shown_with_interval
+
+    yield "share of runs that diverged, and that collapsed (pneuma study collapse)"
+    for condition in data.conditions:
+        own = table[(table["condition"] == condition) & (table["statistic"] == "share")]
+        cells = [
+            f"{row['outcome']} {shown_with_interval(row['value'], row['low'], row['high'])}"
+            for row in own.to_dict("records")
+        ]
+        yield f"  {plain(condition):<18} {'  '.join(cells)}"
+
+
+def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame) -> None:
+    for row in found[found["collapsed"]].to_dict("records"):
+        update = "" if _missing(row["onset_update"]) else f"update {row['onset_update']:,}, "
+        after = "" if _missing(row["recovered_step"]) else f"; recovered at step {row['recovered_step']:,}"
+        again = " and relearned" if row["relearned"] is True else ""
+        told = f"{plain(row['condition']):<18} seed {row['seed']:<6} {row['run_id']}"
+        print(f"{told}  {update}step {row['onset_step']:,}: {row['signs']}{after}{again}")
+    for row in shares.to_dict("records"):
+        interval = f"95 % interval {row['low']:.0%} to {row['high']:.0%}"
+        print(f"{plain(row['condition']):<18} {row['collapsed']} of {row['runs']} runs collapsed, {interval}")
+    print("Show the cause of one: pneuma study collapse " + plain(data.study) + " --fork")
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return rows as JSON holds them: null for what there is not, and for what is endless."""
+    finite = table.astype(object).where(table.notna(), None)
+    endless = (float("inf"), float("-inf"))
+    return [
+        {str(key): None if value in endless else value for key, value in row.items()}
+        for row in finite.to_dict("records")
+    ]
+
+
+def _missing(value: object) -> bool:
+    import pandas as pd
+
+    return value is None or value is pd.NA

@@ -1,0 +1,85 @@
+"""`pneuma study summary` and `collapse` over records made by hand: people's text, JSON, mistakes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pneuma.cli import main
+from pneuma.study.store import Store
+
+from .collapse_records import healthy, learning, one_action, save_run, study_record
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    store = Store(tmp_path / "results")
+    cells = {("relu", 0): "a0" * 8, ("relu", 1): "a1" * 8, ("tanh", 0): "b0" * 8, ("tanh", 1): "b1" * 8}
+    for run_id in cells.values():
+        save_run(store, run_id, healthy(), learning())
+    save_run(store, "a1" * 8, one_action(61), learning())
+    store.save_selection("mine", study_record(cells))
+    return store.root
+
+
+def call(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(
+    results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("study", "collapse", "mine", "--results", results) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split("  ")[-1] == "update 61, step 6,100: no entropy, one action, dead units"
+    assert "a1" * 8 in lines[0]
+    assert lines[1].endswith("1 of 2 runs collapsed, 95 % interval 1% to 99%")
+    assert lines[2].endswith("0 of 2 runs collapsed, 95 % interval 0% to 84%")
+
+
+def test_collapse_as_json(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("study", "collapse", "mine", "--json", "--results", results) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == 1
+    assert [run["onset_update"] for run in document["runs"]] == [None, 61, None, None]
+    assert [row["collapsed"] for row in document["incidence"]] == [1, 0]
+
+
+def test_summary_in_words_and_as_json(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("study", "summary", "mine", "--results", results) == 0
+    out = capsys.readouterr().out
+    assert "final-share-killed: monsters killed, last evaluation" in out
+    assert "median never" not in out and "collapsed 0.50" in out
+    assert call("study", "summary", "mine", "--json", "--results", results) == 0
+    rows = json.loads(capsys.readouterr().out)["summary"]
+    assert rows[0] == {
+        "condition": "relu", "outcome": "runs", "statistic": "count", "value": 2.0, "low": None, "high": None,
+        "interval": "none", "runs": 2,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--fork",), "holds no configuration"),
+        (("--fork", "--run", "b0b0"), "--run b0b0: is no collapsed run of study mine; there are a1a1a1a1"),
+        (("--fork", "--condition", "tanh"), "none of its 2 runs collapsed, so there is nothing to fork"),
+    ],
+)
+def test_what_cannot_be_forked_is_said_in_one_line(
+    results: Path, arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("study", "collapse", "mine", *arguments, "--results", results) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "latex", "markdown"])
+def test_the_summary_can_be_exported(results: Path, tmp_path: Path, form: str) -> None:
+    paths = [tmp_path / name for name in ("one", "two")]
+    for path in paths:
+        options = ("--table", "summary", "--format", form, "--out", path, "--results", results)
+        assert call("study", "export", "mine", *options) == 0
+    assert paths[0].read_bytes() == paths[1].read_bytes()

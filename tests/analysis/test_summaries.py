@@ -1,0 +1,143 @@
+"""Summaries: values by hand, laws, and what is said where there is little to say."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pneuma.analysis.export import encode_table
+from pneuma.analysis.rounding import decimals, shown, shown_with_interval
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.summaries import COLUMNS, STATISTICS, summary_table
+from pneuma.analysis.tables import StudyData
+from pneuma.study.store import Store
+
+from .collapse_records import healthy, learning, one_action, save_run, study_record
+
+FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
+
+
+def study(folder: Path, finals: Mapping[str, Sequence[float]]) -> StudyData:
+    """Store runs that learn evenly up to what they kill at last."""
+    store = Store(folder / "results")
+    cells = {(c, i): f"{c}{i}" * 8 for c, values in finals.items() for i in range(len(values))}
+    for (condition, seed), run_id in cells.items():
+        save_run(store, run_id, healthy(), learning(finals[condition][seed]), returns=np.arange(100.0))
+    return open_study(store, study_record(cells))
+
+
+def value(data: StudyData, condition: str, outcome: str, statistic: str) -> dict[str, Any]:
+    table = summary_table(data)
+    found = table[(table["condition"] == condition) & (table["outcome"] == outcome)]
+    (row,) = found[found["statistic"] == statistic].to_dict("records")
+    return {str(key): cell for key, cell in row.items()}
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> StudyData:
+    return study(tmp_path, {"a": FINALS["a"], "b": FINALS["b"]})
+
+
+@pytest.mark.parametrize(
+    ("statistic", "expected"),
+    [("mean", 0.5), ("median", 0.45), ("iqm", 0.45), ("deviation", np.std([0.2, 0.4, 0.5, 0.9], ddof=1))],
+)
+def test_what_four_runs_come_to(data: StudyData, statistic: str, expected: float) -> None:
+    row = value(data, "a", "final-share-killed", statistic)
+    assert row["value"] == pytest.approx(expected)
+    assert row["runs"] == 4
+
+
+def test_the_means_interval_is_students(data: StudyData) -> None:
+    row = value(data, "a", "final-share-killed", "mean")
+    low, high = stats.t.interval(0.95, 3, loc=0.5, scale=stats.sem([0.2, 0.4, 0.5, 0.9]))
+    assert (row["low"], row["high"]) == (pytest.approx(low), pytest.approx(high))
+    assert row["interval"] == "t"
+
+
+def test_the_probability_of_improvement_is_over_the_baseline(tmp_path: Path) -> None:
+    """Of sixteen pairs b is above in four, at 0.3 over 0.2; the baseline itself has none."""
+    data = study(tmp_path, FINALS)
+    assert value(data, "b", "final-share-killed", "improvement")["value"] == 4 / 16
+    table = summary_table(data)
+    assert set(table[table["statistic"] == "improvement"]["condition"]) == {"b"}
+
+
+def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData) -> None:
+    """Two runs of `a` end at 0.5 or above; between one that gets there and one that does not: never."""
+    reached = value(data, "a", "steps-to:0.5", "reached")
+    assert reached["value"] == 0.5
+    assert value(data, "a", "steps-to:0.5", "median")["value"] == np.inf
+    assert value(data, "a", "steps-to:0.1", "median")["value"] < np.inf
+
+
+def test_runs_that_collapsed_or_diverged_are_counted(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    cells = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8}
+    save_run(store, "a0" * 8, one_action(51), learning())
+    save_run(store, "a1" * 8, healthy(), learning(), end=4000)
+    data = open_study(store, study_record(cells))
+    shares = {name: value(data, "a", name, "share")["value"] for name in ("diverged", "collapsed")}
+    assert shares == {"diverged": 0.5, "collapsed": 0.5}
+    assert value(data, "a", "runs", "count")["value"] == 2
+    assert value(data, "a", "final-share-killed", "mean")["runs"] == 2  # with its last evaluation
+
+
+@pytest.mark.parametrize("finals", [{"a": (0.4,)}, {"a": (0.4, 0.4)}, {"a": (0.4, 0.5), "b": (0.1,)}])
+def test_too_few_runs_have_estimates_without_intervals_and_no_warning(
+    tmp_path: Path, finals: dict[str, Sequence[float]]
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        table = summary_table(study(tmp_path, finals))
+    bare = table[table["interval"] == "none"]
+    assert len(bare) and bare[["low", "high"]].isna().all(axis=None)
+
+
+def test_the_table_is_tidy_and_the_same_every_time(data: StudyData) -> None:
+    table = summary_table(data)
+    assert tuple(table.columns) == COLUMNS
+    assert set(table["statistic"]) <= set(STATISTICS)
+    assert table.equals(summary_table(data))
+    known = table.dropna(subset=["low", "high"])
+    assert (known["low"] <= known["high"]).all()
+    assert not table.duplicated(["condition", "outcome", "statistic"]).any()
+
+
+def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(data: StudyData) -> None:
+    markdown = encode_table(data, "summary", "markdown")[0].decode().splitlines()
+    assert markdown[:2] == [
+        "| condition | outcome | statistic | value | low | high | interval | runs |",
+        "| --- | --- | --- | ---: | ---: | ---: | --- | ---: |",
+    ]
+    (mean,) = [line for line in markdown if "final-share-killed | mean" in line and line.startswith("| a")]
+    assert mean == "| a | final-share-killed | mean | 0.50 | 0.03 | 0.97 | t | 4 |"
+    latex = encode_table(data, "summary", "latex")[0].decode()
+    assert r"a & final-share-killed & mean & 0.50 & 0.03 & 0.97 & t & 4 \\" in latex
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected"),
+    [
+        ((0.51234, 0.4, 0.62468), "0.51 [0.40, 0.62]"),  # half width 0.11
+        ((1234.5, 1000.0, 1469.0), "1,230 [1,000, 1,470]"),  # 230
+        ((12.345, 12.33, 12.36), "12.345 [12.330, 12.360]"),
+        ((0.5, np.nan, np.nan), "0.500"),
+        ((0.0, np.nan, np.nan), "0"),
+        ((np.nan, np.nan, np.nan), "–"),
+        ((np.inf, np.nan, np.nan), "never"),
+    ],
+)
+def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) -> None:
+    assert shown_with_interval(*numbers) == expected
+
+
+def test_a_rounded_nothing_has_no_sign() -> None:
+    assert shown(-0.0001, 1) == "0.0"
+    assert decimals(0.0) == 0
