@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, doctor, env, import_, report, runs, study
+from pneuma.cli import bench, doctor, env, import_, report, runs, search, study
 from pneuma.cli.plain_text import plain
 from pneuma.errors import UserError
 
@@ -27,6 +27,7 @@ app = typer.Typer(
 )
 app.add_typer(study.app, name="study")
 app.add_typer(runs.app, name="run")
+app.add_typer(search.app, name="search")
 app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
 app.add_typer(import_.app, name="import")

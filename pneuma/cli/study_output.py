@@ -111,12 +111,12 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a study's records as one tidy table."""
-    _check_choice("--table", table, EXPORT_TABLES)
+    check_choice("--table", table, EXPORT_TABLES)
     form = format or EXPORT_SUFFIXES.get(out.suffix, "csv" if str(out) == "-" else "")
     if not form:
         endings = ", ".join(EXPORT_SUFFIXES)
         raise UserError(f"--out {out}: its ending tells no format; end it in {endings}, or give --format")
-    _check_choice("--format", form, EXPORT_FORMATS)
+    check_choice("--format", form, EXPORT_FORMATS)
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
     record = study_record(store, name, selection, setting)
@@ -128,7 +128,7 @@ def export(
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
     if str(out) != "-":
-        _check_folder("--out", out.parent)
+        check_folder("--out", out.parent)
     encoded, rows = encode_table(data, table, form)
     if str(out) == "-":
         sys.stdout.buffer.write(encoded)
@@ -179,11 +179,11 @@ def publish(
 
 
 def _check_looks(band: str, window: str | None, formats: Iterable[str]) -> None:
-    _check_choice("--band", band, BAND_NAMES)
+    check_choice("--band", band, BAND_NAMES)
     if window is not None:
-        _check_choice("--window", window, WINDOWS)
+        check_choice("--window", window, WINDOWS)
     for form in formats:
-        _check_choice("--format", form, FIGURE_FORMATS)
+        check_choice("--format", form, FIGURE_FORMATS)
 
 
 def _studies_to_draw(
@@ -219,7 +219,7 @@ def _draw(
     In a results folder, which may be a stranger's, no link is followed.
     """
     if out is not None:
-        _check_folder("--out", out)
+        check_folder("--out", out)
     else:
         store.check_writable()
     for data in studies:
@@ -249,12 +249,13 @@ def _tell_left_out(data: StudyData) -> None:
         say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
 
 
-def _check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
+def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
+    """Refuse a value of an option that is none of those allowed."""
     if value not in allowed:
         raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
 
 
-def _check_folder(option: str, folder: Path) -> None:
+def check_folder(option: str, folder: Path) -> None:
     """Refuse a folder that cannot be written, before any work is done."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

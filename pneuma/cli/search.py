@@ -1,0 +1,222 @@
+"""`pneuma search …`: find hyperparameters, and see what was found."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli import search_promote, search_run
+from pneuma.cli.options import Json, Results, print_json
+from pneuma.cli.plain_text import plain
+from pneuma.cli.study_records import study_record
+from pneuma.figures import FIGURE_FORMATS
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
+    from pneuma.search.spec import Search
+
+app = typer.Typer(
+    help="Find hyperparameters over several seeds, and confirm them on fresh ones.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+RESULTS = Path("results")
+PLOTS = ("history", "importances", "slices", "parallel", "contour", "front")
+
+app.command()(search_run.run)
+app.command()(search_promote.promote)
+
+
+@app.command("list")
+def list_(json: Json = False) -> None:
+    """List the shipped searches."""
+    from pneuma.search.spec import list_searches, load_search
+
+    searches = [load_search(name) for name in list_searches()]
+    if json:
+        rows = [{"search": s.name, "title": s.title, "section": s.section} for s in searches]
+        return print_json({"schema": 1, "searches": rows})
+    for search in searches:
+        section = f"thesis section {search.section}" if search.section else ""
+        print(f"{search.name:<18} {search.title:<44} {section}")
+    return None
+
+
+@app.command()
+def show(name: search_run.SearchName, json: Json = False) -> None:
+    """Show what a search varies, what it seeks, and its presets."""
+    from pneuma.search.spec import load_search
+
+    search = load_search(name)
+    if json:
+        return print_json({"schema": 1, **_as_document(search)})
+    print(search.title + (f" (thesis section {search.section})" if search.section else ""))
+    if search.about:
+        print(f"\n{search.about}")
+    document = _as_document(search)
+    print("\nSpace:")
+    for parameter in document["space"]:
+        print(f"  {parameter['name']:<22} {_told_domain(parameter)}")
+    print("\nObjectives:")
+    for own in search.objectives:
+        print(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
+    for kind in ("sampler", "pruner"):
+        options = document[kind]
+        if options["name"]:
+            told = ", ".join(f"{key} {value}" for key, value in options.items() if key != "name")
+            print(f"{kind.capitalize()}: {options['name']}" + (f" ({told})" if told else ""))
+    print(f"Trials are asked for {search.generation} at a time.")
+    for preset, budget in search.presets.items():
+        seeds = f"{len(budget.seeds)} seeds" if len(budget.seeds) > 1 else "1 seed"
+        print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
+    return None
+
+
+@app.command()
+def status(name: search_run.SearchName, results: Results = RESULTS, json: Json = False) -> None:
+    """Show how far a search is, and the best that it has found."""
+    from pneuma.search.record import read_record
+
+    record = read_record(Store(results), Path(name).stem)
+    if json:
+        kept = ("search", "trials", "best", "storage", "optuna_study", "seeds", "steps", "trials_asked")
+        return print_json({"schema": 1, **{key: record[key] for key in kept}})
+    trials = record["trials"]
+    print(f"{len(trials)} of {record['trials_asked']} trials, {len(record['seeds'])} seeds each")
+    for trial in trials:
+        print(f"  {_told_trial(trial, record['best'])}")
+    _tell_best(record)
+    print(f"Look closer with: optuna-dashboard {plain(record['storage'])}")
+    return None
+
+
+@app.command()
+def plot(
+    name: search_run.SearchName,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
+    ] = None,
+    what: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--what", metavar="|".join(PLOTS), help="Which figures (may be repeated; default: all)."
+        ),
+    ] = None,
+    sensitivity: Annotated[
+        bool,
+        typer.Option(
+            "--sensitivity",
+            help="Draw each hyperparameter alone, as trained by `run --sensitivity`.",
+        ),
+    ] = False,
+    format: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format", metavar="|".join(FIGURE_FORMATS), help="File formats (default: png and svg)."
+        ),
+    ] = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Draw a search: history, importances, slices, parallel coordinates, contour and Pareto front."""
+    from pneuma.cli.study_output import check_choice, check_folder
+
+    formats = tuple(format or ("png", "svg"))
+    for value in formats:
+        check_choice("--format", value, FIGURE_FORMATS)
+    for value in what or ():
+        check_choice("--what", value, PLOTS)
+    store, stem = Store(results), Path(name).stem
+    folder = out or store.root / "figures"
+    check_folder("--out" if out else "--results", folder)
+    if sensitivity:
+        from pneuma.figures.sensitivity import draw_sensitivity
+
+        paths = draw_sensitivity(*_sensitivity(store, stem), folder, formats)
+    else:
+        from pneuma.figures.search import draw_search
+        from pneuma.search.record import read_record
+
+        paths = draw_search(read_record(store, stem), folder, tuple(what or PLOTS), formats)
+    if json:
+        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
+    for path in paths:
+        print(f"wrote {plain(str(path))}")
+    if not paths:
+        print("nothing to draw yet: no trial is complete", file=sys.stderr)
+    return None
+
+
+def _sensitivity(store: Store, search: str) -> tuple[StudyData, dict[str, Any]]:
+    """Return the runs of a search's sensitivity study, and what its conditions are."""
+    from pneuma.analysis.sources import open_study
+    from pneuma.search.sensitivity import read_points, sensitivity_study
+
+    document = read_points(store, search)
+    return open_study(store, study_record(store, sensitivity_study(search), None)), document
+
+
+def _as_document(search: Search) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from pneuma.search.space import Range
+
+    space = []
+    for parameter in search.space.parameters:
+        domain = parameter.domain
+        own = asdict(domain) if isinstance(domain, Range) else {"choices": dict(domain.settings_of)}
+        space.append({"name": parameter.name, **own, "when": dict(parameter.when)})
+    return {
+        "search": search.name,
+        "title": search.title,
+        "section": search.section,
+        "about": search.about,
+        "base": search.space.base,
+        "fixed": dict(search.space.fixed),
+        "space": space,
+        "objectives": [asdict(objective) for objective in search.objectives],
+        "start": list(search.start_names),
+        "generation": search.generation,
+        "sampler": dict(search.sampler),
+        "pruner": dict(search.pruner),
+        "presets": {name: asdict(budget) for name, budget in search.presets.items()},
+    }
+
+
+def _told_domain(parameter: Mapping[str, Any]) -> str:
+    if "choices" in parameter:
+        told = "one of " + ", ".join(parameter["choices"])
+    else:
+        told = f"{parameter['low']:g} to {parameter['high']:g}" + (
+            ", logarithmic" if parameter["log"] else ""
+        )
+    when = " and ".join(f"{k} is {' or '.join(map(str, v))}" for k, v in parameter["when"].items())
+    return told + (f", where {when}" if when else "")
+
+
+def _told_trial(trial: Mapping[str, Any], best: object) -> str:
+    params = ", ".join(f"{key}={_short(value)}" for key, value in trial["params"].items())
+    among = trial["number"] in best if isinstance(best, list) else trial["number"] == best
+    note = f"  ({trial['note']})" if trial["note"] else ""
+    mark = "*" if among else " "
+    return plain(
+        f"{mark} {trial['number']:>4}  {trial['state']:<9} {search_run.told_value(trial):<16} {params}{note}"
+    )
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _tell_best(record: Mapping[str, Any]) -> None:
+    if record["best"] in (None, []):
+        print("No trial is complete yet.")
+    elif isinstance(record["best"], list):
+        print(f"Pareto front (*): trials {', '.join(map(str, record['best']))}.")
+    else:
+        print(f"Best (*): trial {record['best']}. Confirm it with: pneuma search promote {record['search']}")

@@ -1,0 +1,203 @@
+"""`pneuma search promote`, and the runs of `pneuma search run --sensitivity`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    Json,
+    Quiet,
+    Results,
+    Seeds,
+    Workers,
+    print_json,
+    read_count,
+    read_seeds_option,
+    say,
+)
+from pneuma.cli.plain_text import plain
+from pneuma.cli.search_run import RunSteps, SearchName
+from pneuma.cli.study_run import train
+from pneuma.study import plan, spec
+from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.search.promote import Gain
+    from pneuma.search.spec import Search
+    from pneuma.search.trials import Task
+
+
+def promote(
+    name: SearchName,
+    seeds: Seeds = "10",
+    steps: RunSteps = None,
+    trial: Annotated[
+        str | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
+    ] = None,
+    workers: Workers = None,
+    results: Results = Path("results"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Train a search's winner and its baseline on fresh seeds, and say how much of its gain was luck."""
+    from pneuma.search import promote as promoting
+    from pneuma.search.record import read_record
+    from pneuma.search.spec import load_search
+
+    store = Store(results)
+    record = read_record(store, Path(name).stem)
+    search = load_search(name if name.endswith(".toml") else _source(record, name))
+    chosen = promoting.winner(record, None if trial is None else _number(trial))
+    fresh = read_seeds_option(seeds or "10")
+    promoting.refuse_seen_seeds(fresh, record)
+    budget = record["steps"] if steps is None else read_count("--steps", steps)
+    how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+    path = store.root / "searches" / f"promoted-{search.name}.toml"
+    store.check_writable()
+    store.write(path, promoting.promoted_study(search, record, chosen).encode())
+    planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
+    say(f"wrote {plain(str(path))}", as_json=True, quiet=quiet)
+    code = train(planned, store, how, retry_failed=True, json=False, quiet=True)
+    if code:
+        say(f"Not all runs ended: pneuma study status {path} --results {store.root}", as_json=True)
+        return code
+    gains = _gains(search, record, chosen, planned, store)
+    if json:
+        print_json(_document(search, chosen, path, planned, gains))
+        return 0
+    _tell(search, chosen, planned, gains)
+    say(f"Draw it with: pneuma study plot {path} --results {store.root}", quiet=quiet)
+    return 0
+
+
+def run_sensitivity(
+    task: Task, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+) -> int:
+    """Train the study of one hyperparameter at a time; return the exit code."""
+    from pneuma.search.driver import check_outcomes
+    from pneuma.search.sensitivity import plan_sensitivity, save_points
+
+    check_outcomes(task)
+    planned = plan_sensitivity(task)
+    code = train(planned, store, how, retry_failed, json, quiet)
+    save_points(store, task)
+    name = task.search.name
+    say(
+        f"Draw it with: pneuma search plot {name} --sensitivity --results {store.root}",
+        as_json=True,
+        quiet=quiet,
+    )
+    return code
+
+
+def _source(record: Mapping[str, Any], name: str) -> str:
+    """Return what to load a recorded search by: a shipped one by its name.
+
+    A file that only a record names may be a stranger's; the person is to name it.
+    """
+    from pneuma.errors import UserError
+    from pneuma.search.spec import list_searches
+
+    if name in list_searches():
+        return name
+    raise UserError(f"search {name} is no shipped one: name its file, {plain(str(record.get('path')))}")
+
+
+def _number(text: str) -> int:
+    from pneuma.errors import UserError
+
+    if not text.isdecimal():
+        raise UserError(f"--trial {text}: must be the number of a trial")
+    return int(text)
+
+
+def _gains(
+    search: Search, record: Mapping[str, Any], chosen: Mapping[str, Any], planned: plan.Plan, store: Store
+) -> dict[str, Gain]:
+    """Return what the winner gained in every objective."""
+    from pneuma.analysis.outcomes import outcome_values
+    from pneuma.analysis.sources import open_study
+    from pneuma.search.promote import BASELINE, WINNER, gain
+    from pneuma.study.execute import selection_record
+
+    data = open_study(store, selection_record(planned))
+    base = _baseline_trial(search, record)
+    gains = {}
+    for place, objective in enumerate(search.objectives):
+        won, lost = (outcome_values(data, arm, objective.outcome) for arm in (WINNER, BASELINE))
+        gains[objective.name] = gain(
+            objective.over_seeds,
+            _values(chosen)[place],
+            _values(base)[place] if base else float("nan"),
+            won,
+            lost,
+        )
+    return gains
+
+
+def _baseline_trial(search: Search, record: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the trial that had the base's own settings, if the search began with it."""
+    if search.space.base not in search.start_names:
+        return None
+    number = search.start_names.index(search.space.base)
+    found = next((trial for trial in record["trials"] if trial["number"] == number), None)
+    return found if found and found["state"] == "complete" else None
+
+
+def _values(trial: Mapping[str, Any]) -> list[float]:
+    return trial["values"] if "values" in trial else [trial["value"]]
+
+
+def _document(
+    search: Search, chosen: Mapping[str, Any], path: Path, planned: plan.Plan, gains: Mapping[str, Gain]
+) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "search": search.name,
+        "trial": chosen["number"],
+        "params": chosen["params"],
+        "study": str(path),
+        "seeds": list(planned.seeds),
+        "run_ids": {
+            name: [c.run_id for c in planned.cells if c.condition == name] for name in planned.conditions
+        },
+        "objectives": {name: {**_finite(asdict(own)), "luck": own.luck} for name, own in gains.items()},
+    }
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values with None for what is no number, as JSON has it."""
+    return {
+        key: [_finite({"": v})[""] for v in value]
+        if isinstance(value, (list, tuple))
+        else None
+        if value != value
+        else value
+        for key, value in values.items()
+    }
+
+
+def _tell(search: Search, chosen: Mapping[str, Any], planned: plan.Plan, gains: Mapping[str, Gain]) -> None:
+    print(f"Trial {chosen['number']} of search {search.name} on {len(planned.seeds)} fresh seeds:")
+    for objective in search.objectives:
+        own = gains[objective.name]
+        low, high = own.interval
+        print(f"  {objective.over_seeds} over seeds of {objective.outcome}:")
+        print(f"    in the search      {own.seen:.4f}" + _beside(own.seen_baseline))
+        print(f"    on fresh seeds     {own.fresh:.4f}" + _beside(own.fresh_baseline))
+        told = f"95 % interval {low:+.4f} to {high:+.4f}" if low == low else "too few seeds for an interval"
+        print(f"    difference of means {own.difference:+.4f} ({told})")
+        flattered = own.luck if objective.direction == "maximize" else -own.luck
+        print(f"    luck               {flattered:+.4f}: what picking the best trial had flattered it by")
+
+
+def _beside(baseline: float) -> str:
+    return (
+        f"   (baseline {baseline:.4f})" if baseline == baseline else "   (baseline: no trial of the search)"
+    )

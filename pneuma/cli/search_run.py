@@ -1,0 +1,215 @@
+"""`pneuma search run`: ask for trials, train them as runs, tell how they did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    EngineName,
+    Json,
+    Preset,
+    Quiet,
+    Results,
+    Settings,
+    Workers,
+    print_json,
+    read_count,
+    read_settings_options,
+    say,
+)
+from pneuma.cli.progress import ProgressDisplay
+from pneuma.errors import UserError, unknown_name
+from pneuma.study import execute
+from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.plan import Plan
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.search.spec import Budget, Search
+    from pneuma.search.trials import Task, Told
+
+RESULTS = Path("results")
+
+SearchName = Annotated[
+    str, typer.Argument(metavar="NAME", help="A search's name, or the path of a search file (….toml).")
+]
+Trials = Annotated[
+    str | None, typer.Option("--trials", metavar="N", help="How many trials, those stored among them.")
+]
+SearchSeeds = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds", metavar="N|LIST", help="Seeds of each trial: a count N (seeds 1000, 1001, …) or a list."
+    ),
+]
+RunSteps = Annotated[str | None, typer.Option("--steps", metavar="N", help="Steps of each run.")]
+
+
+def run(
+    name: SearchName,
+    preset: Preset = None,
+    trials: Trials = None,
+    seeds: SearchSeeds = None,
+    steps: RunSteps = None,
+    engine: EngineName = None,
+    set_: Settings = None,
+    sensitivity: Annotated[
+        bool,
+        typer.Option(
+            "--sensitivity",
+            help="Search nothing: train each hyperparameter alone at several values around the base.",
+        ),
+    ] = False,
+    storage: Annotated[
+        str | None,
+        typer.Option(
+            "--storage", metavar="URL", help="An Optuna storage, as postgresql://… (default: an SQLite file)."
+        ),
+    ] = None,
+    workers: Workers = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
+    ] = False,
+    results: Results = RESULTS,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Search for hyperparameters, going on where the search was stopped."""
+    from pneuma.search.spec import load_search
+    from pneuma.search.trials import Task
+
+    search = load_search(name)
+    budget = read_budget(search, preset, trials, seeds, steps)
+    over = {**read_settings_options(set_), **({"engine": engine} if engine else {})}
+    task = Task(search, budget, _checked(search, over))
+    store = Store(results)
+    how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+    if sensitivity:
+        from pneuma.cli.search_promote import run_sensitivity
+
+        return run_sensitivity(task, store, how, retry_failed, json, quiet)
+    return _search(task, store, storage, how, retry_failed, json, quiet)
+
+
+def read_budget(
+    search: Search, preset: str | None, trials: str | None, seeds: str | None, steps: str | None
+) -> Budget:
+    """Return a search's budget: its preset's, with what the options give in its place."""
+    from pneuma.search.spec import Budget
+
+    chosen = preset or "quick"
+    if chosen not in search.presets:
+        raise unknown_name(f"preset of search {search.name}", chosen, search.presets)
+    own = search.presets[chosen]
+    return Budget(
+        own.trials if trials is None else read_count("--trials", trials),
+        own.seeds if seeds is None else read_search_seeds_option(seeds),
+        own.steps if steps is None else read_count("--steps", steps),
+    )
+
+
+def read_search_seeds_option(text: str) -> tuple[int, ...]:
+    """Read `--seeds` of a search: a count from 1000 on, or a list."""
+    from pneuma.cli.options import read_seeds_option
+    from pneuma.search import FIRST_SEED
+
+    seeds = read_seeds_option(text)
+    return seeds if "," in text else tuple(FIRST_SEED + seed for seed in seeds)
+
+
+def _checked(search: Search, over: Mapping[str, Any]) -> dict[str, Any]:
+    """Check what is set over every trial: fields of the run that are not searched."""
+    from pneuma.config import Run, read_setting
+    from pneuma.search.spec import SETTABLE
+
+    searched = {parameter.name for parameter in search.space.parameters}
+    for key in over:
+        if key in searched:
+            raise UserError(f"--set {key}: is searched by {search.name}; take it out of [space] to fix it")
+        if key not in (*SETTABLE, "engine"):
+            raise unknown_name("key of --set", key, SETTABLE)
+    return {key: read_setting(Run, key, value) for key, value in over.items()}
+
+
+def _search(
+    task: Task,
+    store: Store,
+    storage: str | None,
+    how: Supervision,
+    retry_failed: bool,
+    json: bool,
+    quiet: bool,
+) -> int:
+    from pneuma.search.driver import run_search
+    from pneuma.search.trials import Unfinished
+
+    def train(planned: Plan) -> None:
+        train_plan(planned, store, how, retry_failed, quiet)
+
+    def tell(generation: list[Told], told: list[Told]) -> None:
+        _tell_generation(task, generation, told, quiet)
+
+    try:
+        searched = run_search(task, store, storage, train, tell)
+    except Unfinished as error:
+        say(f"Stopped: {error}", as_json=True)
+        return 1
+    except KeyboardInterrupt:
+        say("Stopped. The same command goes on where the search was stopped.", as_json=True)
+        return 130
+    from pneuma.search.record import best_number, trial_document
+
+    best = best_number(searched.trials, task.search)
+    if json:
+        trials = [trial_document(told, task.search) for told in searched.trials]
+        document = {"schema": 1, "search": task.search.name, "trials": trials, "best": best}
+        print_json({**document, "storage": searched.storage, "optuna_study": searched.optuna_study})
+        return 0
+    say(f"Look closer with: optuna-dashboard {searched.storage}", quiet=quiet)
+    say(f"Draw it with: pneuma search plot {task.search.name} --results {store.root}", quiet=quiet)
+    return 0
+
+
+def train_plan(planned: Plan, store: Store, how: Supervision, retry_failed: bool, quiet: bool) -> None:
+    """Train what a plan of trials lacks.
+
+    Raises:
+        Unfinished: where a run did not come to its end.
+    """
+    from pneuma.search.trials import Unfinished
+
+    todo = execute.prepare(planned, store, retry_failed)
+    if todo.runs:
+        with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
+            execute.execute(planned, todo.runs, store, how, display.update)
+    for cell in planned.cells:
+        status = store.status(cell.run_id)
+        if not status.finished:
+            again = "; --retry-failed tries again" if status.failed else ""
+            raise Unfinished(f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id}){again}")
+
+
+def _tell_generation(task: Task, generation: Sequence[Told], told: Sequence[Told], quiet: bool) -> None:
+    from pneuma.search.record import best_number, trial_document
+
+    best = best_number(told, task.search)
+    for trial in generation:
+        own = trial_document(trial, task.search)
+        note = f" ({trial.note})" if trial.note else ""
+        say(f"trial {trial.number}: {trial.state}, {told_value(own)}{note}", as_json=True, quiet=quiet)
+    if isinstance(best, int):
+        value = told_value(trial_document(told[best], task.search))
+        say(f"{len(told)}/{task.budget.trials} trials; best {value}, trial {best}", as_json=True, quiet=quiet)
+    else:
+        front = ", ".join(map(str, best or ())) or "none"
+        say(f"{len(told)}/{task.budget.trials} trials; Pareto front: {front}", as_json=True, quiet=quiet)
+
+
+def told_value(trial: Mapping[str, Any]) -> str:
+    """Return a recorded trial's value or values for people."""
+    values = trial["values"] if "values" in trial else [trial["value"]]
+    return "no value" if values is None or None in values else ", ".join(f"{value:.4g}" for value in values)

@@ -1,0 +1,88 @@
+"""Sensitivity: the outcome against each hyperparameter around the base, all others as they are there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from pneuma.analysis.intervals import mean_interval
+from pneuma.analysis.outcomes import find_outcome, outcome_values
+from pneuma.analysis.tables import StudyData
+from pneuma.figures.style import COLOURS, house_style, save_figure
+
+COLUMNS = 3
+PAGE_INCHES = 7.0
+
+
+def draw_sensitivity(
+    data: StudyData, document: Mapping[str, Any], folder: Path, formats: tuple[str, ...]
+) -> list[Path]:
+    """Draw a search's sensitivity study; return the files written.
+
+    Args:
+        data: the study's runs.
+        document: what its conditions are, as `pneuma.search.sensitivity.read_points` returns it.
+        folder: where to write.
+        formats: of `pneuma.figures.FIGURE_FORMATS`.
+    """
+    panels: dict[str, list[Mapping[str, Any]]] = {point["parameter"]: [] for point in document["points"]}
+    for point in document["points"]:
+        panels[point["parameter"]].append(point)
+    with house_style():
+        rows = math.ceil(len(panels) / COLUMNS)
+        figure = Figure(figsize=(PAGE_INCHES, 0.9 + 2.0 * rows), layout="constrained")
+        places = figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
+        for axes, (name, points) in zip(places, panels.items(), strict=False):
+            _draw_parameter(axes, data, document, name, points)
+        for axes in places[len(panels) :]:
+            axes.set_visible(False)
+        figure.supylabel(find_outcome(document["outcome"]).words, fontsize=8.5)
+        _add_words(figure, data, document)
+        return save_figure(figure, folder, data.figure, formats)
+
+
+def _draw_parameter(
+    axes: Axes, data: StudyData, document: Mapping[str, Any], name: str, points: Sequence[Mapping[str, Any]]
+) -> None:
+    numbers = all(isinstance(point["value"], int | float) for point in points)
+    at = [point["value"] if numbers else place for place, point in enumerate(points)]
+    values = [outcome_values(data, point["condition"], document["outcome"]) for point in points]
+    values = [own[np.isfinite(own)] for own in values]
+    means = [own.mean() if len(own) else np.nan for own in values]
+    bounds = [mean_interval(own) for own in values]
+    for place, own in zip(at, values, strict=True):
+        axes.plot([place] * len(own), own, ".", color="#999999", markersize=3)
+    low = [mean - bound.low for mean, bound in zip(means, bounds, strict=True)]
+    high = [bound.high - mean for mean, bound in zip(means, bounds, strict=True)]
+    axes.errorbar(
+        at, means, np.nan_to_num([low, high]), color=COLOURS[0], marker="o", markersize=4, capsize=2
+    )
+    for place, point, mean in zip(at, points, means, strict=True):
+        if point["is_base"]:
+            axes.plot(place, mean, "D", color=COLOURS[1], markersize=6, zorder=3)
+    if name in document["logarithmic"]:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(numticks=4))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    elif not numbers:
+        axes.set_xticks(at, [str(point["value"]) for point in points], fontsize=6.5)
+    axes.set_title(name, fontsize=8.5)
+
+
+def _add_words(figure: Figure, data: StudyData, document: Mapping[str, Any]) -> None:
+    seeds = len({run.seed for run in data.runs})
+    caption = (
+        f"Mean and 95 % t interval of {seeds} seeds, every run a dot; diamond: the base {document['base']}; "
+        f"{data.budget:,} steps a run"
+    )
+    bottom = 0.3 / figure.get_size_inches()[1]
+    figure.get_layout_engine().set(rect=(0, bottom, 1, 1 - bottom))  # type: ignore[union-attr, call-arg]
+    figure.text(0.01, 0.3 * bottom, caption, fontsize=6.2, color="#444444")

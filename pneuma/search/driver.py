@@ -1,0 +1,123 @@
+"""A search in a results folder: what joins its trials, the stored runs, its record and its database."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneuma.analysis.outcomes import find_outcome, outcome
+from pneuma.analysis.run_records import RunRecords
+from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
+from pneuma.search.database import Database
+from pneuma.search.record import save_record
+from pneuma.search.trials import Task, Told, Train, conduct, make_trial_plan
+from pneuma.study.execute import selection_record
+from pneuma.study.locks import RunLock
+from pneuma.study.plan import Cell
+from pneuma.study.store import Store
+
+OnGeneration = Callable[[list[Told], list[Told]], None]
+"""Is handed the trials of a generation that has ended, and all trials so far."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What a search came to, and where its Optuna storage is."""
+
+    trials: tuple[Told, ...]
+    storage: str
+    optuna_study: str
+
+
+def run_search(
+    task: Task, store: Store, storage: str | None, train: Train, on_generation: OnGeneration
+) -> Searched:
+    """Search, training only runs that are not stored; record and storage are written as it goes.
+
+    Args:
+        task: the search with its budget.
+        store: the results folder.
+        storage: URL of an Optuna storage; None for an SQLite file in the results folder.
+        train: trains what a plan lacks.
+        on_generation: is told of every generation.
+
+    Raises:
+        UserError: before anything is trained, for a search that cannot be done here.
+        Unfinished: where a run crashed.
+    """
+    check_outcomes(task)
+    store.check_writable()
+    with _alone(task, store):
+        database = Database(task, storage, store)
+        outcomes = _Outcomes(task, store)
+        told: list[Told] = []
+        for generation in conduct(task, train, outcomes.read, outcomes.diverged):
+            told += generation
+            database.save(told)
+            save_record(store, task, told, database.url, database.name)
+            on_generation(generation, told)
+        return Searched(tuple(told), database.url, database.name)
+
+
+def check_outcomes(task: Task) -> None:
+    """Refuse objectives that there are not, and a budget or pruner that they cannot do with.
+
+    Raises:
+        UserError: naming the objective.
+    """
+    search = task.search
+    for objective in search.objectives:
+        find_outcome(objective.outcome)
+        if objective.over_seeds == "deviation" and len(task.budget.seeds) < 2:
+            raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
+    if search.pruner["name"] and len(search.objectives) > 1:
+        raise UserError(f"pruner {search.pruner['name']}: goes with one objective alone")
+    if search.pruner["name"] == "wilcoxon" and search.objectives[0].over_seeds == "deviation":
+        raise UserError("pruner wilcoxon: compares seed by seed, which a deviation does not have")
+
+
+@contextmanager
+def _alone(task: Task, store: Store) -> Iterator[None]:
+    """Keep a second process from searching here at the same time."""
+    folder = store.root / "searches" / f".{task.search.name}"
+    with RunLock(folder) as mine:
+        if not mine:
+            raise UserError(f"search {task.search.name}: another process searches in {store.root} now")
+        yield
+
+
+class _Outcomes:
+    """Outcomes of stored runs, each read once.
+
+    A diverged run cannot play: it counts with the worst that its outcome can be, where there is such a
+    bound, and with its last recorded value where there is none.
+    """
+
+    def __init__(self, task: Task, store: Store) -> None:
+        self._task = task
+        self._store = store
+        self._values: dict[tuple[str, str], float] = {}
+
+    def read(self, cell: Cell, name: str) -> float:
+        """Return an outcome of a finished run."""
+        key = (cell.run_id, name)
+        if key not in self._values:
+            self._values[key] = self._measure(cell, name)
+        return self._values[key]
+
+    def diverged(self, cell: Cell) -> bool:
+        """Tell whether a finished run diverged."""
+        return self._store.status(cell.run_id).name == "diverged"
+
+    def _measure(self, cell: Cell, name: str) -> float:
+        found = find_outcome(name)
+        worst = found.bounds[1 if found.better == "lower" else 0]
+        if self.diverged(cell) and np.isfinite(worst):
+            return float(worst)
+        record = selection_record(make_trial_plan(self._task, [cell]))
+        data = StudyData(RunRecords(self._store), record, str(self._store.root))
+        return outcome(data, data.runs[0], name)

@@ -1,0 +1,54 @@
+"""How much each hyperparameter matters: PED-ANOVA over a search's complete trials.
+
+Watanabe, Bansal and Hutter (2023): it compares where the best trials lie, along each parameter, with where
+all of them lie. The best are a tenth, but never fewer than five.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+from pneuma.search.space import Space
+
+LEAST_TRIALS = 10
+BEST_TRIALS = 5
+BEST_SHARE = 0.1
+"""Below this many complete trials there is no telling."""
+
+
+def importances(record: Mapping[str, Any], space: Space) -> dict[str, float]:
+    """Return the importance of every parameter that all complete trials have, summing to 1.
+
+    Of several objectives, that for the first. Empty with fewer than `LEAST_TRIALS` complete trials, or
+    where all have one value.
+    """
+    import optuna
+    from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+
+    from pneuma.search.sampling import distributions
+
+    complete = [trial for trial in record["trials"] if trial["state"] == "complete"]
+    values = [trial["values"][0] if "values" in trial else trial["value"] for trial in complete]
+    if len(complete) < LEAST_TRIALS or len(set(values)) < 2:
+        return {}
+    study = optuna.create_study(
+        storage=optuna.storages.InMemoryStorage(), direction=record["identity"]["objectives"][0]["direction"]
+    )
+    for trial, value in zip(complete, values, strict=True):
+        study.add_trial(
+            optuna.trial.create_trial(
+                value=value, params=trial["params"], distributions=distributions(space, trial["params"])
+            )
+        )
+    shared = [p.name for p in space.parameters if all(p.name in trial["params"] for trial in complete)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        evaluator = PedAnovaImportanceEvaluator(
+            target_quantile=max(BEST_SHARE, BEST_TRIALS / len(complete)),
+            region_quantile=1.0,
+            evaluate_on_local=True,
+        )
+        found = get_param_importances(study, evaluator=evaluator, params=shared, normalize=True)
+    return {name: float(value) for name, value in found.items()}

@@ -1,0 +1,179 @@
+"""The search space: what each parameter may be, and how it becomes settings of a run.
+
+A parameter is a field of the run, or a named choice between bundles of fields, such as two sizes of
+network. It may hang on another: a momentum counts only where the optimizer has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations, product
+from typing import Any
+
+from pneuma.config import BASES, as_settings, make_run
+from pneuma.errors import UserError
+from pneuma.study.spec import join_settings
+
+Params = Mapping[str, Any]
+"""What is suggested for a trial: numbers, and the names of choices."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from `low` to `high`, both among them; `log` where ratios count."""
+
+    low: float
+    high: float
+    log: bool = False
+    whole: bool = False
+
+    @property
+    def extremes(self) -> list[Any]:
+        """Return both ends."""
+        return [self.low, self.high]
+
+    def settings(self, name: str, value: Any) -> dict[str, Any]:
+        """Return what a value sets."""
+        return {name: value}
+
+    def value_in(self, name: str, settings: Mapping[str, Any]) -> Any:
+        """Return the value that settings hold; None where that is outside."""
+        value = settings.get(name)
+        return value if value is not None and self.low <= value <= self.high else None
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Some settings to choose from, each with a name."""
+
+    settings_of: Mapping[str, Mapping[str, Any]]
+
+    @property
+    def extremes(self) -> list[Any]:
+        """Return every name."""
+        return list(self.settings_of)
+
+    def settings(self, name: str, value: Any) -> dict[str, Any]:
+        """Return what a choice sets."""
+        return dict(self.settings_of[value])
+
+    def value_in(self, name: str, settings: Mapping[str, Any]) -> Any:
+        """Return the choice whose settings are among those given; None where there is none."""
+        return next((choice for choice, own in self.settings_of.items() if _agree(own, settings)), None)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One dimension of a search space.
+
+    Attributes:
+        name: a field of the run, or what a choice between bundles of fields is called.
+        domain: what it may be.
+        when: names of parameters before it, or of fields, with the values at which it counts.
+    """
+
+    name: str
+    domain: Range | Choices
+    when: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    def counts(self, known: Mapping[str, Any]) -> bool:
+        """Tell whether it counts beside what is known of the others."""
+        return all(known.get(name) in values for name, values in self.when.items())
+
+
+@dataclass(frozen=True)
+class Space:
+    """The parameters of a search, in the order in which they are asked for.
+
+    Attributes:
+        parameters: each after those that it hangs on.
+        fixed: what every trial sets besides, over the base.
+        base: name of the settings to start from.
+    """
+
+    parameters: tuple[Parameter, ...]
+    fixed: Mapping[str, Any]
+    base: str
+
+    def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:
+        """Have a value suggested for every parameter that counts; return them by name."""
+        params: dict[str, Any] = {}
+        for parameter in self.parameters:
+            if parameter.counts({**self._start, **params}):
+                params[parameter.name] = suggest(parameter)
+        return params
+
+    def settings(self, params: Params) -> dict[str, Any]:
+        """Return what a trial sets on top of the base, in fields of the run."""
+        settings = dict(self.fixed)
+        for parameter in self.parameters:
+            if parameter.name in params:
+                settings.update(parameter.domain.settings(parameter.name, params[parameter.name]))
+        return settings
+
+    def params_of(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters that give settings, as far as the space holds them."""
+        params: dict[str, Any] = {}
+        for parameter in self.parameters:
+            value = parameter.domain.value_in(parameter.name, settings)
+            if value is not None and parameter.counts({**settings, **params}):
+                params[parameter.name] = value
+        return params
+
+    def parameter(self, name: str) -> Parameter:
+        """Return a parameter by its name."""
+        return next(parameter for parameter in self.parameters if parameter.name == name)
+
+    def check(self) -> None:
+        """Refuse a space in which an end of some range, or two together, make no run.
+
+        Raises:
+            UserError: naming the parameters, their values, and what a run allows.
+        """
+        for own in self._corners():
+            params = {**self._usual(), **self._enabling(own), **own}
+            settings = self.settings({p.name: params[p.name] for p in self.parameters if p.name in params})
+            try:
+                make_run(join_settings(self.base, settings))
+            except UserError as error:
+                told = ", ".join(f"{name} = {value}" for name, value in own.items())
+                raise UserError(f"{told}: {error}") from None
+
+    @property
+    def _start(self) -> dict[str, Any]:
+        return {**BASES[self.base], **self.fixed}
+
+    def _corners(self) -> Iterator[dict[str, Any]]:
+        singles = [(parameter,) for parameter in self.parameters]
+        for group in [*singles, *combinations(self.parameters, 2)]:
+            for values in product(*(parameter.domain.extremes for parameter in group)):
+                own = {parameter.name: value for parameter, value in zip(group, values, strict=True)}
+                if all(set(self.parameter(name).when) - {*own} or self._fits(name, own) for name in own):
+                    yield own
+
+    def _usual(self) -> dict[str, Any]:
+        """Return a value inside the space for each parameter that hangs on no other: the base's if it can."""
+        base = self.params_of(as_settings(make_run(join_settings(self.base, dict(self.fixed)))))
+        return {
+            parameter.name: base.get(parameter.name, parameter.domain.extremes[0])
+            for parameter in self.parameters
+            if not parameter.when
+        }
+
+    def _fits(self, name: str, own: Params) -> bool:
+        return self.parameter(name).counts({**self._start, **own})
+
+    def _enabling(self, own: Params) -> dict[str, Any]:
+        """Return values for the parameters on which those of `own` hang, so that they count."""
+        needed = [item for name in own for item in self.parameter(name).when.items()]
+        names = {parameter.name for parameter in self.parameters}
+        return {name: values[0] for name, values in needed if name in names}
+
+
+def _agree(own: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
+    return all(_plain(settings.get(key)) == _plain(value) for key, value in own.items())
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,335 @@
+"""Searches as files: the space, the objectives, the budget, the sampler and the pruner.
+
+[space.learning_rate]          a range: low, high, log = true
+[space.betas]                  choices = [[0.9, 0.999], [0.9, 0.9]]
+[space.network.choices.small]  a choice between bundles of fields of the run
+[space.momentum]               when = { optimizer = ["sgd", "rmsprop"] }
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from pneuma.config import BASES, FORK_SETTINGS, Run, make_run, read_setting
+from pneuma.errors import UserError, unknown_name
+from pneuma.search import FIRST_SEED
+from pneuma.search.options import PRUNERS, SAMPLERS, read_options
+from pneuma.search.space import Choices, Parameter, Range, Space
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, join_settings, read_seeds, studies_folder
+from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.values import Choice, Flag, Number
+
+OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
+"""How the outcomes of a trial's seeds become one value."""
+DIRECTIONS = ("maximize", "minimize")
+SETTABLE = tuple(f.name for f in fields(Run) if f.name not in ("seed", "steps", "engine", *FORK_SETTINGS))
+
+_TOP_KEYS = (
+    "title", "section", "about", "base", "start", "generation", "run", "objectives", "space", "sampler",
+    "pruner", "presets",
+)  # fmt: skip
+_COUNT = Number(1, 10_000, whole=True)
+_GENERATION = Number(1, 256, whole=True)
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What is sought: an outcome of the runs, put together over a trial's seeds."""
+
+    name: str
+    outcome: str
+    over_seeds: str
+    direction: str
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much is searched: trials, the seeds of each, and agent steps of each run."""
+
+    trials: int
+    seeds: tuple[int, ...]
+    steps: int
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search as its file has it.
+
+    Attributes:
+        name, path: of the file.
+        title, section, about: for people.
+        space: what is searched, and what is fixed.
+        objectives: one; several for a search of the Pareto front.
+        start: trials to begin with, as parameters.
+        start_names: what they are called.
+        generation: trials that are asked for before any of them is told.
+        sampler, pruner: their names and options, all of these given; the pruner's name may be empty.
+        presets: by name.
+    """
+
+    name: str
+    path: Path
+    title: str
+    section: str
+    about: str
+    space: Space
+    objectives: tuple[Objective, ...]
+    start: tuple[Mapping[str, Any], ...]
+    start_names: tuple[str, ...]
+    generation: int
+    sampler: Mapping[str, Any]
+    pruner: Mapping[str, Any]
+    presets: Mapping[str, Budget]
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """Return the outcomes that its objectives read."""
+        return tuple(dict.fromkeys(objective.outcome for objective in self.objectives))
+
+
+def searches_folder() -> Path:
+    """Return the folder of shipped searches."""
+    return studies_folder() / "search"
+
+
+def list_searches() -> list[str]:
+    """Return the names of the shipped searches."""
+    return sorted(path.stem for path in searches_folder().glob("*.toml"))
+
+
+def load_search(name: str) -> Search:
+    """Load a shipped search by its name, or any by the path of its file.
+
+    Raises:
+        UserError: naming file, line, key, value and what is allowed.
+    """
+    if name.endswith(".toml"):
+        path = Path(name)
+        if path.stem in list_searches() and path.resolve() != (searches_folder() / path.name).resolve():
+            raise UserError(f"{path}: a shipped search is called {path.stem}; give yours another file name")
+        return read_search(read_toml(path))
+    if name not in list_searches():
+        raise unknown_name("search", name, list_searches())
+    return read_search(read_toml(searches_folder() / f"{name}.toml"))
+
+
+def read_search(file: TomlFile) -> Search:
+    """Check a file and return its search."""
+    file.refuse_unknown((), file.data, _TOP_KEYS)
+    for key in ("title", "base", "objectives", "space", "presets"):
+        if key not in file.data:
+            raise UserError(f"{file.path}: the key {key!r} is missing")
+    texts = {key: _text(file, key) for key in ("title", "section", "about", "base")}
+    if texts["base"] not in BASES:
+        raise file.mistake((), f"base: {unknown_name('base', texts['base'], BASES)}", "base")
+    space = _read_space(file, texts["base"])
+    objectives = tuple(_read_objective(file, name) for name in file.table(("objectives",)))
+    if not objectives:
+        raise file.mistake((), "a search needs at least one objective", "objectives")
+    names, start = _read_start(file, space)
+    return Search(
+        name=file.path.stem,
+        path=file.path,
+        title=texts["title"],
+        section=texts["section"],
+        about=" ".join(texts["about"].split()),
+        space=space,
+        objectives=objectives,
+        start=start,
+        start_names=names,
+        generation=int(_read(file, (), "generation", file.data.get("generation", 8), _GENERATION)),
+        sampler=read_options(file, "sampler", SAMPLERS, "tpe"),
+        pruner=read_options(file, "pruner", PRUNERS, ""),
+        presets={name: _read_budget(file, name) for name in file.table(("presets",))},
+    )
+
+
+def read_search_seeds(value: object) -> tuple[int, ...]:
+    """Read seeds: a list as it is, a count n for `FIRST_SEED` and the n - 1 after it.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    seeds = read_seeds(value)
+    return seeds if isinstance(value, (list, tuple)) else tuple(FIRST_SEED + seed for seed in seeds)
+
+
+# --- Parts of a file -------------------------------------------------------------------------------
+
+
+def _text(file: TomlFile, key: str) -> str:
+    value = file.data.get(key, "")
+    if not isinstance(value, str) or (key == "title" and not value.strip()):
+        raise file.mistake((), f"{key} = {shown(value)} is not allowed: a text", key)
+    return value
+
+
+def _read(file: TomlFile, where: Where, key: str, value: Any, reader: Number | Choice | Flag) -> Any:
+    try:
+        return reader.read(value)
+    except (ValueError, TypeError):
+        message = f"{key} = {shown(value)} is not allowed: {reader.allowed}"
+        raise file.mistake(where, message, key) from None
+
+
+def _read_space(file: TomlFile, base: str) -> Space:
+    fixed = _read_settings(file, ("run",))
+    parameters: list[Parameter] = []
+    for name in file.table(("space",)):
+        parameters.append(_read_parameter(file, name, [*(p.name for p in parameters), *SETTABLE]))
+    if not parameters:
+        raise file.mistake((), "a search needs at least one parameter", "space")
+    for parameter in parameters:
+        for key in _keys(parameter):
+            if key in fixed:
+                raise file.mistake(("run",), f"{key} is searched by [space.{parameter.name}]", key)
+    space = Space(tuple(parameters), fixed, base)
+    try:
+        space.check()
+    except UserError as error:
+        name = str(error).split(" = ", 1)[0]
+        raise file.mistake(("space", name) if name in file.table(("space",)) else (), str(error)) from None
+    return space
+
+
+def _keys(parameter: Parameter) -> list[str]:
+    if isinstance(parameter.domain, Range):
+        return [parameter.name]
+    return list(dict.fromkeys(key for own in parameter.domain.settings_of.values() for key in own))
+
+
+def _read_parameter(file: TomlFile, name: str, known: list[str]) -> Parameter:
+    where = ("space", name)
+    table = file.table(where)
+    file.refuse_unknown(where, table, ("low", "high", "log", "choices", "when"))
+    when = _read_when(file, where, known)
+    if "choices" in table:
+        for key in ("low", "high", "log"):
+            if key in table:
+                raise file.mistake(where, f"{key} does not go with choices", key)
+        return Parameter(name, _read_choices(file, where, name), when)
+    return Parameter(name, _read_range(file, where, name), when)
+
+
+def _read_range(file: TomlFile, where: Where, name: str) -> Range:
+    table = file.table(where)
+    _refuse_unknown_field(file, where, name)
+    for key in ("low", "high"):
+        if key not in table:
+            raise file.mistake(where, f"the key {key!r} is missing (or give choices)")
+    low, high = (_read_value(file, where, key, name, table[key]) for key in ("low", "high"))
+    log = _read(file, where, "log", table.get("log", False), Flag())
+    if isinstance(low, bool) or not isinstance(low, int | float) or not isinstance(high, int | float):
+        raise file.mistake(where, f"{name} is no number: give choices")
+    if not low < high:
+        message = f"low = {shown(low)} is not below high = {shown(high)}: an empty range"
+        raise file.mistake(where, message, "low")
+    if log and low <= 0:
+        raise file.mistake(where, f"low = {shown(low)} is not allowed with log: above 0", "low")
+    return Range(low, high, log, whole=isinstance(low, int))
+
+
+def _read_choices(file: TomlFile, where: Where, name: str) -> Choices:
+    given = file.table(where)["choices"]
+    if isinstance(given, dict):
+        tables = {choice: _read_settings(file, (*where, "choices", choice)) for choice in given}
+        if len(tables) < 2 or not all(tables.values()):
+            raise file.mistake(where, "choices must be two tables or more, each with settings", "choices")
+        return Choices(tables)
+    _refuse_unknown_field(file, where, name)
+    if not isinstance(given, list) or len(given) < 2:
+        message = f"choices = {shown(given)} is not allowed: a list of two values or more, or tables"
+        raise file.mistake(where, message, "choices")
+    values = [_read_value(file, where, "choices", name, value) for value in given]
+    if len({shown(value) for value in values}) < len(values):
+        raise file.mistake(where, "choices repeat a value", "choices")
+    return Choices({_name(value): {name: value} for value in values})
+
+
+def _name(value: Any) -> str:
+    return "none" if value is None else value if isinstance(value, str) else json.dumps(value)
+
+
+def _read_when(file: TomlFile, where: Where, known: list[str]) -> dict[str, tuple[Any, ...]]:
+    when = file.table((*where, "when"))
+    for name, values in when.items():
+        if name not in known:
+            problem = unknown_name("parameter before it, or field of the run,", name, known)
+            raise file.mistake((*where, "when"), str(problem), name)
+        when[name] = tuple(values) if isinstance(values, list) else (values,)
+    return when
+
+
+def _refuse_unknown_field(file: TomlFile, where: Where, name: str) -> None:
+    if name not in SETTABLE:
+        told = f"{unknown_name('parameter', name, SETTABLE)}; or give it choices of settings"
+        raise file.mistake(where, told)
+
+
+def _read_value(file: TomlFile, where: Where, key: str, name: str, value: Any) -> Any:
+    try:
+        return read_setting(Run, name, value)
+    except UserError as error:
+        raise file.mistake(where, str(error), key) from None
+
+
+def _read_settings(file: TomlFile, where: Where) -> dict[str, Any]:
+    settings = file.table(where)
+    file.refuse_unknown(where, settings, SETTABLE)
+    return {key: _read_value(file, where, key, key, value) for key, value in settings.items()}
+
+
+def _read_objective(file: TomlFile, name: str) -> Objective:
+    where = ("objectives", name)
+    table = file.table(where)
+    file.refuse_unknown(where, table, ("outcome", "over_seeds", "direction"))
+    if not isinstance(table.get("outcome"), str):
+        raise file.mistake(where, "the key 'outcome' is missing")
+    return Objective(
+        name,
+        table["outcome"],
+        _read(file, where, "over_seeds", table.get("over_seeds", "mean"), Choice(OVER_SEEDS)),
+        _read(file, where, "direction", table.get("direction", "maximize"), Choice(DIRECTIONS)),
+    )
+
+
+def _read_start(file: TomlFile, space: Space) -> tuple[tuple[str, ...], tuple[Mapping[str, Any], ...]]:
+    names = file.data.get("start", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise file.mistake((), f"start = {shown(names)} is not allowed: a list of bases", "start")
+    start = []
+    for name in names:
+        if name not in BASES:
+            raise file.mistake((), f"start: {unknown_name('base', name, BASES)}", "start")
+        start.append(space.params_of(_resolved(name, space.fixed)))
+    return tuple(names), tuple(start)
+
+
+def _resolved(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
+    run = make_run(join_settings(base, dict(fixed)))
+    return {f.name: getattr(run, f.name) for f in fields(Run)}
+
+
+def _read_budget(file: TomlFile, name: str) -> Budget:
+    where = ("presets", name)
+    if name not in PRESETS:
+        raise file.mistake(("presets",), str(unknown_name("preset", name, PRESETS)), name)
+    table = file.table(where)
+    file.refuse_unknown(where, table, ("trials", "seeds", "steps"))
+    for key in ("trials", "seeds", "steps"):
+        if key not in table:
+            raise file.mistake(where, f"the key {key!r} is missing")
+    try:
+        seeds = read_search_seeds(table["seeds"])
+    except (ValueError, UserError, TypeError):
+        message = f"seeds = {shown(table['seeds'])} is not allowed: {SEEDS_ALLOWED}"
+        raise file.mistake(where, message, "seeds") from None
+    return Budget(
+        int(_read(file, where, "trials", table["trials"], _COUNT)),
+        seeds,
+        int(_read_value(file, where, "steps", "steps", table["steps"])),
+    )

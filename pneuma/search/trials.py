@@ -1,0 +1,290 @@
+"""The loop of a search: generations of trials, asked for together, trained as runs, told in order.
+
+A search is a function of its file, its budget and its runs' outcomes. It is replayed from its first
+trial at every call: runs that are stored are read, the others trained. So it goes on after a kill with
+the suggestions that it would have made, and needs nothing that a kill could have spoiled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import optuna
+
+from pneuma.analysis.estimates import interquartile_mean
+from pneuma.config import Run, as_settings, make_run
+from pneuma.errors import UserError
+from pneuma.search.sampling import ask, begin_study
+from pneuma.search.spec import Budget, Search
+from pneuma.study.identity import run_id
+from pneuma.study.plan import Cell, Plan, Selection
+from pneuma.study.spec import Study, join_settings
+
+ReadOutcome = Callable[[Cell, str], float]
+"""Returns an outcome of a finished run; NaN where it has none."""
+
+Train = Callable[[Plan], None]
+"""Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
+
+
+class Unfinished(Exception):
+    """A run crashed, so that its trial has no value and the search cannot go on."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A search with a budget.
+
+    Attributes:
+        search: its file.
+        budget: trials, seeds and steps.
+        over: fields of the run set over everything else, the engine among them.
+    """
+
+    search: Search
+    budget: Budget
+    over: Mapping[str, Any]
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Return all that its suggestions hang on, but the number of trials."""
+        search = self.search
+        return {
+            "base": search.space.base,
+            "fixed": {**search.space.fixed, **self.over},
+            "space": [asdict(parameter) for parameter in search.space.parameters],
+            "objectives": [asdict(objective) for objective in search.objectives],
+            "start": search.start,
+            "generation": search.generation,
+            "sampler": search.sampler,
+            "pruner": search.pruner,
+            "seeds": self.budget.seeds,
+            "steps": self.budget.steps,
+            "optuna": optuna.__version__,
+        }
+
+    @property
+    def digest(self) -> str:
+        """Return a short name of the identity."""
+        text = json.dumps(self.identity, sort_keys=True, default=list)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Told:
+    """A trial that has ended.
+
+    Attributes:
+        number: from 0, in the order of asking.
+        params: what was suggested.
+        settings: what of the run that sets, over the base.
+        state: 'complete'; 'pruned', where it was given up early; 'failed', where it has no value.
+        values: one for each objective; of a pruned trial, what it had come to.
+        run_ids: of its runs, those at its rungs first.
+        steps: at each rung, with the value that it was compared by.
+        note: why it failed, or that a run of it diverged.
+    """
+
+    number: int
+    params: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    state: str
+    values: tuple[float, ...]
+    run_ids: tuple[str, ...]
+    rungs: Mapping[int, float]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What of a trial is trained before trials are compared; `key` is the step that Optuna is told."""
+
+    seeds: tuple[int, ...]
+    steps: int
+    key: int
+
+
+@dataclass
+class _Asked:
+    """A trial between being asked for and being told."""
+
+    trial: optuna.Trial
+    params: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    run: Run | None
+    note: str = ""
+    pruned: bool = False
+
+    def __post_init__(self) -> None:
+        self.cells: list[Cell] = []
+        self.rungs: dict[int, float] = {}
+
+
+def conduct(
+    task: Task, train: Train, read: ReadOutcome, diverged: Callable[[Cell], bool]
+) -> Iterator[list[Told]]:
+    """Search; yield every generation's trials when they have ended.
+
+    Args:
+        task: the search and its budget.
+        train: trains the runs of a plan that are not stored.
+        read: reads an outcome of a run.
+        diverged: tells whether a finished run diverged.
+
+    Raises:
+        Unfinished: where a run crashed.
+    """
+    search, budget = task.search, task.budget
+    rungs = stages(search.pruner, budget)
+    directions = [objective.direction for objective in search.objectives]
+    study = begin_study(search.name, directions, search.pruner, len(rungs))
+    trained: list[Cell] = []
+    for first in range(0, budget.trials, search.generation):
+        asked = [_ask(study, task) for _ in range(search.generation)][: budget.trials - first]
+        for stage in rungs:
+            _train_stage(task, stage, asked, trained, train)
+            _compare(task, stage, rungs, asked, read)
+        yield [_tell(study, task, each, read, diverged) for each in asked]
+
+
+def stages(pruner: Mapping[str, Any], budget: Budget) -> tuple[Stage, ...]:
+    """Return the stages in which a trial is trained; the last one has its whole budget.
+
+    Median and Hyperband compare at rungs of the budget: each an own, shorter training with all seeds.
+    Wilcoxon's test compares seed by seed.
+    """
+    if pruner["name"] == "wilcoxon":
+        return tuple(Stage((seed,), budget.steps, place) for place, seed in enumerate(budget.seeds))
+    count = pruner.get("rungs", 1)
+    ratio = pruner.get("reduction")
+    shares = [ratio ** (k - count + 1) if ratio else (k + 1) / count for k in range(count)]
+    keys = [ratio**k if ratio else k + 1 for k in range(count)]
+    return tuple(
+        Stage(budget.seeds, max(1, round(share * budget.steps)), key)
+        for share, key in zip(shares, keys, strict=True)
+    )
+
+
+def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
+    """Return runs of trials as the plan of a study, which can be exported and drawn like any other."""
+    name = f"search-{task.search.name}"
+    study = Study(
+        name=name,
+        path=None,
+        title=task.search.title,
+        section=task.search.section,
+        about=task.search.about,
+        figure=name,
+        baseline=cells[0].condition,
+        base=task.search.space.base,
+        shared={},
+        conditions={cell.condition: {} for cell in cells},
+    )
+    return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
+
+
+def _ask(study: optuna.Study, task: Task) -> _Asked:
+    search = task.search
+    trial, params = ask(study, search.space, search.sampler, search.name, search.start)
+    settings = {**search.space.settings(params), **task.over}
+    try:
+        run = make_run({**join_settings(search.space.base, settings), "steps": task.budget.steps})
+    except UserError as error:
+        return _Asked(trial, params, settings, None, str(error))
+    return _Asked(trial, params, settings, run)
+
+
+def _train_stage(task: Task, stage: Stage, asked: list[_Asked], trained: list[Cell], train: Train) -> None:
+    """Train a stage of all trials that are still in the race; `trained` gets their cells."""
+    for each in asked:
+        if each.run is None or each.pruned:
+            continue
+        run = make_run({**as_settings(each.run), "steps": stage.steps})
+        whole = run.steps == each.run.steps
+        name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
+        own = [
+            Cell(name, seed, one, run_id(one)) for seed in stage.seeds for one in [replace(run, seed=seed)]
+        ]
+        each.cells += own
+        trained += own
+    if trained:
+        train(make_trial_plan(task, trained))
+
+
+def _compare(
+    task: Task, stage: Stage, rungs: Sequence[Stage], asked: list[_Asked], read: ReadOutcome
+) -> None:
+    """Report a stage of every trial, in order, and only then give up those that the pruner names."""
+    if len(rungs) < 2:
+        return
+    racing = [each for each in asked if each.run is not None and not each.pruned]
+    for each in racing:
+        cells = [cell for cell in each.cells if cell.seed in stage.seeds][-len(stage.seeds) :]
+        value = _values(task, cells, read)[0]
+        each.rungs[stage.key] = value
+        if np.isfinite(value):
+            each.trial.report(value, stage.key)
+    if stage is not rungs[-1]:
+        for each in racing:
+            each.pruned = each.trial.should_prune()
+
+
+def _tell(
+    study: optuna.Study,
+    task: Task,
+    asked: _Asked,
+    read: ReadOutcome,
+    diverged: Callable[[Cell], bool],
+) -> Told:
+    values = _values(task, _last(asked, task), read) if asked.run else ()
+    state = (
+        "failed" if not values or not np.isfinite(values).all() else "pruned" if asked.pruned else "complete"
+    )
+    if state == "complete":
+        study.tell(asked.trial, list(values))
+    else:
+        kind = optuna.trial.TrialState
+        study.tell(asked.trial, state=kind.PRUNED if state == "pruned" else kind.FAIL)
+    count = sum(diverged(cell) for cell in asked.cells)
+    note = asked.note or (f"{count} of {len(asked.cells)} runs diverged" if count else "")
+    return Told(
+        asked.trial.number,
+        asked.params,
+        asked.settings,
+        state,
+        values,
+        tuple(cell.run_id for cell in asked.cells),
+        asked.rungs,
+        note,
+    )
+
+
+def _last(asked: _Asked, task: Task) -> list[Cell]:
+    """Return the cells of a trial's longest training."""
+    longest = max(cell.run.steps for cell in asked.cells)
+    return [cell for cell in asked.cells if cell.run.steps == longest]
+
+
+def _values(task: Task, cells: Sequence[Cell], read: ReadOutcome) -> tuple[float, ...]:
+    return tuple(
+        over_seeds(objective.over_seeds, np.array([read(cell, objective.outcome) for cell in cells]))
+        for objective in task.search.objectives
+    )
+
+
+def over_seeds(name: str, values: np.ndarray) -> float:
+    """Put the outcomes of a trial's runs together, (seeds,); NaN where one has none."""
+    if not np.isfinite(values).all():
+        return float("nan")
+    if name == "deviation":
+        return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+    if name == "iqm":
+        return float(interquartile_mean(values))
+    if name == "median":
+        return float(np.median(values))
+    return float(values.min() if name == "least" else values.mean())

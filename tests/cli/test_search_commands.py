@@ -1,0 +1,148 @@
+"""`pneuma search …` with real runs, small ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pneuma.cli import main
+
+SEARCH = """
+title = "A small search"
+base = "table-6-2"
+start = ["table-6-2"]
+generation = 2
+
+[run]
+evaluation_episodes = 2
+horizon = 64
+actor = [8]
+critic = [8]
+
+[objectives.killed]
+outcome = "auc-share-killed"
+
+[space.learning_rate]
+low = 1e-5
+high = 1e-2
+log = true
+
+[presets.quick]
+trials = 4
+seeds = 2
+steps = 128
+"""
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return a search file and the results folder that it was run in."""
+    folder = tmp_path_factory.mktemp("search")
+    path = folder / "small.toml"
+    path.write_text(SEARCH)
+    assert main(["search", "run", str(path), "--results", str(folder / "results"), "--quiet"]) == 0
+    return path, folder / "results"
+
+
+def test_a_search_is_told_as_json_and_trains_nothing_twice(searched, capsys) -> None:
+    path, results = searched
+    before = {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")}
+    assert main(["search", "run", str(path), "--results", str(results), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [trial["number"] for trial in document["trials"]] == [0, 1, 2, 3]
+    assert {trial["state"] for trial in document["trials"]} == {"complete"}
+    assert {name for trial in document["trials"] for name in trial["run_ids"]} == {
+        p.parent.name for p in before
+    }
+    best = document["trials"][document["best"]]["value"]
+    assert best == max(trial["value"] for trial in document["trials"])
+    assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
+
+
+def test_a_search_is_exported_like_a_study(searched, capsys) -> None:
+    arguments = ["study", "export", "search-small", "--table", "evaluations", "--out", "-"]
+    assert main([*arguments, "--results", str(searched[1])]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("condition,seed,run_id")
+    assert {line.split(",")[0] for line in lines[1:]} == {f"trial-{n:03}" for n in range(4)}
+
+
+def test_a_winner_is_promoted_on_fresh_seeds(searched, capsys) -> None:
+    path, results = searched
+    assert main(["search", "promote", str(path), "--results", str(results), "--seeds", "2", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    gained = document["objectives"]["killed"]
+    assert gained["luck"] == pytest.approx(gained["seen"] - gained["fresh"])
+    assert document["seeds"] == [0, 1]
+    assert {len(names) for names in document["run_ids"].values()} == {2}
+    assert main(["search", "promote", str(path), "--results", str(results), "--seeds", "1000,3"]) == 2
+    assert "the search was run on 1000" in capsys.readouterr().err
+
+
+def test_its_figures_are_the_same_bytes_twice(searched, tmp_path: Path) -> None:
+    path, results = searched
+    for folder in ("one", "two"):
+        arguments = ["search", "plot", str(path), "--results", str(results), "--out", str(tmp_path / folder)]
+        assert main([*arguments, "--format", "svg"]) == 0
+    names = sorted(p.name for p in (tmp_path / "one").iterdir())
+    assert "search-small-history.svg" in names
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_sensitivity_is_trained_and_drawn(searched, tmp_path: Path) -> None:
+    path, results = searched
+    arguments = ["search", "run", str(path), "--sensitivity", "--results", str(results), "--quiet"]
+    assert main(arguments) == 0
+    plot = ["search", "plot", str(path), "--sensitivity", "--results", str(results), "--out", str(tmp_path)]
+    assert main([*plot, "--format", "svg"]) == 0
+    assert (tmp_path / "sensitivity-small.svg").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["run", "pop"], "unknown search 'pop' (did you mean ppo?)"),
+        (["run", "ppo", "--trials", "0"], "--trials 0: must be a whole number"),
+        (["run", "ppo", "--set", "learning_rate=1"], "--set learning_rate: is searched by ppo"),
+        (["run", "ppo", "--set", "sloths=1"], "unknown key of --set 'sloths' (did you mean slots?)"),
+        (["run", "ppo", "--preset", "quik"], "unknown preset of search ppo 'quik' (did you mean quick?)"),
+        (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),
+        (["run", "ppo", "--storage", "nothing"], "--storage nothing:"),
+        (["status", "ppo"], "search ppo was not run"),
+        (["plot", "ppo"], "search ppo was not run"),
+        (["promote", "ppo"], "search ppo was not run"),
+        (["plot", "ppo", "--what", "histroy"], "did you mean history"),
+    ],
+)
+def test_mistakes_are_told_in_one_line_and_train_nothing(arguments, told, tmp_path, capsys) -> None:
+    assert main(["search", *arguments, "--results", str(tmp_path / "results")]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "results" / "runs").exists()
+
+
+@pytest.mark.slow
+def test_killed_half_way_it_comes_to_the_same(searched, tmp_path: Path) -> None:
+    path, results = searched
+    command = [sys.executable, "-m", "pneuma", "search", "run", str(path), "--results", str(tmp_path / "r")]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    while not list((tmp_path / "r").glob("runs/*/status.json")) and process.poll() is None:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    again = subprocess.run([*command, "--json"], capture_output=True, check=True)
+    whole = subprocess.run(
+        [*command[:-1], str(results), "--json"], capture_output=True, check=True, text=True
+    )
+    keys = ("trials", "best", "optuna_study")
+    one, other = json.loads(again.stdout), json.loads(whole.stdout)
+    assert [one[key] for key in keys] == [other[key] for key in keys]

@@ -1,0 +1,70 @@
+"""A search whose runs are a formula, so that its trials can be worked out without training."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from pneuma.search.spec import Budget, load_search
+from pneuma.search.trials import Task, Told, conduct
+from pneuma.study.plan import Cell, Plan
+
+SPACE = """
+title = "A formula"
+base = "table-6-2"
+generation = 4
+{start}
+
+[objectives.height]
+outcome = "final-share-killed"
+over_seeds = "mean"
+{second}
+
+[space.learning_rate]
+low = 1e-5
+high = 1e-2
+log = true
+
+[space.activation]
+choices = ["tanh", "relu"]
+
+{more}
+
+[presets.quick]
+trials = 8
+seeds = 2
+steps = 2048
+"""
+
+
+def height(cell: Cell, outcome: str) -> float:
+    """Return 1 at a learning rate of 1e-3 with tanh, less elsewhere; a little more for odd seeds."""
+    run = cell.run
+    distance = abs(math.log10(run.learning_rate) + 3)
+    return 1 - 0.2 * distance - 0.1 * (run.activation == "relu") + 0.01 * (run.seed % 2)
+
+
+@pytest.fixture
+def make_task(tmp_path: Path) -> Callable[..., Task]:
+    """Return a function that makes a task of the formula search."""
+
+    def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
+        path = tmp_path / "formula.toml"
+        path.write_text(SPACE.format(more=more, second=second, start=start))
+        return Task(load_search(str(path)), Budget(trials, (1000, 1001), 2048), {})
+
+    return make
+
+
+@pytest.fixture
+def solve() -> Callable[..., Iterator[list[Told]]]:
+    """Return a function that conducts a task on the formula; `plans` gets what would be trained."""
+
+    def run(task: Task, plans: list[Plan] | None = None, read=height) -> Iterator[list[Told]]:
+        train = (lambda plan: None) if plans is None else plans.append
+        return conduct(task, train, read, lambda cell: False)
+
+    return run

@@ -1,0 +1,70 @@
+"""The Optuna storage of a search: only ended trials, in order; rebuilt when lost; never another's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import optuna
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.search.database import Database
+from pneuma.study.store import Store
+from tests.search.test_trials import flat
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "results")
+
+
+def read(database: Database) -> list[optuna.trial.FrozenTrial]:
+    return optuna.load_study(study_name=database.name, storage=database.url).trials
+
+
+def test_it_holds_what_was_told(make_task, solve, store) -> None:
+    task = make_task(8)
+    told = flat(solve(task))
+    Database(task, None, store).save(told[:4])
+    database = Database(task, None, store)
+    database.save(told)
+    trials = read(database)
+    assert [(t.number, t.params, t.values) for t in trials] == [
+        (t.number, dict(t.params), list(t.values)) for t in told
+    ]
+    assert {t.state for t in trials} == {optuna.trial.TrialState.COMPLETE}
+    assert [t.user_attrs["runs"] for t in trials] == [list(t.run_ids) for t in told]
+
+
+@pytest.mark.parametrize("damage", [lambda p: p.unlink(), lambda p: p.write_bytes(b"no database" * 500)])
+def test_a_lost_file_is_written_anew(make_task, solve, store, damage) -> None:
+    task = make_task(8)
+    told = flat(solve(task))
+    Database(task, None, store).save(told)
+    damage(store.root / "searches" / "formula.db")
+    again = Database(task, None, store)
+    again.save(told)
+    assert len(read(again)) == 8
+
+
+def test_another_search_of_the_name_is_refused(make_task, solve, store, tmp_path) -> None:
+    task = make_task(8)
+    url = f"sqlite:///{tmp_path / 'shared.db'}"
+    foreign = optuna.create_study(storage=url, study_name=Database(task, None, store).name)
+    foreign.add_trial(optuna.trial.create_trial(value=1.0))
+    with pytest.raises(UserError, match="holds another search"):
+        Database(task, url, store)
+
+
+def test_other_trials_under_its_name_are_refused(make_task, solve, store) -> None:
+    task = make_task(8)
+    told = flat(solve(task))
+    Database(task, None, store).save(told[:4])
+    with pytest.raises(UserError, match="holds another search"):
+        Database(task, None, store).save(list(reversed(told)))
+
+
+def test_a_storage_that_nobody_answers_is_told_without_its_password(make_task, store) -> None:
+    with pytest.raises(UserError) as caught:
+        Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
+    assert "secret" not in str(caught.value)

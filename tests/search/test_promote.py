@@ -1,0 +1,71 @@
+"""Promoting a winner: its study trains just what the trial trained, on other seeds."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.search.promote import BASELINE, WINNER, gain, promoted_study, refuse_seen_seeds, winner
+from pneuma.search.record import read_record, save_record
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+from tests.search.test_trials import flat
+
+OPTIMIZERS = """
+[space.optimizer]
+choices = ["adam", "sgd"]
+
+[space.gradient_limit]
+choices = [0.5, "none"]
+
+[space.betas]
+choices = [[0.9, 0.999], [0.9, 0.9]]
+when = { optimizer = "adam" }
+"""
+
+
+@pytest.fixture
+def searched(make_task, solve, tmp_path: Path):
+    """Return a task, what was told, and the record of it."""
+    task = make_task(8, OPTIMIZERS)
+    told = flat(solve(task))
+    store = Store(tmp_path / "results")
+    save_record(store, task, told, "sqlite:///x.db", "x")
+    return task, told, read_record(store, "formula")
+
+
+def test_the_promoted_condition_is_the_trial(searched, tmp_path) -> None:
+    """On the search's own seeds its run ids are the trial's: it is the very same training."""
+    task, told, record = searched
+    for trial in told:
+        path = tmp_path / "promoted.toml"
+        path.write_text(promoted_study(task.search, record, winner(record, trial.number)))
+        plan = make_plan(load_study(str(path)), Selection(seeds=(1000, 1001), steps=2048))
+        ids = [cell.run_id for cell in plan.cells if cell.condition == WINNER]
+        assert ids == list(trial.run_ids)
+        assert {cell.run.learning_rate for cell in plan.cells if cell.condition == BASELINE} == {3e-4}
+
+
+def test_the_best_trial_is_promoted_unless_told(searched) -> None:
+    _, told, record = searched
+    assert winner(record, None)["value"] == max(trial.values[0] for trial in told)
+    assert winner(record, 3)["number"] == 3
+    with pytest.raises(UserError, match="--trial 99: no complete trial"):
+        winner(record, 99)
+
+
+def test_seeds_of_the_search_are_refused(searched) -> None:
+    refuse_seen_seeds((0, 1, 2), searched[2])
+    with pytest.raises(UserError, match="the search was run on 1001"):
+        refuse_seen_seeds((0, 1001), searched[2])
+
+
+def test_gain_and_luck_by_hand() -> None:
+    found = gain("mean", 0.9, math.nan, np.array([0.5, 0.7]), np.array([0.4, 0.4]))
+    assert (found.fresh, found.fresh_baseline, found.difference) == pytest.approx((0.6, 0.4, 0.2))
+    assert found.luck == pytest.approx(0.3)

@@ -1,0 +1,142 @@
+"""Search files: what is read, and what is refused with its place and mend."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.search.spec import list_searches, load_search, read_search_seeds
+
+GOOD = """
+title = "A search"
+base = "table-6-2"
+start = ["table-6-2", "table-6-1"]
+generation = 4
+
+[run]
+gradient_limit = 0.5
+
+[objectives.killed]
+outcome = "final-share-killed"
+
+[space.learning_rate]
+low = 1e-5
+high = 1e-2
+log = true
+
+[space.epochs]
+low = 1
+high = 10
+
+[space.optimizer]
+choices = ["adam", "sgd"]
+
+[space.momentum]
+low = 0.0
+high = 0.9
+when = { optimizer = "sgd" }
+
+[space.network.choices.small]
+actor = [32]
+critic = [64]
+
+[space.network.choices.text]
+actor = [128]
+critic = [256]
+
+[presets.quick]
+trials = 4
+seeds = 2
+steps = 512
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    """Return a function that writes a search file and loads it."""
+
+    def load(text: str):
+        path = tmp_path / "mine.toml"
+        path.write_text(text)
+        return load_search(str(path))
+
+    return load
+
+
+def test_a_search_is_read_whole(write) -> None:
+    search = write(GOOD)
+    assert search.presets["quick"].seeds == (1000, 1001)
+    assert [p.name for p in search.space.parameters] == [
+        "learning_rate", "epochs", "optimizer", "momentum", "network",
+    ]  # fmt: skip
+    assert search.start == (
+        {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "network": "text"},
+        {"learning_rate": 3e-4, "optimizer": "adam", "network": "text"},  # 15 epochs are outside
+    )
+    assert search.space.settings({"optimizer": "sgd", "momentum": 0.5, "network": "small"}) == {
+        "gradient_limit": 0.5, "optimizer": "sgd", "momentum": 0.5, "actor": (32,), "critic": (64,),
+    }  # fmt: skip
+
+
+def test_a_parameter_is_asked_for_only_where_it_counts(write) -> None:
+    space = write(GOOD).space
+    for optimizer in ("adam", "sgd"):
+        asked = space.ask(
+            lambda p, chosen=optimizer: chosen if p.name == "optimizer" else p.domain.extremes[0]
+        )
+        assert ("momentum" in asked) == (optimizer == "sgd")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [  # what is changed, into what, and what is said of it
+        ("[space.epochs]", "[space.epoch]", "line 18: [space.epoch] unknown parameter 'epoch' (did you"),
+        ("high = 1e-2", "high = 1e-6", "low = 1e-05 is not below high = 1e-06: an empty range"),
+        ("low = 1e-5", "low = 0", "learning_rate = 0 is not allowed: a number above 0"),
+        ('choices = ["adam", "sgd"]', 'choices = ["adam", "sdg"]', 'optimizer = "sdg" is not allowed'),
+        ("critic = [64]", "crtic = [64]", "unknown key 'crtic' (did you mean critic?)"),
+        ('optimizer = "sgd" }', 'optimiser = "sgd" }', "unknown parameter before it"),
+        ('base = "table-6-2"', 'base = "table-6-3"', "base: unknown base 'table-6-3'"),
+        ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
+        ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
+        ("trials = 4", "trials = 0", "trials = 0 is not allowed"),
+        ("seeds = 2", "seeds = [3, 3]", "seeds = [3, 3] is not allowed"),
+        ("generation = 4", "genration = 4", "unknown key 'genration' (did you mean generation?)"),
+        ('outcome = "final-share-killed"', 'over_seeds = "mean"', "the key 'outcome' is missing"),
+        ("[presets.quick]", '[sampler]\nname = "tpa"\n[presets.quick]', "sampler 'tpa' (did you mean tpe?)"),
+        ("[presets.quick]", "[sampler]\nstartup = 3\n[presets.quick]", "unknown key 'startup'"),
+        ("[presets.quick]", '[pruner]\nname = "median"\nrungs = 1\n[presets.quick]', "rungs = 1 is not"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_refused_by_name(write, old: str, new: str, told: str) -> None:
+    assert GOOD.count(old) >= 1
+    with pytest.raises(UserError) as caught:
+        write(GOOD.replace(old, new, 1))
+    assert told in str(caught.value)
+    assert "mine.toml" in str(caught.value)
+
+
+def test_two_ends_that_do_not_go_together_are_refused(write) -> None:
+    both = "[space.horizon]\nchoices = [32, 256]\n[space.minibatch]\nchoices = [16, 64]\n[presets.quick]"
+    with pytest.raises(UserError, match=r"horizon = 32: minibatch = 64 is not allowed"):
+        write(GOOD.replace("[presets.quick]", both))
+
+
+def test_ends_that_go_together_need_not_go_with_the_base(write) -> None:
+    both = "[space.horizon]\nchoices = [32, 64]\n[space.minibatch]\nchoices = [16, 32]\n[presets.quick]"
+    assert len(write(GOOD.replace("[presets.quick]", both)).space.parameters) == 7
+
+
+@pytest.mark.parametrize("name", list_searches())
+def test_every_shipped_search_is_sound(name: str) -> None:
+    search = load_search(name)
+    assert set(search.presets) == {"quick", "standard", "paper"}
+    assert search.about
+    assert search.section
+
+
+def test_a_count_of_seeds_leaves_those_of_studies_fresh() -> None:
+    assert read_search_seeds(3) == (1000, 1001, 1002)
+    assert read_search_seeds([5, 7]) == (5, 7)

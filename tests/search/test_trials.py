@@ -1,0 +1,142 @@
+"""The loop of a search: laws of its trials, which hold whatever a run is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.search.record import best_number
+from pneuma.search.spec import Budget
+from pneuma.search.trials import Told, over_seeds, stages
+from tests.search.conftest import height
+
+SAMPLERS = ("tpe", "random", "cma-es", "gp", "nsga-ii")
+
+
+def flat(generations) -> list[Told]:
+    return [told for generation in generations for told in generation]
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_a_search_is_the_same_however_often_it_is_begun_again(make_task, solve, sampler: str) -> None:
+    task = make_task(12, more=f'[sampler]\nname = "{sampler}"')
+    once, again = flat(solve(task)), flat(solve(task))
+    assert once == again
+    assert [told.number for told in once] == list(range(12))
+    assert len({told.params["learning_rate"] for told in once}) == 12  # nothing is suggested twice
+
+
+@pytest.mark.parametrize("count", [1, 5, 8])
+def test_fewer_trials_are_the_first_of_more(make_task, solve, count: int) -> None:
+    assert flat(solve(make_task(count))) == flat(solve(make_task(12)))[:count]
+
+
+def test_a_generation_is_asked_for_before_any_of_it_is_told(make_task, solve) -> None:
+    def upside_down(cell, outcome):
+        return -height(cell, outcome)
+
+    more = "[sampler]\nstartup_trials = 4"
+    one, other = flat(solve(make_task(8, more))), flat(solve(make_task(8, more), read=upside_down))
+    assert [told.params for told in one[:4]] == [told.params for told in other[:4]]
+    assert [told.params for told in one[4:]] != [told.params for told in other[4:]]
+
+
+def test_the_first_trials_are_those_that_it_starts_with(make_task, solve) -> None:
+    told = flat(solve(make_task(4, start='start = ["table-6-1", "table-6-2"]')))
+    assert told[0].params == {"learning_rate": 3e-4, "activation": "relu"}
+    assert told[1].params == {"learning_rate": 3e-4, "activation": "tanh"}
+    assert told[1].values == (pytest.approx(1 - 0.2 * abs(np.log10(3e-4) + 3) + 0.005),)
+
+
+def test_a_trial_is_one_run_for_each_seed(make_task, solve) -> None:
+    plans: list = []
+    told = flat(solve(make_task(4), plans))
+    cells = {cell.run_id: cell for cell in plans[-1].cells}
+    for trial in told:
+        runs = [cells[name].run for name in trial.run_ids]
+        assert [run.seed for run in runs] == [1000, 1001]
+        assert {run.learning_rate for run in runs} == {trial.params["learning_rate"]}
+        assert {run.steps for run in runs} == {2048}
+
+
+def test_a_run_without_a_number_fails_its_trial_alone(make_task, solve) -> None:
+    def blank_for_relu(cell, outcome):
+        return float("nan") if cell.run.activation == "relu" else height(cell, outcome)
+
+    told = flat(solve(make_task(8), read=blank_for_relu))
+    assert {(t.state, t.params["activation"]) for t in told} == {("failed", "relu"), ("complete", "tanh")}
+
+
+def test_rungs_of_the_budget() -> None:
+    budget = Budget(8, (0, 1, 2), 9000)
+    assert [s.steps for s in stages({"name": "hyperband", "rungs": 3, "reduction": 3}, budget)] == [
+        1000,
+        3000,
+        9000,
+    ]
+    assert [s.steps for s in stages({"name": "median", "rungs": 3}, budget)] == [3000, 6000, 9000]
+    assert [s.seeds for s in stages({"name": "wilcoxon"}, budget)] == [(0,), (1,), (2,)]
+    assert [(s.seeds, s.steps) for s in stages({"name": ""}, budget)] == [((0, 1, 2), 9000)]
+
+
+@pytest.mark.parametrize(
+    "pruner",
+    ['name = "median"\nrungs = 2\nstartup_trials = 1', 'name = "hyperband"\nrungs = 3', 'name = "wilcoxon"'],
+)
+def test_a_pruned_trial_is_trained_no_further(make_task, solve, pruner: str) -> None:
+    plans: list = []
+    task = make_task(24, f"[pruner]\n{pruner}")
+    told = flat(solve(task, plans))
+    assert told == flat(solve(task))
+    trained = {cell.run_id for cell in plans[-1].cells}
+    assert trained == {name for trial in told for name in trial.run_ids}
+    whole = max(len(trial.run_ids) for trial in told)
+    if "wilcoxon" in pruner:
+        return  # two seeds are too few for its test to give any up
+    pruned = [trial for trial in told if trial.state == "pruned"]
+    assert pruned
+    assert all(len(trial.run_ids) < whole for trial in pruned)
+    best = told[best_number(told, task.search)]
+    assert best.values[0] > max(trial.values[0] for trial in pruned)
+
+
+def test_median_gives_up_what_is_below_the_median_at_its_rung(make_task, solve) -> None:
+    """By hand: of 4 + 4 trials, those of the second generation below the median of the first go."""
+    task = make_task(
+        8, '[sampler]\nname = "random"\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 4'
+    )
+    told = flat(solve(task))
+    first = [trial.rungs[1] for trial in told[:4]]
+    assert all(trial.state == "complete" for trial in told[:4])  # nothing to compare with yet
+    for trial in told[4:]:
+        assert (trial.state == "pruned") == (trial.rungs[1] < np.median(first))
+
+
+def test_the_pareto_front_by_hand(make_task) -> None:
+    second = '[objectives.spread]\noutcome = "final-share-killed"\ndirection = "minimize"'
+    search = make_task(second=second).search
+    values = [(0.5, 0.2), (0.6, 0.3), (0.4, 0.3), (0.6, 0.1), (0.1, 0.05)]
+    told = [Told(n, {}, {}, "complete", own, (), {}) for n, own in enumerate(values)]
+    assert best_number(told, search) == [3, 4]
+    assert best_number([], search) == []
+
+
+def test_the_first_of_equals_is_best(make_task) -> None:
+    search = make_task().search
+    told = [Told(n, {}, {}, state, (own,), (), {}) for n, (state, own) in enumerate(
+        [("complete", 0.2), ("pruned", 0.9), ("complete", 0.4), ("complete", 0.4)]
+    )]  # fmt: skip
+    assert best_number(told, search) == 2
+    assert best_number([], search) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("mean", 3.0), ("median", 2.5), ("least", 1.0), ("iqm", 2.5), ("deviation", np.sqrt(10 / 3))],
+)
+def test_over_seeds_by_hand(name: str, expected: float) -> None:
+    values = np.array([1.0, 2.0, 3.0, 5.0]) if name != "mean" else np.array([1.0, 2.0, 3.0, 6.0])
+    if name == "deviation":
+        values = np.array([1.0, 2.0, 4.0, 5.0])
+    assert over_seeds(name, values) == pytest.approx(expected)
+    assert np.isnan(over_seeds(name, np.array([1.0, np.nan])))
