@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import study_output, study_run, study_summary
+from pneuma.cli import study_map, study_output, study_run, study_summary
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -40,6 +40,7 @@ app.command()(study_output.export)
 app.command()(study_output.publish)
 app.command()(study_summary.summary)
 app.command()(study_summary.collapse)
+app.command()(study_map.robustness)
 
 
 @app.command("list")

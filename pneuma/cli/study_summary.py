@@ -29,6 +29,7 @@ from pneuma.cli.options import (
     say,
 )
 from pneuma.cli.plain_text import plain
+from pneuma.cli.study_output import check_folder
 from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError
@@ -59,12 +60,12 @@ def summary(
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
-    data = _open(Store(results), name, selection, setting)
+    data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.summaries import summary_table
 
     table = summary_table(data)
     if json:
-        return print_json({"schema": 1, "study": data.study, "summary": _records(table)})
+        return print_json({"schema": 1, "study": data.study, "summary": records(table)})
     print(plain(data.title))
     for part in _readable(data, table):
         print("\n" + part)
@@ -83,6 +84,10 @@ def collapse(
     fork_seeds: Annotated[
         str, typer.Option("--fork-seeds", metavar="N|LIST", help="Seeds of the forks of each run.")
     ] = FORK_SEEDS,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Draw the collapses into this folder."),
+    ] = None,
     workers: Workers = None,
     preset: Preset = None,
     seeds: Seeds = None,
@@ -98,7 +103,7 @@ def collapse(
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
-    data = _open(store, name, selection, setting)
+    data = open_data(store, name, selection, setting)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found = diagnoses(data)
@@ -108,15 +113,26 @@ def collapse(
         plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
         how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
+    figures = [] if out is None else _drawn_collapses(data, out)
     if json:
-        document = {"schema": 1, "study": data.study, "runs": _records(found)}
-        print_json({**document, "incidence": _records(incidence(data))})
+        document = {"schema": 1, "study": data.study, "runs": records(found)}
+        print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, figures))})
         return 0
     _print_collapses(data, found, incidence(data))
+    for path in figures:
+        print(f"wrote {plain(str(path))}")
     return 0
 
 
-def _open(store: Store, name: str, selection: Any, setting: str | None) -> StudyData:
+def _drawn_collapses(data: StudyData, out: Path) -> list[Path]:
+    check_folder("--out", out)
+    from pneuma.figures.collapse import draw_collapse
+
+    return draw_collapse(data, out, f"{data.figure}-collapse")
+
+
+def open_data(store: Store, name: str, selection: Any, setting: str | None) -> StudyData:
+    """Open a study's data, saying how many runs of the selection are left out."""
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.sources import open_study
 
@@ -202,7 +218,7 @@ def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame)
     print("Show the cause of one: pneuma study collapse " + plain(data.study) + " --fork")
 
 
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Return rows as JSON holds them: null for what there is not, and for what is endless."""
     finite = table.astype(object).where(table.notna(), None)
     endless = (float("inf"), float("-inf"))

@@ -1,0 +1,120 @@
+"""`pneuma study robustness`: does a contrast hold over a study's other factors?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    Conditions,
+    EngineName,
+    Json,
+    Preset,
+    Results,
+    Seeds,
+    SettingName,
+    Settings,
+    Steps,
+    StudyName,
+    print_json,
+    read_selection,
+    read_settings_options,
+)
+from pneuma.cli.plain_text import plain
+from pneuma.cli.study_output import check_folder
+from pneuma.cli.study_summary import open_data, records
+from pneuma.errors import UserError
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.robustness import Map
+
+RESULTS = Path("results")
+PRIMARY = "final-share-killed"
+
+
+def robustness(
+    name: StudyName,
+    contrast: Annotated[
+        str,
+        typer.Option(
+            "--contrast",
+            metavar="KEY=A:B",
+            help="A setting, its value that is said to do better, and the other: activation=tanh:relu.",
+        ),
+    ],
+    outcome: Annotated[str, typer.Option("--outcome", metavar="NAME", help="What to compare.")] = PRIMARY,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Draw the map, and write the figure there.")
+    ] = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    setting: SettingName = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Compare two values of a setting in every combination of a study's other factors."""
+    key, better, worse = _read_contrast(contrast)
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    data = open_data(Store(results), name, selection, setting)
+    from pneuma.analysis.robustness import robustness_map
+
+    found = robustness_map(data, key, better, worse, outcome)
+    figures = [] if out is None else _drawn(found, f"{data.figure}-{key}", out)
+    if json:
+        return print_json({**_document(found), "figures": list(map(str, figures))})
+    _print_map(found)
+    for path in figures:
+        print(f"wrote {plain(str(path))}")
+    return None
+
+
+def _read_contrast(text: str) -> tuple[str, Any, Any]:
+    """Read KEY=A:B; a value may be a list, as in betas=0.9,0.9:0.9,0.999."""
+    key, equals, values = text.partition("=")
+    better, colon, worse = values.partition(":")
+    if not (key.strip() and equals and colon and better.strip() and worse.strip()):
+        raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
+    key = key.strip()
+    read = (read_settings_options([f"{key}={value}"])[key] for value in (better, worse))
+    return key, next(read), next(read)
+
+
+def _drawn(found: Map, stem: str, out: Path) -> list[Path]:
+    check_folder("--out", out)
+    from pneuma.figures.robustness import draw_robustness
+
+    return draw_robustness(found, out, stem)
+
+
+def _document(found: Map) -> dict[str, Any]:
+    from pneuma.analysis.robustness import map_table
+
+    return {
+        "schema": 1,
+        "study": found.study,
+        "contrast": {"setting": found.setting, "better": found.values[0], "worse": found.values[1]},
+        "outcome": found.outcome,
+        "label": found.label,
+        "cells": records(map_table(found)),
+    }
+
+
+def _print_map(found: Map) -> None:
+    from pneuma.analysis.robustness import shown_level
+    from pneuma.analysis.rounding import shown_with_interval
+
+    better, worse = map(shown_level, found.values)
+    print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {found.outcome}: {found.label}")
+    for cell in found.cells:
+        levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels) or cell.better
+        interval = cell.contrast.interval
+        effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
+        print(f"  {plain(levels):<48} {effect:<28} p {cell.p:.3f}  {cell.label}")
+    print("Intervals are each for itself; p and the label are Holm-corrected over the map.")

@@ -1,0 +1,139 @@
+"""The robustness map: which conditions are a cell, and how each is labelled; figures of map and collapse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.robustness import Map, map_table, robustness_map
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.cli import main
+from pneuma.errors import UserError
+from pneuma.figures.collapse import draw_collapse
+from pneuma.figures.robustness import draw_robustness
+from pneuma.study.store import Store
+
+from .collapse_records import healthy, learning, one_action, save_run, study_record
+
+RATES, SCALES = (1e-4, 1e-3), ("unit", "raw")
+
+
+def crossed(folder: Path, gains: dict[tuple[float, str], float], seeds: int = 6) -> StudyData:
+    """Store a crossed study in which tanh kills so much more than relu in each cell."""
+    store = Store(folder / "results")
+    cells: dict[tuple[str, int], str] = {}
+    settings: dict[str, dict[str, Any]] = {}
+    for (rate, scale), gain in gains.items():
+        for activation in ("tanh", "relu"):
+            name = f"{activation} {rate} {scale}"
+            settings[name] = {"learning_rate": rate, "scale": scale, "activation": activation}
+            for seed in range(seeds):
+                cells[name, seed] = f"{len(cells):016x}"
+                final = 0.4 + gain * (activation == "tanh") + 0.01 * seed
+                save_run(store, cells[name, seed], healthy(), learning(final))
+    record = study_record(cells, settings)
+    store.save_selection("mine", record)
+    return open_study(store, record)
+
+
+def gains(*values: float) -> dict[tuple[float, str], float]:
+    return dict(zip([(rate, scale) for rate in RATES for scale in SCALES], values, strict=True))
+
+
+def mapped(folder: Path, *values: float, seeds: int = 6) -> Map:
+    return robustness_map(crossed(folder, gains(*values), seeds), "activation", "tanh", "relu")
+
+
+@pytest.mark.parametrize(
+    ("values", "labels", "label"),
+    [
+        ((0.2, 0.2, 0.2, 0.2), ["holds"] * 4, "robust"),
+        ((0.2, 0.0, 0.2, -0.2), ["holds", "open", "holds", "reversed"], "conditional"),
+        ((-0.2, 0.0, 0.0, -0.2), ["reversed", "open", "open", "reversed"], "reversed"),
+        ((0.0, 0.0, 0.0, 0.0), ["open"] * 4, "undecided"),
+    ],
+)
+def test_a_map_is_labelled_by_its_cells(
+    tmp_path: Path, values: tuple[float, ...], labels: list[str], label: str
+) -> None:
+    found = mapped(tmp_path, *values)
+    assert [cell.label for cell in found.cells] == labels
+    assert found.label == label
+    assert [cell.contrast.effect for cell in found.cells] == pytest.approx(list(values))
+
+
+def test_factors_are_what_the_cells_differ_in(tmp_path: Path) -> None:
+    found = mapped(tmp_path, 0.1, 0.1, 0.1, 0.1)
+    assert dict(found.factors) == {"scale": SCALES, "learning_rate": RATES}
+    assert dict(found.cells[1].levels) == {"learning_rate": 1e-4, "scale": "raw"}
+    assert (found.cells[1].better, found.cells[1].worse) == ("tanh 0.0001 raw", "relu 0.0001 raw")
+
+
+def test_with_too_few_seeds_nothing_is_decided(tmp_path: Path) -> None:
+    """Of three runs an arm the smallest p is 1/10 in each cell, before any correction."""
+    assert mapped(tmp_path, 0.3, 0.3, 0.3, 0.3, seeds=3).label == "undecided"
+
+
+def test_p_is_corrected_over_the_map(tmp_path: Path) -> None:
+    """Six against six without overlap: 2 / 924, four times for the least of four equal ones."""
+    assert [cell.p for cell in mapped(tmp_path, 0.2, 0.2, 0.2, 0.2).cells] == pytest.approx([4 * 2 / 924] * 4)
+
+
+def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
+    data = crossed(tmp_path, gains(0, 0, 0, 0), seeds=2)
+    with pytest.raises(UserError, match="no two conditions differ in activation alone, tanh in one"):
+        robustness_map(data, "activation", "tanh", "leaky-relu")
+    with pytest.raises(UserError, match="neither better high nor better low"):
+        robustness_map(data, "activation", "tanh", "relu", "final-entropy")
+
+
+def test_a_lesser_outcome_is_turned(tmp_path: Path) -> None:
+    data = crossed(tmp_path, gains(0.2, 0.2, 0.2, 0.2))
+    found = robustness_map(data, "activation", "tanh", "relu", "steps-to:0.3")
+    assert all(cell.contrast.effect > 0 for cell in found.cells)  # tanh gets there in fewer steps
+    with pytest.raises(UserError, match="some runs of relu .* never get there"):
+        robustness_map(data, "activation", "tanh", "relu", "steps-to:0.5")
+
+
+def test_the_command_prints_and_draws_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    crossed(tmp_path, gains(0.2, 0.0, 0.2, -0.2))
+    options = ("--contrast", "activation=tanh:relu", "--results", str(tmp_path / "results"))
+    assert main(["study", "robustness", "mine", *options, "--out", str(tmp_path / "figures")]) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0] == "Mine: activation tanh against relu, final-share-killed: conditional"
+    assert (tmp_path / "figures" / "fig-mine-activation.png").is_file()
+    for wrong in ("activation", "activation=tanh", "=tanh:relu"):
+        assert main(["study", "robustness", "mine", "--contrast", wrong, *options[2:]]) == 2
+
+
+# --- Figures --------------------------------------------------------------------------------------
+
+
+def test_figures_have_the_same_bytes_every_time(tmp_path: Path) -> None:
+    data = crossed(tmp_path, gains(0.2, 0.0, 0.2, -0.2))
+    save_run(Store(tmp_path / "results"), data.runs[0].run_id, one_action(61), learning())
+    fresh = open_study(Store(tmp_path / "results"), data.record)
+    found = robustness_map(fresh, "activation", "tanh", "relu")
+    drawn = [
+        [*draw_robustness(found, folder, "map"), *draw_collapse(fresh, folder, "collapse")]
+        for folder in (tmp_path / "one", tmp_path / "two")
+    ]
+    assert len(drawn[0]) == 4
+    assert [path.read_bytes() for path in drawn[0]] == [path.read_bytes() for path in drawn[1]]
+
+
+def test_a_study_without_collapse_is_drawn_and_says_so(tmp_path: Path) -> None:
+    data = crossed(tmp_path, gains(0.1, 0.1, 0.1, 0.1), seeds=2)
+    (path,) = draw_collapse(data, tmp_path, "none", ("svg",))
+    assert path.read_bytes()
+
+
+def test_the_tables_cells_are_the_maps(tmp_path: Path) -> None:
+    found = mapped(tmp_path, 0.2, 0.0, 0.2, -0.2)
+    table = map_table(found)
+    np.testing.assert_array_equal(table["value"], [cell.contrast.effect for cell in found.cells])
+    assert table["label"].tolist() == [cell.label for cell in found.cells]
