@@ -33,6 +33,19 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
     "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),
     "pneuma.analysis": ("pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables"),
+    # what reads claims and finds the runs that they fixed:
+    "pneuma.analysis.claims": (
+        "pneuma.analysis",
+        "pneuma.study.spec",
+        "pneuma.study.files",
+        "pneuma.study.toml_file",
+    ),
+    "pneuma.analysis.claim_runs": (
+        "pneuma.analysis",
+        "pneuma.study.spec",
+        "pneuma.study.store",
+        "pneuma.study.plan",
+    ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),

@@ -1,4 +1,4 @@
-"""`pneuma study …`: list, show, plan, run, status, plot and export studies."""
+"""`pneuma study …`: list, show, plan, run, status, plot, export, publish and verify studies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import study_map, study_output, study_run, study_summary
+from pneuma.cli import study_map, study_output, study_run, study_summary, study_verify
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -41,6 +41,7 @@ app.command()(study_output.publish)
 app.command()(study_summary.summary)
 app.command()(study_summary.collapse)
 app.command()(study_map.robustness)
+app.command()(study_verify.verify)
 
 
 @app.command("list")

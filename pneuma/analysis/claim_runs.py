@@ -1,0 +1,198 @@
+"""The runs that claims fixed beforehand: found by their ids, and what hinders a comparison of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from pneuma.analysis.claims import Claim, ClaimList
+from pneuma.analysis.outcomes import find_outcome, outcome, reason
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.config import Run, as_settings
+from pneuma.errors import UserError
+from pneuma.study.plan import Cell, Selection, make_plan
+from pneuma.study.spec import Study, load_study
+from pneuma.study.store import Store
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of a contrast.
+
+    Attributes:
+        values: (seeds,) the outcome of each run that counts, in the order of the seeds.
+        run_ids: of the same runs.
+        blank: why a run has no value; empty where all have one.
+    """
+
+    values: np.ndarray
+    run_ids: tuple[str, ...]
+    blank: str = ""
+
+
+class ClaimRuns:
+    """Finds claims' runs in a results folder; what was read once is kept."""
+
+    def __init__(self, store: Store, claims: ClaimList) -> None:
+        self._store = store
+        self._claims = claims
+        self.study = cache(self._study)
+        self._cells_of = cache(self._plan_cells)
+        self._data = cache(self._open)
+        self._arms: dict[tuple[str, str, str], Arm] = {}
+
+    def hindrance(self, claim: Claim, setting: str, a: str, b: str | None) -> str:
+        """Say why arms cannot be compared, before any value is looked at; empty where they can."""
+        names = [name for name in (a, b) if name is not None]
+        runs = [self._cells(claim, setting, name)[0].run for name in names]
+        if len({replace(run, steps=1) for run in runs}) < len(runs):
+            return f"A/A: {' and '.join(names)} resolve to the same configuration"
+        if len({run.engine for run in runs}) > 1:
+            told = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
+            return f"engines are mixed: {told}"
+        missing = "; ".join(filter(None, (self._missing(claim, setting, name) for name in names)))
+        return missing or self._machines(claim, setting, names)
+
+    def undefined(self, claim: Claim, setting: str) -> str:
+        """Say why a claim is not judged in a setting at all."""
+        if setting in self.study(claim.study, "").settings_known:
+            return f"setting not defined: the claim is not about {setting}"
+        return f"setting not defined: the study {claim.study} is not run in {setting}"
+
+    def arm(self, claim: Claim, setting: str, condition: str) -> Arm:
+        """Return an arm whose runs have all finished."""
+        key = claim.name, setting, condition
+        if key not in self._arms:
+            self._arms[key] = self._measure(claim, setting, condition)
+        return self._arms[key]
+
+    def known_ids(self, claim: Claim, setting: str, a: str, b: str | None) -> tuple[str, ...]:
+        """Return the ids of what runs there are."""
+        names = [name for name in (a, b) if name is not None]
+        found = [self._finished(claim, setting, name).values() for name in names]
+        return tuple(run.run_id for runs in found for run in runs)
+
+    # --- Which runs ------------------------------------------------------------------------------
+
+    def _study(self, name: str, setting: str) -> Study:
+        path = str(self._claims.path.parent / name) if name.endswith(".toml") else name
+        return load_study(path, setting) if setting else load_study(path)
+
+    def _cells(self, claim: Claim, setting: str, condition: str) -> tuple[Cell, ...]:
+        """Return the cells that a claim fixed for one of its conditions."""
+        return self._cells_of(claim.study, setting, condition, claim.seeds[condition], claim.steps[condition])
+
+    def _plan_cells(
+        self, study: str, setting: str, condition: str, seeds: tuple[int, ...], steps: int
+    ) -> tuple[Cell, ...]:
+        known = self.study(study, setting)
+        preset = next(iter(known.presets))
+        return make_plan(known, Selection(preset, seeds, steps, conditions=(condition,))).cells
+
+    def _group(self, claim: Claim, setting: str) -> tuple[str, str, tuple[int, ...]]:
+        """Return what claims share whose runs lie on one grid of steps."""
+        return claim.study, setting, tuple(sorted({*claim.steps.values()}))
+
+    def _open(self, study: str, setting: str, steps: tuple[int, ...]) -> StudyData | None:
+        """Return the finished runs of all claims on a study with such budgets; None where there is none."""
+        group = study, setting, steps
+        cells = {
+            cell.run_id: cell
+            for claim in self._claims.claims.values()
+            if setting in claim.settings and self._group(claim, setting) == group
+            for condition in dict.fromkeys((*claim.a, *claim.b))
+            for cell in self._cells(claim, setting, condition)
+        }
+        record = _record(self.study(study, setting), [*cells.values()])
+        published = published_path(self._store, record["study"])
+        if not published.exists() and not any(self._store.status(name).finished for name in cells):
+            return None
+        try:
+            return open_study(self._store, record)
+        except UserError:
+            if published.exists():
+                read_published(self._store, record["study"])  # a damaged table is no lack of runs
+            return None
+
+    def _finished(self, claim: Claim, setting: str, condition: str) -> dict[int, FinishedRun]:
+        """Return the finished ones of a condition's runs, by seed."""
+        data = self._data(*self._group(claim, setting))
+        wanted = {cell.run_id for cell in self._cells(claim, setting, condition)}
+        runs = data.runs if data else []
+        return {run.seed: run for run in runs if run.run_id in wanted}
+
+    # --- What hinders ----------------------------------------------------------------------------
+
+    def _missing(self, claim: Claim, setting: str, condition: str) -> str:
+        """Say which of a condition's fixed runs are not there."""
+        cells, found = self._cells(claim, setting, condition), self._finished(claim, setting, condition)
+        if len(found) == len(cells):
+            return ""
+        steps = f"{cells[0].run.steps:,} steps"
+        if found:
+            return f"too few seeds: {condition} has {len(found)} of the {len(cells)} fixed ones with {steps}"
+        reached = self._reached(claim, setting, condition, cells[0].run)
+        if reached:
+            return f"budget not reached: {condition} has runs of {reached:,} steps, not of {steps}"
+        return f"no runs: {condition}, {len(cells)} seeds of {steps}"
+
+    def _reached(self, claim: Claim, setting: str, condition: str, run: Run) -> int:
+        """Return the largest budget below the claim's that the latest record has; 0 where there is none."""
+        name = self.study(claim.study, setting).name
+        record: Mapping[str, Any] | None = self._store.selection(name)
+        if record is None and published_path(self._store, name).exists():
+            record = read_published(self._store, name).record
+        budgets = [
+            own["run"]["steps"]
+            for own in (record or {"runs": []})["runs"]
+            if own["condition"] == condition and own["run"]["steps"] < run.steps
+        ]
+        return max(budgets, default=0)
+
+    def _machines(self, claim: Claim, setting: str, names: list[str]) -> str:
+        """Refuse to compare times of different machines."""
+        if find_outcome(claim.outcome).source != "times":
+            return ""
+        data = self._data(*self._group(claim, setting))
+        runs = [run for name in names for run in self._finished(claim, setting, name).values()]
+        found = [data.source.provenance(run) for run in runs] if data else []
+        machines = {(str(own.get("cpu")), str(own.get("threads"))) for own in found}
+        return "timed on different machines" if len(machines) > 1 else ""
+
+    # --- Values ----------------------------------------------------------------------------------
+
+    def _measure(self, claim: Claim, setting: str, condition: str) -> Arm:
+        data = self._data(*self._group(claim, setting))
+        if data is None:
+            raise ValueError(f"claim {claim.name}: no runs of {condition}")
+        found = self._finished(claim, setting, condition)
+        steps = {*claim.steps.values()}
+        at_step = float(min(steps)) if len(steps) > 1 else None
+        runs = [found[seed] for seed in claim.seeds[condition]]
+        if claim.only:
+            runs = [run for run in runs if outcome(data, run, claim.only, at_step) > 0.5]
+            if not runs:
+                return Arm(np.array([]), (), f"no run of {condition} counts: {claim.only} is 0 in all")
+        values = np.array([outcome(data, run, claim.outcome, at_step) for run in runs], float)
+        blank = ""
+        for run, value in zip(runs, values, strict=True):
+            if not np.isfinite(value) and not blank:
+                why = reason(data, run, claim.outcome, at_step) or f"its {claim.outcome} is {value}"
+                blank = f"{condition} seed {run.seed}: {why}"
+        return Arm(values, tuple(run.run_id for run in runs), blank)
+
+
+def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:
+    """Return cells in the form of a study's record."""
+    runs = [
+        {"condition": cell.condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_settings(cell.run)}
+        for cell in cells
+    ]
+    named = {"study": study.name, "title": study.title, "figure": study.figure, "baseline": study.baseline}
+    return {**named, "path": study.own_path, "same": [], "runs": runs}

@@ -1,0 +1,228 @@
+"""Judgement: claims and runs → a verdict on every claim in every setting.
+
+    ClaimList and Store → [Judged]
+
+Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in the text's
+setting, in godot's, and by the published logs where they bear on it, side by side and never pooled. All
+contrasts of all claims in all settings, also of those without runs, are one family for Holm's correction:
+whatever is asked for and whatever has been run, the chance of any false verdict stays at most `ALPHA`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pneuma.analysis.claim_runs import Arm, ClaimRuns
+from pneuma.analysis.claims import Claim, ClaimList
+from pneuma.analysis.contrasts import Contrast, compare, compare_with
+from pneuma.analysis.corrections import holm
+from pneuma.analysis.intervals import no_interval
+from pneuma.analysis.log_contrasts import compare_logs
+from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.power import seeds_needed
+from pneuma.analysis.verdicts import INCONCLUSIVE, REFUTED, SUPPORTED, judge_list
+from pneuma.config import stream_seed
+from pneuma.study.spec import SETTINGS
+from pneuma.study.store import Store
+
+ALPHA = 0.05
+"""The chance of any false verdict in the whole list."""
+
+LOGS = "logs"
+"""The third place where a claim is judged: the author's published logs."""
+
+PLACES = (*SETTINGS, LOGS)
+UNTESTABLE = "untestable"
+VERDICTS = (SUPPORTED, REFUTED, INCONCLUSIVE, UNTESTABLE)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One contrast of a claim, and what it comes to.
+
+    Attributes:
+        a, b: the arms' names; b is a number where a is held against one.
+        contrast: its reason is not empty where nothing can be concluded.
+        verdict: of `VERDICTS`.
+        p: corrected for the whole list.
+        seeds_needed: per arm, in all, to decide it; None where not known.
+    """
+
+    a: str
+    b: str
+    contrast: Contrast
+    run_ids: tuple[str, ...] = ()
+    verdict: str = ""
+    p: float = 1.0
+    seeds_needed: int | None = None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A claim's verdict in one of `PLACES`.
+
+    Attributes:
+        verdict: of `VERDICTS`.
+        reason: in words, why it is untestable, or what is missing; empty for a plain result.
+        pairs: its contrasts; none where its study is not run in the setting.
+    """
+
+    claim: Claim
+    place: str
+    verdict: str
+    reason: str
+    pairs: tuple[Pair, ...]
+
+    @property
+    def told(self) -> Pair | None:
+        """The contrast that decides: the first with the claim's verdict, the least sure where all have it."""
+        deciding = [pair for pair in self.pairs if pair.verdict == self.verdict] or [*self.pairs]
+        return max(deciding, key=lambda pair: pair.p) if deciding else None
+
+    @property
+    def seeds_needed(self) -> int | None:
+        """Seeds per arm that all its open contrasts need, where that is known of each."""
+        needed = [pair.seeds_needed for pair in self.pairs if pair.verdict == INCONCLUSIVE]
+        known = [count for count in needed if count is not None]
+        return max(known) if known and len(known) == len(needed) else None
+
+    @property
+    def run_ids(self) -> list[str]:
+        """Ids of every run that was looked at."""
+        return list(dict.fromkeys(run_id for pair in self.pairs for run_id in pair.run_ids))
+
+
+def judge(claims: ClaimList, store: Store) -> list[Judged]:
+    """Return the verdict on every claim of a list in every place that it can be judged in.
+
+    Args:
+        claims: all of them: none can be judged without the others.
+        store: the results folder, with its published tables.
+
+    Raises:
+        UserError: for a damaged published table.
+    """
+    runs = ClaimRuns(store, claims)
+    open_cases = [
+        (claim, place, _contrasts(claim, place, runs, claims))
+        for claim in claims.claims.values()
+        for place in PLACES
+    ]
+    family = [(pair.contrast, claim.direction) for claim, _, pairs in open_cases for pair in pairs]
+    verdicts = iter(judge_list(family, ALPHA))
+    corrected = iter(holm([contrast.p_any for contrast, _ in family]))
+    judged = []
+    for claim, place, pairs in open_cases:
+        decided = tuple(
+            replace(pair, verdict=_verdict(pair, next(verdicts)), p=float(next(corrected))) for pair in pairs
+        )
+        if place in (*claim.settings, LOGS) and (decided or place != LOGS):
+            judged.append(_judged(claim, place, _planned(claim, place, runs, decided, len(family))))
+        elif place != LOGS:
+            reason = runs.undefined(claim, place)
+            judged.append(Judged(claim, place, UNTESTABLE, reason, ()))
+    return judged
+
+
+# --- Contrasts -----------------------------------------------------------------------------------
+
+
+def _contrasts(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> list[Pair]:
+    if place == LOGS:
+        return [Pair(own.a, own.b, compare_logs(claims.logs, claim, own)) for own in claim.logs]
+    if place not in claim.settings:
+        return []
+    return [_pair(claim, place, runs, a, b) for a, b in claim.pairs]
+
+
+def _pair(claim: Claim, setting: str, runs: ClaimRuns, a: str, b: str | None) -> Pair:
+    """Return a claim's contrast of two arms, or of one with a number."""
+    told = f"{claim.value:g}" if b is None else b
+    reason = runs.hindrance(claim, setting, a, b)
+    if reason:
+        return Pair(a, told, _none(claim, reason), runs.known_ids(claim, setting, a, b))
+    arms = [runs.arm(claim, setting, name) for name in (a, b) if name is not None]
+    run_ids = tuple(run_id for arm in arms for run_id in arm.run_ids)
+    reason = _blank(arms) or _at_an_end(claim, arms)
+    if reason:
+        seeds = arms[0].values.size, arms[1].values.size if len(arms) > 1 else 0
+        return Pair(a, told, replace(_none(claim, reason), seeds=seeds), run_ids)
+    generator = np.random.default_rng(stream_seed(f"{claim.name}/{setting}", f"{a}/{told}"))
+    first = _counted(claim, arms[0].values)
+    if b is None:
+        contrast = compare_with(claim.kind, first, float(claim.value or 0.0), claim.margin, generator)
+    else:
+        second = _counted(claim, arms[1].values)
+        contrast = compare(claim.kind, first, second, claim.margin, generator)
+    return Pair(a, told, contrast, run_ids)
+
+
+def _counted(claim: Claim, values: np.ndarray) -> np.ndarray:
+    """Return (runs,) values, or 1 and 0 for runs with and without the event."""
+    if claim.event is None:
+        return values
+    over = values > claim.event.threshold if claim.event.above else values < claim.event.threshold
+    return over.astype(float)
+
+
+def _blank(arms: Sequence[Arm]) -> str:
+    return next((arm.blank for arm in arms if arm.blank), "")
+
+
+def _at_an_end(claim: Claim, arms: Sequence[Arm]) -> str:
+    """Say so where every run of both arms lies at the outcome's least or greatest value.
+
+    As near as the margin counts as there: arms that kill nothing are alike for a reason of their own.
+    """
+    if len(arms) < 2 or claim.event is not None:
+        return ""
+    near = claim.margin if claim.kind == "mean" and claim.margin else 1e-9
+    values = np.concatenate([arm.values for arm in arms])
+    for end, bound in zip(("floor", "ceiling"), find_outcome(claim.outcome).bounds, strict=True):
+        if np.isfinite(bound) and (np.abs(values - bound) <= near).all():
+            return (
+                f"both arms are at the {end}: every run has a {claim.outcome} within {near:.2g} of {bound:g}"
+            )
+    return ""
+
+
+def _none(claim: Claim, reason: str) -> Contrast:
+    return Contrast(claim.kind, float("nan"), no_interval(), 1.0, 1.0, 1.0, (0, 0), reason, 1.0)
+
+
+# --- Verdicts ------------------------------------------------------------------------------------
+
+
+def _verdict(pair: Pair, found: str) -> str:
+    return UNTESTABLE if pair.contrast.reason else found
+
+
+def _planned(
+    claim: Claim, place: str, runs: ClaimRuns, pairs: tuple[Pair, ...], family: int
+) -> tuple[Pair, ...]:
+    """Add how many seeds each contrast needs that is still open, at the error rate of so long a list."""
+
+    def needed(pair: Pair) -> int | None:
+        if pair.verdict != INCONCLUSIVE or place == LOGS or claim.value is not None:
+            return None
+        a, b = (_counted(claim, runs.arm(claim, place, name).values) for name in (pair.a, pair.b))
+        return seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family)
+
+    return tuple(replace(pair, seeds_needed=needed(pair)) for pair in pairs)
+
+
+def _judged(claim: Claim, place: str, pairs: tuple[Pair, ...]) -> Judged:
+    """Return a claim's verdict: refuted by one contrast, supported by all, and else not decided."""
+    verdicts = [pair.verdict for pair in pairs]
+    if REFUTED in verdicts:
+        verdict = REFUTED
+    elif UNTESTABLE in verdicts:
+        verdict = UNTESTABLE
+    else:
+        verdict = SUPPORTED if all(own == SUPPORTED for own in verdicts) else INCONCLUSIVE
+    reasons = dict.fromkeys(pair.contrast.reason for pair in pairs if pair.contrast.reason)
+    reason = "; ".join(reasons) if verdict == UNTESTABLE else ""
+    return Judged(claim, place, verdict, reason, pairs)

@@ -1,0 +1,166 @@
+"""`pneuma study verify`: what the runs say on the thesis's claims."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli.options import Json, Results, SettingName, print_json
+from pneuma.cli.plain_text import plain
+from pneuma.errors import UserError, unknown_name
+from pneuma.study.spec import SETTINGS
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.judgement import Judged, Pair
+
+RESULTS = Path("results")
+
+_HEAD = ("claim", "section", "text", "godot", "published", "effect", "95 % interval", "seeds")
+
+
+def verify(
+    claims: Annotated[
+        list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
+    ] = None,
+    setting: SettingName = None,
+    file: Annotated[
+        Path | None, typer.Option("--claims", metavar="FILE", help="Other claims than the thesis's.")
+    ] = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
+    if setting not in (None, *SETTINGS):
+        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
+    from pneuma.analysis.claims import load_claims
+    from pneuma.analysis.judgement import ALPHA, judge
+
+    known = load_claims(file)
+    for name in claims or ():
+        if name not in known.claims:
+            raise unknown_name("claim", name, known.claims)
+    every = judge(known, Store(results))
+    shown = [
+        one for one in every if (not claims or one.claim.name in claims) and setting in (None, one.place)
+    ]
+    if json:
+        contrasts = sum(len(one.pairs) for one in every)
+        head = {"schema": 1, "claims_hash": known.digest, "alpha": ALPHA, "contrasts": contrasts}
+        return print_json({**head, "claims": [_document(one) for one in shown]})
+    _print_table(shown)
+    print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…, fixed before the runs.")
+    print(f"At most {ALPHA:.0%} chance of any false verdict among all, by Holm's correction.")
+    return None
+
+
+# --- JSON ----------------------------------------------------------------------------------------
+
+
+def _document(one: Judged) -> dict[str, Any]:
+    pair, claim = one.told, one.claim
+    contrast = pair.contrast if pair else None
+    return {
+        "claim": claim.name,
+        "section": claim.section,
+        "setting": one.place,
+        "verdict": one.verdict,
+        "effect": _finite(contrast.effect) if contrast else None,
+        "interval": _interval(pair) if pair else None,
+        "seeds": list(contrast.seeds) if contrast else [],
+        "seeds_needed": one.seeds_needed,
+        "reason": one.reason,
+        "p": _finite(pair.p) if pair else None,
+        "quote": claim.quote,
+        "study": claim.study,
+        "outcome": claim.outcome,
+        "kind": claim.kind,
+        "direction": claim.direction,
+        "margin": claim.margin,
+        "contrasts": [_contrast(own) for own in one.pairs],
+        "run_ids": one.run_ids,
+    }
+
+
+def _contrast(pair: Pair) -> dict[str, Any]:
+    return {
+        "a": pair.a,
+        "b": pair.b,
+        "verdict": pair.verdict,
+        "effect": _finite(pair.contrast.effect),
+        "interval": _interval(pair),
+        "p": _finite(pair.p),
+        "seeds": list(pair.contrast.seeds),
+        "seeds_needed": pair.seeds_needed,
+        "reason": pair.contrast.reason,
+    }
+
+
+def _interval(pair: Pair) -> list[float | None] | None:
+    interval = pair.contrast.interval
+    return [_finite(interval.low), _finite(interval.high)] if interval.exists else None
+
+
+def _finite(value: float) -> float | None:
+    """Return a number, or None for what JSON cannot hold."""
+    return float(value) if math.isfinite(value) else None
+
+
+# --- For people ----------------------------------------------------------------------------------
+
+
+def _print_table(shown: Sequence[Judged]) -> None:
+    """Print a line for each claim: its verdicts side by side, and numbers of the first place with some."""
+    by_claim: dict[str, dict[str, Judged]] = {}
+    for one in shown:
+        by_claim.setdefault(one.claim.name, {})[one.place] = one
+    rows = [_HEAD, *(_row(places) for places in by_claim.values())]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    reasons = Counter(f"{one.place}: {_kind_of(one.reason)}" for one in shown if one.reason)
+    if reasons:
+        print("\nUntestable for:")
+        for reason, count in reasons.most_common():
+            print(f"  {count:>3}  {plain(reason)}")
+
+
+def _row(places: dict[str, Judged]) -> tuple[str, ...]:
+    from pneuma.analysis.judgement import LOGS
+
+    some = next(iter(places.values()))
+    told = next((one.told for one in places.values() if one.told and not one.told.contrast.reason), None)
+    verdicts = [_verdict(places.get(place)) for place in (*SETTINGS, LOGS)]
+    return (
+        plain(some.claim.name),
+        some.claim.section,
+        *verdicts,
+        *(_numbers(told) if told else ("", "", "")),
+    )
+
+
+def _verdict(one: Judged | None) -> str:
+    """Return a verdict, with the seeds that it needs where that is known."""
+    if one is None:
+        return "-"
+    return f"{one.verdict} ({one.seeds_needed:,} seeds)" if one.seeds_needed else one.verdict
+
+
+def _numbers(pair: Pair) -> tuple[str, str, str]:
+    contrast = pair.contrast
+    interval = contrast.interval
+    seeds = (
+        f"{contrast.seeds[0]}" if not contrast.seeds[1] else f"{contrast.seeds[0]} and {contrast.seeds[1]}"
+    )
+    between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""
+    return f"{contrast.effect:.3g}", between, seeds
+
+
+def _kind_of(reason: str) -> str:
+    """Return a reason without its particulars, so that equal ones can be counted."""
+    return reason.split(":")[0].split(";")[0]

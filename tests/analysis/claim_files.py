@@ -1,0 +1,108 @@
+"""A small study, a claim on it, and runs of which an outcome is known, for tests of verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store, to_json
+from pneuma.study.tables import to_parquet
+
+STEPS = 1024
+SEEDS = 8
+
+STUDY = """\
+title = "Mine"
+base = "table-6-2"
+
+[conditions.low]
+epochs = 5
+
+[conditions.high]
+epochs = 6
+
+[conditions.middle]
+epochs = 7
+
+[conditions.low-too]
+epochs = 5
+
+[conditions.reference]
+epochs = 6
+engine = "sb3"
+
+[presets.quick]
+seeds = 3
+steps = 1024
+"""
+
+CLAIMS = """\
+[defaults]
+seeds = 8
+steps = 1024
+
+[logs]
+same = [["p", "p again"], ["q", "q again"]]
+
+[logs.runs]
+p = { end = 10 }
+"p again" = { end = 12 }
+q = { end = 1000 }
+"q again" = { end = 1002 }
+
+[claims.better]
+quote = "a quote"
+section = "6"
+study = "mine.toml"
+a = "high"
+b = "low"
+outcome = "final-share-killed"
+kind = "mean"
+direction = "greater"
+margin = 0.04
+settings = ["text"]
+"""
+
+
+def write_files(folder: Path, claims: str = CLAIMS, study: str = STUDY) -> Path:
+    """Write study and claims into a folder; return the path of the claims."""
+    (folder / "mine.toml").write_text(study, encoding="utf-8")
+    path = folder / "claims.toml"
+    path.write_text(claims, encoding="utf-8")
+    return path
+
+
+def save_runs(
+    store: Store,
+    folder: Path,
+    shares: Mapping[str, Sequence[float]],
+    steps: int = STEPS,
+    setting: str = "text",
+    **provenance: object,
+) -> list[str]:
+    """Store a run for each share killed at its last evaluation, seed by seed; return the runs' ids."""
+    study = load_study(str(folder / "mine.toml"), setting)
+    ids = []
+    for condition, values in shares.items():
+        selection = Selection("quick", tuple(range(len(values))), steps, conditions=(condition,))
+        for cell, share in zip(make_plan(study, selection).cells, values, strict=True):
+            save_run(store, cell.run_id, share, cell.run.steps, **provenance)
+            ids.append(cell.run_id)
+    return ids
+
+
+def save_run(store: Store, run_id: str, share: float, steps: int, **provenance: object) -> None:
+    """Store a run of one evaluation."""
+    evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "step": steps, "episodes": 50, "argmax_starts": 1}
+    episode = {"slot": 0, "episode": 0, "step": steps, "length": 9, "kills": 1, "hp": 1.0, "ending": "killed"}
+    tables = {
+        "episodes": to_parquet([{**episode, "return": share}], EPISODE_COLUMNS),
+        "metrics": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 1.0), "step": steps}], METRIC_COLUMNS),
+        "evaluations": to_parquet([{**evaluation, "share_killed": share}], EVALUATION_COLUMNS),
+    }
+    files = {f"{name}.parquet": data for name, data in tables.items()}
+    files["provenance.json"] = to_json({"wall_seconds": 1 + share, "cpu": "a", "threads": 1, **provenance})
+    store.save_run(run_id, Status("done", steps), files)

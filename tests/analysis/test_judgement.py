@@ -1,0 +1,282 @@
+"""Verdicts on hand-made runs: every verdict, every reason for which there is none, and what is never done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.claims import load_claims
+from pneuma.analysis.judgement import Judged, judge
+from pneuma.analysis.log_contrasts import run_to_run_deviation
+from pneuma.analysis.published import encode_study, published_path
+from pneuma.analysis.sources import open_study
+from pneuma.errors import UserError
+from pneuma.study.execute import selection_record
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+
+from .claim_files import CLAIMS, SEEDS, save_runs, write_files
+
+LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
+HIGH = [share + 0.5 for share in LOW]
+NEAR = [share + 0.001 for share in LOW]
+WIDE = [0.05, 0.90, 0.10, 0.85, 0.15, 0.80, 0.45, 0.55]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "results")
+
+
+def _judge(store: Store, folder: Path, claims: str = CLAIMS) -> list[Judged]:
+    return judge(load_claims(write_files(folder, claims)), store)
+
+
+def _one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Judged:
+    (one,) = [own for own in _judge(store, folder, claims) if own.place == place]
+    return one
+
+
+def _changed(*pairs: tuple[str, str]) -> str:
+    text = CLAIMS
+    for old, new in pairs:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+# --- Verdicts --------------------------------------------------------------------------------------
+
+CASES = {
+    # name: (changes of the claim, runs of high, verdict)
+    "greater, and it is": ((), HIGH, "supported"),
+    "less, and it is greater": ((('"greater"', '"less"'),), HIGH, "refuted"),
+    "different, and it is": ((('"greater"', '"different"'),), HIGH, "supported"),
+    "equal, and it is not": ((('"greater"', '"equal"'),), HIGH, "refuted"),
+    "equal, and it is": ((('"greater"', '"equal"'),), NEAR, "supported"),
+    "greater, and it is equal": ((), NEAR, "refuted"),
+    "greater, and nothing is seen": ((), WIDE[::-1], "inconclusive"),
+    "more spread, and there is": (
+        (('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5")), WIDE, "supported",
+    ),
+    "more often above, and it is": (
+        (('"mean"', '"incidence"\nabove = 0.5'), ("margin = 0.04\n", "")), HIGH, "supported",
+    ),
+    "above a number, and it is": ((('b = "low"', "value = 0.3"),), HIGH, "supported"),
+    "above a number, and it is below": ((('b = "low"', "value = 0.9"),), HIGH, "refuted"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
+    changes, high, verdict = CASES[case]
+    claims = write_files(tmp_path, _changed(*changes))
+    ids = save_runs(store, tmp_path, {"high": high, "low": LOW})
+    (one,) = [own for own in judge(load_claims(claims), store) if own.place == "text"]
+    assert (one.verdict, one.reason) == (verdict, "")
+    assert one.run_ids == (ids[:SEEDS] if "number" in case else ids)
+
+
+def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    told = _one(store, tmp_path).told
+    assert told is not None
+    assert told.contrast.effect == pytest.approx(np.mean(HIGH) - np.mean(LOW), abs=1e-12)
+    assert told.contrast.seeds == (SEEDS, SEEDS)
+    assert told.p == pytest.approx(2 / 12870)  # 16 over 8 relabelings; the one contrast of the list
+
+
+def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})
+    one = _one(store, tmp_path)
+    assert one.verdict == "inconclusive"
+    assert one.seeds_needed is not None and one.seeds_needed > SEEDS
+
+
+def test_a_claim_on_several_arms_must_hold_for_each(store: Store, tmp_path: Path) -> None:
+    claims = _changed(('b = "low"', 'b = ["low", "middle"]'))
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": LOW[::-1]})
+    assert _one(store, tmp_path, claims).verdict == "supported"
+    save_runs(store, tmp_path, {"middle": [0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97]})
+    one = _one(store, tmp_path, claims)
+    assert one.verdict == "refuted"
+    assert one.told is not None and one.told.b == "middle"
+
+
+def test_the_settings_are_judged_side_by_side(store: Store, tmp_path: Path) -> None:
+    claims = _changed(('settings = ["text"]\n', ""))
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, setting="godot")
+    verdicts = {one.place: one.verdict for one in _judge(store, tmp_path, claims)}
+    assert verdicts == {"text": "supported", "godot": "refuted"}
+
+
+def test_published_tables_give_the_same_verdicts_as_runs(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    study = load_study(str(tmp_path / "mine.toml"))
+    selection = Selection("quick", tuple(range(SEEDS)), conditions=("low", "high"))
+    record = selection_record(make_plan(study, selection))
+    clone = Store(tmp_path / "clone")
+    path = published_path(clone, "mine")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_study(open_study(store, record)))
+    assert _one(clone, tmp_path) == _one(store, tmp_path)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(UserError, match="damaged"):
+        _one(clone, tmp_path)
+
+
+# --- Published logs --------------------------------------------------------------------------------
+
+
+def test_single_runs_are_set_against_how_far_apart_equal_ones_lie(store: Store, tmp_path: Path) -> None:
+    """Both pairs differ by 2, so the deviation is sqrt(2) and the error of a difference is 2; t(2) = 495."""
+    claims = _changed(("margin = 0.04", 'margin = 0.04\nlogs = [{ a = "q", b = "p", figure = "end" }]'))
+    one = _one(store, tmp_path, claims, place="logs")
+    assert run_to_run_deviation(load_claims(tmp_path / "claims.toml").logs, "end") == pytest.approx(2**0.5)
+    assert one.verdict == "supported"
+    assert one.told is not None
+    interval = one.told.contrast.interval
+    assert one.told.contrast.effect == 990
+    assert (interval.low, interval.high) == pytest.approx((990 - 4.30265 * 2, 990 + 4.30265 * 2), abs=1e-3)
+    assert one.told.p == pytest.approx(2 * 2 * 2.0406e-06, rel=1e-3)  # t with 2 degrees, 495; two contrasts
+
+
+@pytest.mark.parametrize(
+    ("pair", "kind", "reason"),
+    [
+        ('{ a = "p", b = "p again", figure = "end" }', "mean", "A/A"),
+        ('{ a = "q", b = "p", figure = "end" }', "spread", "one published run each"),
+    ],
+)
+def test_single_runs_cannot_say_everything(
+    pair: str, kind: str, reason: str, store: Store, tmp_path: Path
+) -> None:
+    claims = _changed(("margin = 0.04", f"margin = 1.5\nlogs = [{pair}]"), ('"mean"', f'"{kind}"'))
+    one = _one(store, tmp_path, claims, place="logs")
+    assert one.verdict == "untestable"
+    assert reason in one.reason
+
+
+# --- What cannot be tested -------------------------------------------------------------------------
+
+
+def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
+    one = _one(store, folder, _changed(*changes))
+    assert one.verdict == "untestable"
+    return one.reason
+
+
+def test_no_runs(store: Store, tmp_path: Path) -> None:
+    assert _untestable(store, tmp_path) == (
+        "no runs: high, 8 seeds of 1,024 steps; no runs: low, 8 seeds of 1,024 steps"
+    )
+
+
+def test_conditions_that_are_the_same(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"low": LOW})
+    reason = _untestable(store, tmp_path, ('a = "high"', 'a = "low-too"'))
+    assert reason == "A/A: low-too and low resolve to the same configuration"
+
+
+def test_engines_that_are_mixed(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"reference": HIGH, "low": LOW})
+    reason = _untestable(store, tmp_path, ('a = "high"', 'a = "reference"'))
+    assert reason == "engines are mixed: reference by sb3, low by batched"
+
+
+def test_seeds_that_are_missing(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH[:5], "low": LOW})
+    assert "too few seeds: high has 5 of the 8 fixed ones" in _untestable(store, tmp_path)
+
+
+def test_seeds_that_are_too_few_for_any_verdict(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH[:3], "low": LOW[:3]})
+    assert "too few seeds: the smallest p possible is 0.1" in _untestable(
+        store, tmp_path, ("seeds = 8", "seeds = 3")
+    )
+
+
+def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW}, steps=512)
+    study = load_study(str(tmp_path / "mine.toml"))
+    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
+    store.save_selection("mine", selection_record(plan))
+    reason = _untestable(store, tmp_path)
+    assert "budget not reached: high has runs of 512 steps, not of 1,024 steps" in reason
+
+
+@pytest.mark.parametrize(("share", "end"), [(0.0, "floor"), (1.0, "ceiling")])
+def test_arms_at_the_floor_or_ceiling(share: float, end: str, store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    near = [abs(share - k / 1000) for k in range(8)]
+    save_runs(store, tmp_path, {"high": near, "low": [share] * 8})
+    assert f"both arms are at the {end}" in _untestable(store, tmp_path, ('"greater"', '"equal"'))
+
+
+def test_runs_without_a_value(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": [*HIGH[:7], float("nan")], "low": LOW})
+    assert "high seed 7: " in _untestable(store, tmp_path)
+
+
+def test_runs_of_which_none_counts(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    reason = _untestable(store, tmp_path, ('b = "low"', 'value = 0.1\nonly = "final-died"'))
+    assert reason == "no run of high counts: final-died is 0 in all"
+
+
+def test_spread_where_there_is_none(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": [0.5] * 8, "low": LOW})
+    reason = _untestable(store, tmp_path, ('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5"))
+    assert "are equal: there is no spread to compare" in reason
+
+
+def test_a_setting_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
+    assert "setting not defined" in _one(store, tmp_path, place="godot").reason
+
+
+def test_times_of_different_machines(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH}, cpu="another")
+    save_runs(store, tmp_path, {"low": LOW})
+    reason = _untestable(store, tmp_path, ('"final-share-killed"', '"wall-seconds"'))
+    assert reason == "timed on different machines"
+
+
+# --- What is never done ----------------------------------------------------------------------------
+
+
+def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    before = _one(store, tmp_path)
+    save_runs(store, tmp_path, {"high": [*HIGH, *[0.0] * 20], "low": [*LOW, *[1.0] * 20]})
+    assert _one(store, tmp_path) == before
+
+
+def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> None:
+    """Claims without runs count too: a verdict does not hang on what else has been run."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    claim = CLAIMS[CLAIMS.index("[claims.better]") :].replace('a = "high"', 'a = "middle"')
+    more = "".join(claim.replace("better", f"more-{k}") for k in range(400))
+    before, after = (_judge(store, tmp_path, text)[0] for text in (CLAIMS, CLAIMS + more))
+    assert before.claim == after.claim
+    assert (before.verdict, after.verdict) == ("supported", "inconclusive")
+    assert after.told is not None and after.told.p == pytest.approx(401 * 2 / 12870)

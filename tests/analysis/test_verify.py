@@ -1,0 +1,96 @@
+"""`pneuma study verify`: the table, the JSON document and the mistakes of the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.analysis.claims import load_claims
+from pneuma.cli import main
+from pneuma.study.store import Store
+
+from .claim_files import CLAIMS, save_runs, write_files
+
+Captured = pytest.CaptureFixture[str]
+
+LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
+OTHER = CLAIMS[CLAIMS.index("[claims.better]") :].replace("better", "other").replace('"high"', '"middle"')
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str]:
+    """A command over a folder with the runs of one claim and none of another's."""
+    claims = write_files(tmp_path, CLAIMS + OTHER)
+    save_runs(Store(tmp_path / "results"), tmp_path, {"high": [x + 0.5 for x in LOW], "low": LOW})
+    return ["study", "verify", "--claims", str(claims), "--results", str(tmp_path / "results")]
+
+
+def _document(captured: Captured, *arguments: str) -> Any:
+    assert main([*arguments, "--json"]) == 0
+    return json.loads(captured.readouterr().out)
+
+
+def test_the_document_has_every_claim_in_every_setting(
+    command: list[str], tmp_path: Path, capsys: Captured
+) -> None:
+    document = _document(capsys, *command)
+    assert (document["schema"], document["contrasts"], document["alpha"]) == (1, 2, 0.05)
+    assert document["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
+    told = [(one["claim"], one["setting"], one["verdict"]) for one in document["claims"]]
+    assert told == [
+        ("better", "text", "supported"), ("better", "godot", "untestable"),
+        ("other", "text", "untestable"), ("other", "godot", "untestable"),
+    ]  # fmt: skip
+    first, _, missing, _ = document["claims"]
+    assert first["effect"] == pytest.approx(0.5)
+    assert first["interval"][0] < 0.5 < first["interval"][1]
+    assert (first["seeds"], first["seeds_needed"], first["reason"]) == ([8, 8], None, "")
+    assert len(first["run_ids"]) == 16
+    assert (missing["effect"], missing["interval"]) == (None, None)
+    assert missing["reason"].startswith("no runs: middle, 8 seeds of 1,024 steps")
+
+
+def test_one_claim_in_one_setting_is_judged_like_all(command: list[str], capsys: Captured) -> None:
+    every = _document(capsys, *command)
+    one = _document(capsys, *command, "better", "--setting", "text")
+    assert one["claims"] == every["claims"][:1]
+    assert one["contrasts"] == every["contrasts"]
+
+
+def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
+    assert main(command) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == [
+        "claim", "section", "text", "godot", "published", "effect", "95", "%", "interval", "seeds",
+    ]  # fmt: skip
+    assert lines[1].split()[:6] == ["better", "6", "supported", "untestable", "-", "0.5"]
+    assert any("text: no runs" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("bettr",), "unknown claim 'bettr' (did you mean better?)"),
+        (("--setting", "txt"), "unknown setting 'txt' (did you mean text?)"),
+        (("--claims", "nowhere.toml"), "nowhere.toml: cannot be read"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(
+    arguments: tuple[str, ...], words: str, command: list[str], capsys: Captured
+) -> None:
+    assert main([*command, *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.splitlines()) == 1
+
+
+def test_the_shipped_claims_are_judged_without_any_run(tmp_path: Path, capsys: Captured) -> None:
+    document = _document(capsys, "study", "verify", "--results", str(tmp_path / "nothing"))
+    verdicts = {(one["setting"], one["verdict"]) for one in document["claims"]}
+    assert verdicts == {
+        ("text", "untestable"), ("godot", "untestable"), ("logs", "untestable"), ("logs", "inconclusive"),
+    }  # fmt: skip
+    assert not (tmp_path / "nothing").exists()
