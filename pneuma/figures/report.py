@@ -32,13 +32,13 @@ class Report:
     Attributes:
         claims: with their verdicts, in the order of the table.
         studies: in the order of the page.
-        claims_source: which list of claims was judged, with its checksum.
+        claims_note: which list of claims was judged, with its checksum, and at which error rate.
         version: of Pneuma.
     """
 
     claims: Sequence[Claim]
     studies: Sequence[StudySection]
-    claims_source: str = ""
+    claims_note: str = ""
     version: str = ""
 
 
@@ -50,11 +50,14 @@ def report_page(report: Report) -> bytes:
         study_html(study, [claim for claim in report.claims if claim.study == study.study], places)
         for study in report.studies
     ]
-    verdicts = verdicts_html(report.claims, names, report.claims_source)
+    runs = {run.run_id for study in report.studies for part in study.parts for run in part.runs}
+    verdicts = [verdicts_html(report.claims, names, runs)]
+    if report.claims and report.claims_note:
+        verdicts.append(paragraph(text(report.claims_note), "note"))
     main = [
         element("h1", text(TITLE)),
         paragraph(text(INTRODUCTION)),
-        element("section", join([element("h2", text("Verdicts")), verdicts], "\n"), "", "verdicts"),
+        element("section", join([element("h2", text("Verdicts")), *verdicts], "\n"), "", "verdicts"),
         *sections,
     ]
     parts = [_contents(report), element("main", join(main, "\n"), "", "main"), _footer(report)]

@@ -11,6 +11,7 @@ from pneuma.figures.report_html import (
     Column,
     Html,
     anchor_name,
+    code,
     details,
     element,
     items,
@@ -38,26 +39,45 @@ SETTINGS = {"text": "The text's environment", "godot": "The published code's", "
 
 
 @dataclass(frozen=True)
+class Effect:
+    """One contrast of a claim, as its runs have it.
+
+    Attributes:
+        arms: which are compared, for people.
+        verdict: on this contrast alone.
+        value: of the effect; None where there is none.
+        interval: around it, low and high, if it has one.
+        seeds: runs of each arm.
+        p: corrected for all claims; None where nothing was tested.
+        ratio: whether it is one, with 1 for no difference.
+    """
+
+    arms: str
+    verdict: str
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+    seeds: tuple[int, ...] = ()
+    p: float | None = None
+    ratio: bool = False
+
+
+@dataclass(frozen=True)
 class Verdict:
     """A claim's verdict in one setting.
 
     Attributes:
         verdict: of `MEANINGS`.
-        reason: why, in a sentence.
-        effect: of the contrast; None where there is none.
-        interval: around it, low and high.
-        measure: what the effect is of, with its unit.
-        runs: how many runs each side counted, for people.
+        reason: why nothing can be concluded; empty for a plain result.
+        effects: its contrasts, the one that decides first.
         seeds_needed: an arm, to decide; None where nothing is known of it.
+        run_ids: of every run that was looked at.
     """
 
     verdict: str
-    reason: str
-    effect: float | None = None
-    interval: tuple[float, float] | None = None
-    measure: str = ""
-    runs: str = ""
+    reason: str = ""
+    effects: tuple[Effect, ...] = ()
     seeds_needed: int | None = None
+    run_ids: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,6 +89,7 @@ class Claim:
         quote: the sentence.
         section: of the thesis.
         study: what tests it.
+        measure: what is compared, for people.
         verdicts: by setting, of `SETTINGS`.
     """
 
@@ -76,6 +97,7 @@ class Claim:
     quote: str
     section: str
     study: str
+    measure: str = ""
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
 
     @property
@@ -84,25 +106,22 @@ class Claim:
         return anchor_name("claim", self.claim)
 
 
-def verdicts_html(claims: Sequence[Claim], studies: Collection[str], source: str) -> Html:
+def verdicts_html(claims: Sequence[Claim], studies: Collection[str], runs: Collection[str]) -> Html:
     """Return the verdicts' section without its heading.
 
     Args:
         claims: in the order of the table.
         studies: those that have a section in this page, to link to.
-        source: what the claims were read from, with its checksum; it is in every verdict.
+        runs: ids of those that have a place in this page.
     """
     if not claims:
         return paragraph(text("No claim bears on these studies."), "missing")
+    meanings = terms((_badge(word), text(meaning)) for word, meaning in MEANINGS.items())
     return join(
         [
             _counts(claims),
-            details(
-                text("What the verdicts mean"),
-                terms((_badge(word), text(meaning)) for word, meaning in MEANINGS.items()),
-            ),
-            _table(claims, studies),
-            paragraph(text(source), "note") if source else Html(""),
+            details(text("What the verdicts mean"), meanings),
+            _table(claims, studies, runs),
         ]
     )
 
@@ -135,10 +154,12 @@ def _counts(claims: Sequence[Claim]) -> Html:
     return table(text(f"Verdicts on {len(claims)} claims, counted"), columns, rows)
 
 
-def _table(claims: Sequence[Claim], studies: Collection[str]) -> Html:
+def _table(claims: Sequence[Claim], studies: Collection[str], runs: Collection[str]) -> Html:
     settings = [setting for setting in SETTINGS if any(setting in claim.verdicts for claim in claims)]
     columns = [Column(text("Claim")), *(Column(text(SETTINGS[setting])) for setting in settings)]
-    rows = [[_claim(claim, studies), *(_cell(claim, setting) for setting in settings)] for claim in claims]
+    rows = [
+        [_claim(claim, studies), *(_cell(claim, setting, runs) for setting in settings)] for claim in claims
+    ]
     caption = text("Every claim, judged in each setting by itself")
     return element("div", table(caption, columns, rows, [claim.anchor for claim in claims]), "verdicts")
 
@@ -148,43 +169,63 @@ def _claim(claim: Claim, studies: Collection[str]) -> Html:
     if claim.study in studies:
         study = link(anchor_name("study", claim.study), study)
     where = [text(f"thesis section {claim.section}, ")] if claim.section else []
-    quote = element("q", text(" ".join(claim.quote.split())))
-    return join(
-        [
-            element("div", name(claim.claim), "claim"),
-            element("div", quote, "quote"),
-            element("div", join([*where, text("study "), study]), "note"),
-        ]
-    )
+    lines = [
+        element("div", name(claim.claim), "claim"),
+        element("div", element("q", text(" ".join(claim.quote.split()))), "quote"),
+        element("div", join([*where, text("study "), study]), "note"),
+    ]
+    if claim.measure:
+        lines.append(element("div", text(f"Compared: {claim.measure}"), "note"))
+    return join(lines)
 
 
-def _cell(claim: Claim, setting: str) -> Html:
+def _cell(claim: Claim, setting: str, runs: Collection[str]) -> Html:
     """Return a claim's cell of a setting; on a narrow page, where cells stand below each other, named."""
     where = element("span", text(f"{SETTINGS[setting]}: "), "where")
     if setting not in claim.verdicts:
         return join([where, element("span", text("not judged here"), "note")])
-    return join([where, _verdict(claim.verdicts[setting])])
+    return join([where, _verdict(claim.verdicts[setting], runs)])
 
 
-def _verdict(verdict: Verdict) -> Html:
-    """Return a verdict: the word first, then the numbers, then the reason."""
+def _verdict(verdict: Verdict, runs: Collection[str]) -> Html:
+    """Return a verdict: the word, the numbers that decide, the reason; folded away, all behind it."""
     lines = [_badge(verdict.verdict)]
-    if verdict.effect is not None:
-        lines.append(element("div", text(_effect(verdict)), "effect"))
-    if verdict.runs:
-        lines.append(element("div", text(verdict.runs), "note"))
-    lines.append(element("div", text(verdict.reason), "reason"))
+    if verdict.effects and verdict.effects[0].value is not None:
+        lines.append(_effect(verdict.effects[0]))
+    if verdict.reason:
+        lines.append(element("div", text(verdict.reason), "reason"))
     if verdict.seeds_needed:
         lines.append(element("div", text(f"Seeds needed: {verdict.seeds_needed:,} an arm"), "note"))
+    if len(verdict.effects) > 1:
+        each = items(join([_badge(own.verdict), _effect(own)], " ") for own in verdict.effects)
+        lines.append(details(text(f"All {len(verdict.effects)} contrasts"), each))
+    if verdict.run_ids:
+        told = join((_run(run_id, runs) for run_id in verdict.run_ids), " ")
+        count = len(verdict.run_ids)
+        lines.append(details(text(f"From {count:,} run{'' if count == 1 else 's'}"), told))
     return join(lines)
 
 
-def _effect(verdict: Verdict) -> str:
-    words = f"{verdict.measure}: " if verdict.measure else ""
-    words += "no number" if verdict.effect is None else number(verdict.effect, signed=True)
-    if verdict.interval is not None:
-        words += f" [{number(verdict.interval[0], signed=True)}, {number(verdict.interval[1], signed=True)}]"
-    return words
+def _effect(effect: Effect) -> Html:
+    """Return a contrast's number with its interval, then its arms, n and p."""
+    shown = "no number" if effect.value is None else number(effect.value, signed=not effect.ratio)
+    if effect.interval is not None:
+        low, high = (number(end, signed=not effect.ratio) for end in effect.interval)
+        shown += f" [{low}, {high}]"
+    about = [effect.arms] if effect.arms else []
+    if effect.seeds:
+        about.append("n = " + " and ".join(f"{count:,}" for count in effect.seeds))
+    if effect.p is not None:
+        about.append("p < 0.001" if effect.p < 0.001 else f"p = {effect.p:.3f}")
+    ratio = "ratio " if effect.ratio else ""
+    return element(
+        "div", join([text(ratio + shown), element("div", text(", ".join(about)), "note")]), "effect"
+    )
+
+
+def _run(run_id: str, runs: Collection[str]) -> Html:
+    label = code(run_id)
+    return link(anchor_name("run", run_id), label) if run_id in runs else label
 
 
 def number(value: float, signed: bool = False) -> str:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -16,7 +17,7 @@ import pytest
 from pneuma.figures.report import Report
 from pneuma.figures.report_html import Picture
 from pneuma.figures.report_studies import Conditions, Origin, Part, RunRow, StudySection
-from pneuma.figures.report_verdicts import Claim, Verdict
+from pneuma.figures.report_verdicts import Claim, Effect, Verdict
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 QUIET = (
@@ -59,18 +60,22 @@ def _part(record: str, setting: str, first: int) -> Part:
 def example() -> Report:
     """A report with every kind of thing in it: two claims, a study in two settings, one without runs."""
     quote = "tanh both improves performance, and decreases variance"
+    killed = Effect("tanh against relu", "supported", 0.12, (0.05, 0.19), (10, 10), 0.004)
+    none = Effect("tanh against relu", "refuted", -0.001, (-0.02, 0.02), (10, 10), 0.0001)
+    ratio = Effect("tanh against relu", "inconclusive", 1.3, (0.7, 2.4), (3, 3), 0.5, ratio=True)
+    ids = (_run_id(16), _run_id(17), _run_id(9999))
     verdicts = {
         "text": Verdict(
-            "supported", "p = 0.004 after correction.", 0.12, (0.05, 0.19), "share killed", "10 and 10"
+            "supported", "", (killed, replace(killed, arms="tanh against leaky-relu")), None, ids
         ),
-        "godot": Verdict("refuted", "Equivalent within the margin.", -0.001, (-0.02, 0.02), "", "10 and 10"),
+        "godot": Verdict("refuted", "", (none,)),
         "logs": Verdict("untestable", "One run an arm."),
     }
-    spread = {"text": Verdict("inconclusive", "Its interval holds 1.", 1.3, (0.7, 2.4), "SD ratio", "", 33)}
+    spread = {"text": Verdict("inconclusive", "", (ratio,), 33)}
     return Report(
         claims=(
-            Claim("6.2-tanh-better", quote, "6.2", "activation", verdicts),
-            Claim("6.2-tanh-steadier", quote, "6.2", "activation", spread),
+            Claim("6.2-tanh-better", quote, "6.2", "activation", "share killed", verdicts),
+            Claim("6.2-tanh-steadier", quote, "6.2", "activation", "", spread),
             Claim("6-small-best", "the small network performs best", "6", "sizes"),
         ),
         studies=(
@@ -92,7 +97,7 @@ def example() -> Report:
                 (Part("optimizer", "In the text's environment", ("No runs yet.",), "pneuma study run x"),),
             ),
         ),
-        claims_source="claims.toml, sha256 0123456789abcdef",
+        claims_note="claims.toml, sha256 0123456789abcdef",
         version="0.1.0",
     )
 

@@ -130,7 +130,9 @@ def test_a_name_is_shown_and_does_nothing(name: str, example: Report, read_page:
         origins=(replace(part.origins[0], facts={name: name, "cpu": name}),),
     )
     study = replace(study, study=name, title=name, about=name, parts=(part, study.parts[1]))
-    claims = tuple(replace(claim, quote=name, claim=name + claim.claim) for claim in example.claims)
+    claims = tuple(
+        replace(claim, quote=name, claim=name + claim.claim, measure=name) for claim in example.claims
+    )
     page = read_page(report_page(replace(example, studies=(study, example.studies[1]), claims=claims)))
     assert {each.tag for each in page.elements} == {each.tag for each in usual.elements}
     assert {key for each in page.elements for key in each.attributes} == {
@@ -183,11 +185,21 @@ def test_verdicts_are_counted_setting_by_setting(page: Any) -> None:
 def test_a_claims_row_has_quote_section_and_each_settings_verdict(page: Any) -> None:
     _, first, second, third = _cells(page, "Every claim")
     assert "tanh both improves performance" in first[0] and "section 6.2" in first[0]
-    assert "supported" in first[1] and "share killed: +0.120 [+0.050, +0.190]" in first[1]
-    assert "refuted" in first[2] and "−0.001 [−0.020, +0.020]" in first[2]
+    assert "Compared: share killed" in first[0]
+    assert "✔ supported+0.120 [+0.050, +0.190]tanh against relu, n = 10 and 10, p = 0.004" in first[1]
+    assert "All 2 contrasts" in first[1]
+    assert "✘ refuted−0.001 [−0.020, +0.020]tanh against relu, n = 10 and 10, p < 0.001" in first[2]
     assert "untestable" in first[3] and "One run an arm." in first[3]
+    assert "? inconclusiveratio 1.30 [0.700, 2.40]" in second[1]  # a ratio has no sign
     assert "Seeds needed: 33 an arm" in second[1]
     assert [cell.partition(": ")[2] for cell in third[1:]] == ["not judged here"] * 3
+
+
+def test_a_verdict_leads_to_its_runs_where_the_page_has_them(page: Any) -> None:
+    cells = [each for each in page.elements if each.tag == "code" and "details" in each.within]
+    linked = {each.text: "a" in each.within for each in cells if "div" in each.within}
+    assert linked[f"{16:016x}"] and linked[f"{17:016x}"]
+    assert linked[f"{9999:016x}"] is False
 
 
 def test_a_verdict_is_told_by_word_and_sign_not_by_colour_alone(page: Any) -> None:
@@ -197,7 +209,7 @@ def test_a_verdict_is_told_by_word_and_sign_not_by_colour_alone(page: Any) -> No
 
 
 def test_a_verdict_of_an_unknown_kind_is_shown_as_it_is(example: Report, read_page: Read) -> None:
-    claim = Claim("x", "q", "", "optimizer", {"text": Verdict("<odd>", "r")})
+    claim = Claim("x", "q", "", "optimizer", "", {"text": Verdict("<odd>", "r")})
     page = read_page(report_page(replace(example, claims=(claim,))))
     assert [each.text for each in page.all("span", "verdict") if "<odd>" in each.text]
 
