@@ -11,6 +11,7 @@ import typer
 from pneuma import __version__
 from pneuma.cli.options import Json, Quiet, Results, print_json, say
 from pneuma.cli.plain_text import plain
+from pneuma.cli.report_claims import judged_claims
 from pneuma.cli.report_contents import studies_to_report, study_section
 from pneuma.errors import UserError
 from pneuma.study.store import Store, write_whole
@@ -40,15 +41,16 @@ def report(
     for place, study in enumerate(studies, 1):
         say(f"{place}/{len(studies)} {plain(study)}", as_json=True, quiet=quiet)
         sections.append(study_section(store, study))
-    page = report_page(Report((), sections, version=__version__))
+    claims, note = judged_claims(store, studies)
+    page = report_page(Report(claims, sections, note, __version__))
     try:
         write_whole(out, page)
     except OSError as error:
         raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
     if json:
         document = {"schema": 1, "file": str(out), "bytes": len(page)}
-        return print_json({**document, "studies": len(sections), "claims": 0})
-    print(f"wrote {plain(str(out))}: {len(page) / 1e6:.1f} MB, {len(sections)} studies, 0 claims")
+        return print_json({**document, "studies": len(sections), "claims": len(claims)})
+    print(f"wrote {plain(str(out))}: {len(page) / 1e6:.1f} MB, {len(sections)} studies, {len(claims)} claims")
     return None
 
 

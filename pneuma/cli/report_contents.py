@@ -144,21 +144,18 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     from dataclasses import replace
 
     from pneuma.analysis.sources import open_study
+    from pneuma.analysis.summaries import summary_table
     from pneuma.figures.report_pictures import study_pictures
 
     try:
         data = open_study(store, record)
         return replace(
-            part, pictures=study_pictures(data), summary=_summary(data), origins=tuple(_origins(data))
+            part, pictures=study_pictures(data), summary=summary_table(data), origins=tuple(_origins(data))
         )
     except UserError as error:
         return replace(part, notes=(*part.notes, _anywhere(store, error)))
     except UnicodeError:
         return replace(part, notes=(*part.notes, "A name in it is no text, so nothing is drawn of it."))
-
-
-def _summary(data: StudyData) -> Any:
-    return None
 
 
 def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:

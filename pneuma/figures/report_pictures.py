@@ -15,7 +15,7 @@ LARGE_BYTES = 300_000
 
 def study_pictures(data: StudyData) -> tuple[Picture, ...]:
     """Draw what the report shows of a study."""
-    caption = f"Drawn by `pneuma study plot {data.study}`, which offers other bands and windows."
+    caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."
     with TemporaryDirectory() as folder:
         return (Picture(*_smaller(data, Path(folder)), _alt(data), caption),)
 

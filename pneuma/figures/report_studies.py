@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 
@@ -27,6 +28,9 @@ from pneuma.figures.report_html import (
     text,
 )
 from pneuma.figures.report_verdicts import Claim, claim_list, number
+
+LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
+"""Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
 
 
 @dataclass(frozen=True)
@@ -205,30 +209,52 @@ def _shared(conditions: Conditions) -> Html:
 
 
 def _summary(part: Part) -> Html:
-    """Return the table of outcomes: a row for each condition, a column for each outcome's statistic."""
+    """Return the outcomes that matter most, condition by condition, and folded away every statistic."""
     frame = part.summary
     assert frame is not None
+    return join([_headlines(part, frame[[_leads(row) for row in frame.itertuples()]]), _every(part, frame)])
+
+
+def _leads(row: Any) -> bool:
+    return row.statistic in LEADING or (row.outcome, row.statistic) in LEADING
+
+
+def _headlines(part: Part, frame: pd.DataFrame) -> Html:
+    """Return a row for each condition, a column for each outcome's statistic."""
     pairs = list(dict.fromkeys(zip(frame["outcome"], frame["statistic"], strict=True)))
-    cells = {(row.condition, row.outcome, row.statistic): _cell(row) for row in frame.itertuples(index=False)}
+    pairs.sort(key=lambda pair: pair[1] == "share")  # how many failed comes after what the others reached
+    cells = {(row.condition, row.outcome, row.statistic): _cell(row) for row in frame.itertuples()}
     heads = [join([text(outcome), Html("<br>"), element("small", text(kind))]) for outcome, kind in pairs]
     columns = [Column(text("Condition")), *(Column(head, numbers=True) for head in heads)]
     rows = [
         [name(condition), *(cells.get((condition, *pair), text("–")) for pair in pairs)]
         for condition in dict.fromkeys(frame["condition"])
     ]
-    intervals = ", ".join(dict.fromkeys(str(kind) for kind in frame["interval"].dropna() if kind))
-    caption = [text("Outcomes of "), name(part.record)]
-    caption += [text(f", in brackets the interval ({intervals}), and n")] if intervals else [text(", and n")]
+    caption = [text("Outcomes of "), name(part.record), text(", with 95 % intervals and counts of runs")]
     return table(join(caption), columns, rows)
 
 
-def _cell(row: object) -> Html:
-    value, low, high, runs = (getattr(row, key) for key in ("value", "low", "high", "runs"))
-    shown = [text(number(float(value)))]
-    if not (pd.isna(low) or pd.isna(high)):
-        shown.append(element("small", text(f" [{number(float(low))}, {number(float(high))}]")))
-    shown.append(element("small", text(f" n = {int(runs)}")))
-    return join(shown)
+def _every(part: Part, frame: pd.DataFrame) -> Html:
+    """Return every row of the summary as it is."""
+    heads = ("Condition", "Outcome", "Statistic", "Value", "Low", "High", "Interval", "Runs")
+    columns = [Column(text(head), numbers=head in ("Value", "Low", "High", "Runs")) for head in heads]
+    rows = [_row(row) for row in frame.itertuples()]
+    caption = join([text("Every statistic of "), name(part.record), text("'s outcomes")])
+    return details(
+        text("Medians, spread between seeds and all other statistics"), table(caption, columns, rows)
+    )
+
+
+def _row(row: Any) -> list[Html]:
+    numbers = [text(number(float(value))) for value in (row.value, row.low, row.high)]
+    words = [text(row.outcome), text(row.statistic)]
+    return [name(row.condition), *words, *numbers, text(row.interval or "none"), text(int(row.runs))]
+
+
+def _cell(row: Any) -> Html:
+    value, low, high = (number(float(each)) for each in (row.value, row.low, row.high))
+    interval = "" if pd.isna(row.low) or pd.isna(row.high) else f"[{low}, {high}] "
+    return join([text(value), Html("<br>"), element("small", text(f"{interval}n = {int(row.runs)}"))])
 
 
 # --- Runs ------------------------------------------------------------------------------------------

@@ -197,7 +197,7 @@ def test_a_claims_row_has_quote_section_and_each_settings_verdict(page: Any) -> 
 
 def test_a_verdict_leads_to_its_runs_where_the_page_has_them(page: Any) -> None:
     cells = [each for each in page.elements if each.tag == "code" and "details" in each.within]
-    linked = {each.text: "a" in each.within for each in cells if "div" in each.within}
+    linked = {each.text: "a" in each.within for each in cells if "td" in each.within}
     assert linked[f"{16:016x}"] and linked[f"{17:016x}"]
     assert linked[f"{9999:016x}"] is False
 
@@ -242,7 +242,10 @@ def test_conditions_are_set_against_their_base(page: Any) -> None:
 def test_the_numbers_are_in_a_table_with_interval_and_n(page: Any) -> None:
     head, tanh, _ = _cells(page, "Outcomes of activation, ")
     assert len(head) == 7
-    assert tanh[:2] == ["tanh", "0.250 [0.125, 0.500] n = 3"]
+    assert tanh[:2] == ["tanh", "0.250[0.125, 0.500] n = 3"]
+    _, *every = _cells(page, "Every statistic of activation's")
+    assert every[0] == ["tanh", "outcome 0", "mean", "0.250", "0.125", "0.500", "95 % t", "3"]
+    assert len(every) == 12
 
 
 def test_every_run_is_in_the_page(example: Report, page: Any) -> None:

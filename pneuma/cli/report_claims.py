@@ -1,0 +1,73 @@
+"""The claims that a report shows, with their verdicts as `study verify` gives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.judgement import Judged, Pair
+    from pneuma.figures.report_verdicts import Claim, Effect, Verdict
+
+
+def judged_claims(store: Store, studies: Collection[str]) -> tuple[list[Claim], str]:
+    """Return the claims that bear on some studies, and words on the list that they are judged in.
+
+    The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
+
+    Raises:
+        UserError: for a damaged published table.
+    """
+    from pneuma.analysis.claims import load_claims
+    from pneuma.analysis.judgement import ALPHA, judge
+
+    known = load_claims()
+    shown: dict[str, list[Judged]] = {}
+    for one in judge(known, store):
+        if one.claim.study in studies:
+            shown.setdefault(one.claim.name, []).append(one)
+    note = (
+        f"Claims: {known.path.name}, SHA-256 {known.digest}, fixed before the runs. The chance of any false "
+        f"verdict in the whole list of {len(known.claims)} is at most {ALPHA:.0%}, by Holm's correction."
+    )
+    return [_claim(judged) for judged in shown.values()], note
+
+
+def _claim(judged: list[Judged]) -> Claim:
+    from pneuma.analysis.outcomes import find_outcome
+    from pneuma.figures.report_verdicts import Claim
+
+    claim = judged[0].claim
+    counted = f", runs {claim.event.words}" if claim.event else ""
+    compared = {"mean": "mean", "spread": "deviation between seeds", "incidence": "share of runs"}
+    measure = f"{compared[claim.kind]} of {claim.outcome} ({find_outcome(claim.outcome).words}){counted}"
+    verdicts = {one.place: _verdict(one) for one in judged}
+    return Claim(claim.name, claim.quote, claim.section, claim.study, measure, verdicts)
+
+
+def _verdict(judged: Judged) -> Verdict:
+    from pneuma.figures.report_verdicts import Verdict
+
+    first = [judged.told] if judged.told else []
+    pairs = [*first, *(pair for pair in judged.pairs if pair is not judged.told)]
+    effects = tuple(_effect(pair) for pair in pairs)
+    return Verdict(judged.verdict, judged.reason, effects, judged.seeds_needed, tuple(judged.run_ids))
+
+
+def _effect(pair: Pair) -> Effect:
+    from pneuma.figures.report_verdicts import Effect
+
+    contrast = pair.contrast
+    interval = (contrast.interval.low, contrast.interval.high) if contrast.interval.exists else None
+    return Effect(
+        f"{pair.a} against {pair.b}",
+        pair.verdict,
+        contrast.effect if math.isfinite(contrast.effect) else None,
+        interval,
+        tuple(count for count in contrast.seeds if count),
+        None if contrast.reason else pair.p,
+        ratio=contrast.kind == "spread",
+    )
