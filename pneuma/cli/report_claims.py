@@ -51,19 +51,30 @@ def _claim(judged: list[Judged]) -> Claim:
 def _verdict(judged: Judged) -> Verdict:
     from pneuma.figures.report_verdicts import Verdict
 
-    first = [judged.told] if judged.told else []
-    pairs = [*first, *(pair for pair in judged.pairs if pair is not judged.told)]
-    effects = tuple(_effect(pair) for pair in pairs)
-    return Verdict(judged.verdict, judged.reason, effects, judged.seeds_needed, tuple(judged.run_ids))
+    effects = {
+        id(pair): _effect(pair, told) for pair, told in zip(judged.pairs, _of_what(judged), strict=True)
+    }
+    first = sorted(judged.pairs, key=lambda pair: pair is not judged.told)
+    ordered = tuple(effects[id(pair)] for pair in first)
+    return Verdict(judged.verdict, judged.reason, ordered, judged.seeds_needed, tuple(judged.run_ids))
 
 
-def _effect(pair: Pair) -> Effect:
+def _of_what(judged: Judged) -> list[str]:
+    """Return, for each contrast, what is compared where that is not what the claim's own runs have."""
+    from pneuma.analysis.judgement import LOGS
+
+    if judged.place != LOGS:
+        return [""] * len(judged.pairs)
+    return [f" ({own.figure.replace('_', ' ')} in the logs)" for own in judged.claim.logs]
+
+
+def _effect(pair: Pair, of_what: str) -> Effect:
     from pneuma.figures.report_verdicts import Effect
 
     contrast = pair.contrast
     interval = (contrast.interval.low, contrast.interval.high) if contrast.interval.exists else None
     return Effect(
-        f"{pair.a} against {pair.b}",
+        f"{pair.a} against {pair.b}{of_what}",
         pair.verdict,
         contrast.effect if math.isfinite(contrast.effect) else None,
         interval,

@@ -196,7 +196,7 @@ def _verdict(verdict: Verdict, runs: Collection[str]) -> Html:
         lines.append(element("div", text(verdict.reason), "reason"))
     if verdict.seeds_needed:
         lines.append(element("div", text(f"Seeds needed: {verdict.seeds_needed:,} an arm"), "note"))
-    if len(verdict.effects) > 1:
+    if len(verdict.effects) > 1 and any(own.value is not None for own in verdict.effects):
         each = items(join([_badge(own.verdict), _effect(own)], " ") for own in verdict.effects)
         lines.append(details(text(f"All {len(verdict.effects)} contrasts"), each))
     if verdict.run_ids:

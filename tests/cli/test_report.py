@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from pneuma.cli import main, report_contents
 from pneuma.config import as_settings, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.figures.report_verdicts import MEANINGS, SETTINGS
 from pneuma.study import spec
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
@@ -146,7 +148,7 @@ def test_both_settings_stand_in_one_section(store: Store, make: Callable[..., An
     page = make("activation")
     assert len(page.all("img")) == 2
     headings = [each.text for each in page.all("h3")]
-    assert headings == ["In the text's environment", "In the published code's environment"]
+    assert headings[-2:] == ["In the text's environment", "In the published code's environment"]
 
 
 def test_the_same_results_give_the_same_bytes_and_tell_no_folder(
@@ -166,6 +168,31 @@ def test_studies_of_the_thesis_come_in_its_order_and_others_after_them(
     titles = {spec.load_study(name).section: spec.load_study(name).title for name in spec.list_studies()}
     assert headings[-1] == "Mine"
     assert headings.index(titles["6.1"]) < headings.index(titles["6.2"])
+
+
+# --- Claims ----------------------------------------------------------------------------------------
+
+
+def test_the_verdicts_are_those_of_study_verify(
+    store: Store, make: Callable[..., Any], capsys: Captured
+) -> None:
+    store.root.mkdir()
+    page = make()
+    capsys.readouterr()
+    assert main(["study", "verify", "--results", str(store.root), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    counted = Counter((claim["setting"], claim["verdict"]) for claim in document["claims"])
+    rows = [each.text for each in page.elements if each.tag == "td"][: 4 * len(SETTINGS)]
+    assert [int(cell) for cell in rows] == [counted[place, word] for place in SETTINGS for word in MEANINGS]
+    anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
+    assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
+    assert document["claims_hash"] in _words(page)
+
+
+def test_only_the_claims_of_the_named_studies_are_shown(make: Callable[..., Any]) -> None:
+    page = make("activation")
+    links = {each.attributes["href"] for each in page.all("a") if "td" in each.within or "th" in each.within}
+    assert {link for link in links if link.startswith("#study-")} == {"#study-activation"}
 
 
 # --- Strangers' folders ----------------------------------------------------------------------------
