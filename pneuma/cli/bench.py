@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, print_json, read_count, say
+from pneuma.cli.options import (
+    Conditions,
+    Json,
+    Preset,
+    Results,
+    Seeds,
+    Steps,
+    print_json,
+    read_count,
+    read_selection,
+    say,
+)
+from pneuma.study.store import Store
 
 app = typer.Typer(
     help="Measure speed on this machine, and calibrate the statistics.",
@@ -34,6 +47,42 @@ def env(json: Json = False) -> None:
         ("first step, warm compile cache", "first_step_warm_seconds"),
     ):
         print(f"{what:<40} {report[key]:>12.2f} s")
+    return None
+
+
+@app.command()
+def equivalence(
+    study: Annotated[
+        str, typer.Argument(metavar="STUDY", help="A study run by both engines.")
+    ] = "activation",
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    condition: Conditions = None,
+    results: Results = Path("results"),
+    json: Json = False,
+) -> None:
+    """Test whether both engines come to the same results on a study that was run with each."""
+    from pneuma.bench.equivalence import compare_engines
+    from pneuma.study.plan import Selection
+
+    selection = read_selection(preset, seeds, steps, None, condition, None) or Selection()
+    report = compare_engines(Store(results), study, selection)
+    if json:
+        return print_json({"schema": 1, **report})
+    print(f"{report['study']}: {report['seeds']} seeds by each engine, {report['steps']:,} steps a run")
+    for row in report["rows"]:
+        low, high = row["interval"]
+        means = ", ".join(f"{engine} {mean:.4f}" for engine, mean in row["means"].items())
+        print(f"{row['condition']}, {row['outcome']}: {means}")
+        print(f"    difference {row['difference']:+.4f} (95 % interval {low:+.4f} to {high:+.4f})")
+        print(f"    within half a monster: p = {row['p_equivalent']:.2g}")
+        different = (
+            f"p = {row['p_different']:.2f}, {row['p_different_corrected']:.2f} after Holm's correction"
+        )
+        print(f"    different at all: {different}")
+        ratio = f"{row['deviation_ratio']:.2f} (p = {row['p_spread_different']:.2f})"
+        print(f"    ratio of standard deviations {ratio}")
     return None
 
 
