@@ -6,6 +6,7 @@ calibration are the same code.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -39,10 +40,12 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
 def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
     """Test ratios of standard deviations by permutation of their logs.
 
-    The arms may differ in level, so each is set off from its median first. That alone finds too much
-    where a few runs lie far from the rest, for an arm may have none of them by chance: a test of the
-    runs as they are, which is exact where the levels are the same, must find it too, and the greater
-    p-value of both counts. Setting off from the mean would be far off its level (docs/evidence.md).
+    The arms may differ in level, so each is set off from its middle first. That alone finds too much
+    where a few runs lie far from the rest, for an arm may have none of them by chance. So a test of the
+    runs as they are, exact where the levels are the same, must find it too; and of an even number of
+    runs, both middle ones must do for the middle, since between them may be a gap that makes every run
+    lie far off. The greatest p-value counts. Set off from means, it would be far off its level
+    (docs/evidence.md).
 
     Args:
         a: (samples, runs) of arm a, none of equal runs.
@@ -50,15 +53,27 @@ def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: 
         margin: the ratio above 1 within which, either way, deviations count as alike, or None.
         labels: relabelings of both arms' runs.
     """
-    middle_a, middle_b = (np.median(arm, axis=1, keepdims=True) for arm in (a, b))
-    ratios = [1.0] if margin is None else [1.0, 1 / margin, margin]
-    centred = [np.hstack([(a - middle_a) * ratio, b - middle_b]) for ratio in ratios]
-    as_they_are = [np.hstack([middle_a + (a - middle_a) * ratio, b]) for ratio in ratios]
-    p_greater, p_less = tails(_log_ratios(np.concatenate(centred + as_they_are), labels))
-    half = len(ratios) * len(a)
-    return _two_one_sided(
-        np.maximum(p_greater[:half], p_greater[half:]), np.maximum(p_less[:half], p_less[half:]), len(a)
+    scales = [1.0] if margin is None else [1.0, margin**-0.5, margin**0.5]
+    greatest_greater, greatest_less = np.zeros(len(scales) * len(a)), np.zeros(len(scales) * len(a))
+    for middle_a, middle_b, apart in _middles(a, b):
+        rows = [np.hstack([(a - middle_a) * scale + apart, (b - middle_b) / scale]) for scale in scales]
+        p_greater, p_less = tails(_log_ratios(np.concatenate(rows), labels))
+        greatest_greater = np.maximum(greatest_greater, p_greater)
+        greatest_less = np.maximum(greatest_less, p_less)
+    return _two_one_sided(greatest_greater, greatest_less, len(a))
+
+
+def _middles(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+    """Yield what to set the runs of either arm off from, and how far to leave the arms apart."""
+    ranked_a, ranked_b = np.sort(a, axis=1), np.sort(b, axis=1)
+    lower, upper = (
+        [ranked[:, (ranked.shape[1] - odd) // 2, None] for ranked in (ranked_a, ranked_b)] for odd in (1, 0)
     )
+    middle_a, middle_b = (np.median(arm, axis=1, keepdims=True) for arm in (a, b))
+    yield middle_a, middle_b, middle_a - middle_b
+    yield lower[0], lower[1], 0.0
+    if a.shape[1] % 2 == 0 or b.shape[1] % 2 == 0:
+        yield upper[0], upper[1], 0.0
 
 
 def incidence_p_values(

@@ -1,0 +1,58 @@
+"""Point estimates against SciPy, and against rliable's published formulas written out again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pneuma.analysis import estimates
+
+
+@pytest.mark.parametrize("runs", [1, 2, 3, 4, 5, 8, 10, 17, 50])
+def test_estimates_are_those_of_scipy_and_rliable(runs: int) -> None:
+    values = np.random.default_rng(runs).standard_t(2, runs)
+    trimmed = stats.trim_mean(values, proportiontocut=0.25)  # rliable's aggregate_iqm is this call
+    assert estimates.interquartile_mean(values) == pytest.approx(trimmed, rel=1e-12)
+    assert estimates.mean(values) == pytest.approx(math.fsum(values) / runs, rel=1e-12)
+    assert estimates.median(values) == pytest.approx(stats.scoreatpercentile(values, 50), rel=1e-12)
+    if runs > 1:
+        assert estimates.deviation(values) == pytest.approx(stats.tstd(values), rel=1e-12)
+
+
+def test_each_row_is_estimated_for_itself() -> None:
+    rows = np.random.default_rng(0).normal(size=(4, 7))
+    for estimate in estimates.POINT_ESTIMATES.values():
+        assert estimate(rows) == pytest.approx([float(estimate(row)) for row in rows], rel=1e-14)
+
+
+def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None:
+    generator = np.random.default_rng(3)
+    a, b = generator.integers(0, 5, 9), generator.integers(1, 6, 14)
+    u = stats.mannwhitneyu(a, b).statistic  # rliable divides it by both counts
+    assert estimates.probability_of_improvement(a, b) == pytest.approx(u / (9 * 14), rel=1e-12)
+    assert estimates.probability_of_improvement([1, 1], [1]) == 0.5
+    assert math.isnan(estimates.probability_of_improvement([], [1]))
+
+
+def test_a_profile_is_the_share_strictly_above_each_threshold() -> None:
+    assert estimates.performance_profile([0, 2, 2, 5], [-1, 0, 2, 5]).tolist() == [1, 0.75, 0.25, 0]
+
+
+def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
+    for estimate in estimates.POINT_ESTIMATES.values():
+        with pytest.raises(ValueError, match="2 of 3 values are not finite"):
+            estimate([1.0, math.nan, math.inf])
+
+
+def test_no_runs_and_one_run_give_no_made_up_number() -> None:
+    assert math.isnan(estimates.mean([])) and math.isnan(estimates.median([]))
+    assert math.isnan(estimates.interquartile_mean([])) and math.isnan(estimates.deviation([4.0]))
+
+
+def test_runs_pressed_against_an_end_are_told() -> None:
+    assert estimates.at_bound([0, 0, 0.2], 0, 1) == "floor"
+    assert estimates.at_bound([1, 0.3, 1], 0, 1) == "ceiling"
+    assert estimates.at_bound([0, 1, 0, 1], 0, 1) is None

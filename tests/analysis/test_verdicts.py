@@ -1,0 +1,73 @@
+"""Holm's correction and verdicts, worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.analysis import two_arms
+from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.corrections import holm
+from pneuma.analysis.intervals import no_interval
+from pneuma.analysis.permutation import relabel
+from pneuma.analysis.verdicts import judge_list
+
+
+def contrast(greater: float, less: float, equivalent: float) -> Contrast:
+    return Contrast("mean", 0.0, no_interval(), greater, less, equivalent, (10, 10))
+
+
+def test_holm_by_hand() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.9, 0.6]) == pytest.approx([1.0, 1.0])
+    assert holm([]).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("p", "greater", "less", "different", "equal"),
+    [
+        ((0.02, 0.98, 0.9), "supported", "refuted", "supported", "refuted"),
+        ((0.98, 0.02, 0.9), "refuted", "supported", "supported", "refuted"),
+        ((0.4, 0.6, 0.04), "refuted", "refuted", "refuted", "supported"),
+        (
+            (0.03, 0.97, 0.9),
+            "inconclusive",
+            "inconclusive",
+            "inconclusive",
+            "inconclusive",
+        ),  # two-sided: 0.06
+        ((0.001, 0.999, 0.01), "supported", "refuted", "supported", "refuted"),
+        ((0.01, 0.99, 0.001), "refuted", "refuted", "refuted", "supported"),
+    ],
+)
+def test_one_claim(
+    p: tuple[float, float, float], greater: str, less: str, different: str, equal: str
+) -> None:
+    for direction, verdict in zip(
+        ("greater", "less", "different", "equal"), (greater, less, different, equal), strict=True
+    ):
+        assert judge_list([(contrast(*p), direction)]) == [verdict]
+
+
+def test_the_list_is_corrected_as_one() -> None:
+    weak, strong = contrast(0.02, 0.98, 1.0), contrast(0.001, 0.999, 1.0)
+    assert judge_list([(weak, "greater")]) == ["supported"]
+    assert judge_list([(weak, "greater"), (weak, "greater")]) == ["inconclusive"] * 2
+    assert judge_list([(strong, "greater"), (weak, "greater")]) == ["supported", "supported"]
+    assert judge_list([(weak, "greater")], alpha=0.01) == ["inconclusive"]
+    with pytest.raises(ValueError, match="direction of 'more'"):
+        judge_list([(weak, "more")])
+
+
+@pytest.mark.parametrize("difference", [0.0, 0.4, 0.8])
+def test_the_one_p_value_bounds_any_false_verdict(difference: float) -> None:
+    """Without a difference, inside the margin, and at its very edge: 1,500 claims of each."""
+    generator = np.random.default_rng(1)
+    a, b = generator.normal(size=(2, 1_500, 12))
+    p = two_arms.mean_p_values(a + difference, b, 0.8, relabel(12, 12, generator, draws=400))
+    different = np.minimum(2 * np.minimum(p.greater, p.less), 1)
+    equal = (p.equivalent < different) & (p.equivalent <= 0.05)
+    wrong_way = (p.less < p.greater) & (different <= p.equivalent) & (different <= 0.05)
+    right_way = (p.greater <= p.less) & (different <= p.equivalent) & (different <= 0.05)
+    false = wrong_way | (equal if difference == 0.8 else right_way if difference == 0.0 else False)
+    assert false.mean() < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 1_500)
