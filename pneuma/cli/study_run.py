@@ -114,12 +114,26 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try runs again that crashed or timed out before.")
     ] = False,
+    until_decided: Annotated[
+        bool,
+        typer.Option(
+            "--until-decided",
+            help="Add seeds in stages until every condition is decided against the baseline.",
+        ),
+    ] = False,
+    max_seeds: Annotated[
+        str | None,
+        typer.Option("--max-seeds", metavar="N", help="With --until-decided: the most seeds (default 40)."),
+    ] = None,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
+    from pneuma.cli import study_stages
+
     selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
+    most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, seeds)
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
         workers=available_cores() if workers is None else read_count("--workers", workers),
@@ -127,13 +141,28 @@ def run(
         timeout_seconds=read_seconds("--timeout", timeout, None),
         keep_checkpoints=planned.study.keep_checkpoints,
     )
-    return train(planned, Store(results), supervision, retry_failed, json, quiet)
+    if most_seeds is None:
+        return train(planned, Store(results), supervision, retry_failed, json, quiet)
+    return study_stages.run_stages(
+        planned, most_seeds, Store(results), supervision, retry_failed, json, quiet
+    )
 
 
 def train(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
+    outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
+    if outcomes and json:
+        rows = outcome_rows(outcomes)
+        print_json({"schema": 1, "study": planned.study.name, "runs": rows})
+    return exit_code(outcomes)
+
+
+def train_cells(
+    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+) -> list[execute.Outcome] | None:
+    """Train what a plan lacks and tell how it went; return all cells' outcomes, None after Ctrl-C."""
     todo = execute.prepare(planned, store, retry_failed)
     for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", as_json=True, quiet=quiet)
@@ -142,11 +171,20 @@ def train(
             outcomes = execute.execute(planned, todo.runs, store, how, display.update)
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", as_json=True)
-        return 130
+        return None
     _tell_outcomes(planned, outcomes, store, json, quiet)
-    if json:
-        rows = [{**_cell(o.cell), "status": o.status.name, "trained": o.trained} for o in outcomes]
-        print_json({"schema": 1, "study": planned.study.name, "runs": rows})
+    return outcomes
+
+
+def outcome_rows(outcomes: list[execute.Outcome]) -> list[dict[str, Any]]:
+    """Return the runs of a JSON document."""
+    return [{**_cell(o.cell), "status": o.status.name, "trained": o.trained} for o in outcomes]
+
+
+def exit_code(outcomes: list[execute.Outcome] | None) -> int:
+    """Return what the outcomes of a plan come to: 130 stopped, 1 a run went wrong, 0 done."""
+    if outcomes is None:
+        return 130
     return 1 if any(outcome.status.name in UNWELL for outcome in outcomes) else 0
 
 

@@ -11,6 +11,7 @@ from scipy import stats
 
 from pneuma.analysis import two_arms
 from pneuma.analysis.contrasts import CONTRAST_KINDS, Contrast, compare, compare_with
+from pneuma.analysis.incidence import p_share_greater
 from pneuma.analysis.permutation import relabel
 
 Arm = list[float]
@@ -80,7 +81,7 @@ def test_the_test_of_shares_holds_its_level_at_every_share(margin: float) -> Non
     """Summed over all tables: the chance of p ≤ 0.05 where the shares differ by exactly the margin."""
     runs_a, runs_b = 9, 12
     a, b = np.meshgrid(np.arange(runs_a + 1), np.arange(runs_b + 1), indexing="ij")
-    p = two_arms.incidence.p_share_greater(a, runs_a, b, runs_b, margin)
+    p = p_share_greater(a, runs_a, b, runs_b, margin)
     sizes = []
     for share in np.linspace(0, 1 - margin, 77):
         chance = stats.binom.pmf(a, runs_a, share + margin) * stats.binom.pmf(b, runs_b, share)

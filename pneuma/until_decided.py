@@ -1,0 +1,167 @@
+"""Seeds added until a study has decided: above training and analysis, which know nothing of each other.
+
+    plan of the next stage → train → contrasts with the baseline → decided, or the next stage
+
+The stages and what each may spend of the error rate are fixed before the first run
+(`pneuma.analysis.sequential`). Every condition is held against the study's baseline, by the mean share
+of monsters killed at the last evaluation. The study's record keeps that its seeds were chosen by
+looking: a claim reads only the seeds that it fixed itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pneuma.analysis.contrasts import Contrast, compare
+from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.sequential import Stage, decide, make_stages
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.analysis.verdicts import found
+from pneuma.errors import UserError
+from pneuma.study import execute
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.spec import Study
+from pneuma.study.store import Store
+
+OUTCOME = "final-share-killed"
+MARGIN_SHARE = 0.5 / 14
+"""Half of one of the level's 14 monsters: shares that differ by less count as alike."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """How one condition stands against the baseline at a look.
+
+    Attributes:
+        condition: its name.
+        contrast: of its runs against the baseline's.
+        decided: "greater", "less" or "equal", now or at an earlier look; empty while undecided.
+        left_out: runs of both that have no such outcome.
+    """
+
+    condition: str
+    contrast: Contrast
+    decided: str
+    left_out: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """One stage's end: all that was looked at."""
+
+    stage: Stage
+    findings: tuple[Finding, ...]
+
+    @property
+    def decided(self) -> bool:
+        """Whether nothing is left open."""
+        return all(finding.decided for finding in self.findings)
+
+
+def run_until_decided(
+    study: Study, selection: Selection, most_seeds: int, store: Store, train: Callable[[Plan], bool]
+) -> Iterator[Look]:
+    """Train a study in stages and look after each, until every contrast is decided or seeds run out.
+
+    Args:
+        study: the study.
+        selection: what of it to run; its seeds are the stages'.
+        most_seeds: of each condition, at the last stage.
+        store: the results folder.
+        train: trains what a plan lacks; False where it did not come to its end, and nothing is looked at.
+
+    Raises:
+        UserError: before anything is trained, where the selection has no two conditions to compare.
+    """
+    stages = make_stages(most_seeds)
+    plans = [make_plan(study, replace(selection, seeds=tuple(range(s.seeds)))) for s in stages]
+    others = compared(plans[0])
+    looks: list[Look] = []
+    for stage, planned in zip(stages, plans, strict=True):
+        if not train(planned):
+            return
+        record = execute.selection_record(planned)
+        earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
+        looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
+        store.save_selection(study.name, {**record, "adaptive": _as_record(stages, looks)})
+        yield looks[-1]
+        if looks[-1].decided:
+            return
+
+
+def compared(planned: Plan) -> tuple[str, ...]:
+    """Return the conditions that are held against the baseline; those of its own configuration are not.
+
+    Raises:
+        UserError: where there is no baseline or nothing to compare with it.
+    """
+    baseline = planned.study.baseline
+    if baseline not in planned.conditions:
+        raise UserError(f"--until-decided compares with the baseline: add --condition {baseline}")
+    same = {name for names in planned.same if baseline in names for name in names}
+    others = tuple(name for name in planned.conditions if name != baseline and name not in same)
+    if not others:
+        raise UserError(
+            f"--until-decided: study {planned.study.name} has no condition to compare with {baseline}"
+        )
+    return others
+
+
+def _look(
+    data: StudyData, baseline: str, others: tuple[str, ...], stage: Stage, earlier: Mapping[str, str]
+) -> Look:
+    generator = np.random.default_rng(stage.seeds)  # the same look twice is the same
+    base = outcome_values(data, baseline, OUTCOME)
+    arms = {name: outcome_values(data, name, OUTCOME) for name in others}
+    contrasts = {
+        name: compare("mean", _had(values), _had(base), MARGIN_SHARE, generator)
+        for name, values in arms.items()
+    }
+    decided = decide(stage, [contrast.p_any for contrast in contrasts.values()])
+    findings = [
+        Finding(
+            name,
+            contrast,
+            earlier.get(name) or (found(contrast) if now else ""),
+            int(np.isnan(arms[name]).sum() + np.isnan(base).sum()),
+        )
+        for (name, contrast), now in zip(contrasts.items(), decided, strict=True)
+    ]
+    return Look(stage, tuple(findings))
+
+
+def _had(values: np.ndarray) -> np.ndarray:
+    return values[np.isfinite(values)]
+
+
+def _as_record(stages: list[Stage], looks: list[Look]) -> dict[str, Any]:
+    """Return what a study's record keeps of how its seeds came about."""
+    return {
+        "outcome": OUTCOME,
+        "margin": MARGIN_SHARE,
+        "stages": [stage.seeds for stage in stages],
+        "looks": [look_document(look) for look in looks],
+    }
+
+
+def look_document(look: Look) -> dict[str, Any]:
+    """Return a look as JSON holds it."""
+    return {
+        "seeds": look.stage.seeds,
+        "alpha": look.stage.alpha,
+        "contrasts": [
+            {
+                "condition": finding.condition,
+                "effect": finding.contrast.effect,
+                "p": finding.contrast.p_any,
+                "decided": finding.decided or None,
+                "left_out": finding.left_out,
+            }
+            for finding in look.findings
+        ],
+    }

@@ -1,0 +1,102 @@
+"""Seeds in stages: what is decided, when it stops, what is recorded; training is played by written values."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma import until_decided
+from pneuma.cli import main
+from pneuma.errors import UserError
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+from pneuma.until_decided import compared, run_until_decided
+
+STUDY = "activation"
+
+
+class Written:
+    """Stands in for training and for what its runs came to: one written value per condition and seed."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, levels: dict[str, float]) -> None:
+        self.trained: list[int] = []
+        noise = np.random.default_rng(1)
+        self.values = {name: level + 0.05 * noise.normal(size=40) for name, level in levels.items()}
+        monkeypatch.setattr(until_decided, "open_study", lambda store, record: len(record["runs"]) // 3)
+        monkeypatch.setattr(until_decided, "outcome_values", lambda n, name, outcome: self.values[name][:n])
+
+    def train(self, planned: Plan) -> bool:
+        self.trained.append(len(planned.seeds))
+        return True
+
+
+def test_it_stops_as_soon_as_all_is_decided(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    study, store = load_study(STUDY), Store(tmp_path)
+    others = [name for name in study.conditions if name != study.baseline]
+    levels = {study.baseline: 0.2, others[0]: 0.9, others[1]: 0.25}
+    written = Written(monkeypatch, levels)
+    looks = list(run_until_decided(study, Selection(), 40, store, written.train))
+    assert written.trained == [10, 20] and [look.stage.seeds for look in looks] == [10, 20]
+    assert [finding.decided for finding in looks[0].findings] == ["greater", ""]
+    assert [finding.decided for finding in looks[1].findings] == ["greater", "greater"]
+    record = store.selection(STUDY)
+    assert record is not None and record["adaptive"]["stages"] == [10, 20, 40]
+    assert [look["seeds"] for look in record["adaptive"]["looks"]] == [10, 20]
+    assert len(record["runs"]) == 3 * 20
+
+
+def test_what_is_too_close_stays_undecided_to_the_last_stage(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    study = load_study(STUDY)
+    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.4))
+    for values in written.values.values():
+        values *= 4
+    looks = list(run_until_decided(study, Selection(), 15, Store(tmp_path), written.train))
+    assert written.trained == [10, 15] and not looks[-1].decided
+
+
+def test_runs_without_the_outcome_are_left_out_and_counted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    study = load_study(STUDY)
+    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.4))
+    written.values[study.baseline][3] = np.nan
+    (look,) = run_until_decided(study, Selection(), 10, Store(tmp_path), written.train)
+    assert [(f.left_out, f.contrast.seeds) for f in look.findings] == [(1, (10, 9))] * 2
+
+
+def test_a_stage_that_was_stopped_is_not_looked_at(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    Written(monkeypatch, {})
+    assert list(run_until_decided(load_study(STUDY), Selection(), 40, Store(tmp_path), lambda _: False)) == []
+
+
+def test_there_must_be_something_to_compare() -> None:
+    study = load_study(STUDY)
+    other = next(name for name in study.conditions if name != study.baseline)
+    with pytest.raises(UserError, match=f"add --condition {study.baseline}"):
+        compared(make_plan(study, Selection(conditions=(other,))))
+    with pytest.raises(UserError, match="no condition to compare"):
+        compared(make_plan(study, Selection(conditions=(study.baseline,))))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--max-seeds", "20"], "--max-seeds 20: goes with --until-decided"),
+        (["--until-decided", "--seeds", "5"], "--seeds 5: --until-decided adds seeds in stages"),
+        (["--until-decided", "--max-seeds", "3"], "--max-seeds 3: must be at least 4"),
+        (["--until-decided", "--max-seeds", "many"], "--max-seeds many: must be a whole number"),
+    ],
+)
+def test_options_that_contradict_each_other(options: list[str], message: str, tmp_path: Path) -> None:
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error):
+        code = main(["study", "run", STUDY, *options, "--results", str(tmp_path / "results")])
+    assert code == 2 and message in error.getvalue()
+    assert not (tmp_path / "results").exists()
