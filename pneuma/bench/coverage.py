@@ -30,11 +30,10 @@ BANDS: dict[str, Callable[[np.ndarray], Edges]] = {
     "ci": _around(lambda runs: _error(runs) * special.stdtrit(runs.shape[1] - 1, 0.975)),
     "se": _around(_error),
     "std": _around(lambda runs: runs.std(axis=1, ddof=1)),
-    "variance": _around(lambda runs: runs.var(axis=1, ddof=1)),
     "minmax": lambda runs: (runs.min(axis=1), runs.max(axis=1)),
     "iqr": lambda runs: (np.quantile(runs, 0.25, axis=1), np.quantile(runs, 0.75, axis=1)),
 }
-"""The bands of a curve, from (samples, runs) to both edges, each (samples,)."""
+"""The bands of a curve that have the mean's unit, from (samples, runs) to both edges, each (samples,)."""
 
 
 def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:

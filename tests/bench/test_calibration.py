@@ -1,0 +1,92 @@
+"""The calibration of the statistics: its parts, and that the committed table is what it prints."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+
+import numpy as np
+import pytest
+
+from pneuma.analysis import coverage as table
+from pneuma.analysis.two_arms import PValues
+from pneuma.bench import claim_lists
+from pneuma.bench.coverage import BANDS
+from pneuma.cli import main
+
+
+def test_the_committed_coverages_are_those_that_are_drawn() -> None:
+    generator = np.random.default_rng(1)
+    for i, seeds in enumerate(table.SEEDS):
+        for band, least in table.LEAST_COVERAGE.items():
+            drawn = []
+            for draw in claim_lists.DISTRIBUTIONS.values():
+                low, high = BANDS[band](draw(generator, (3_000, seeds)))
+                drawn.append(((low <= 0) & (high >= 0)).mean())
+            assert min(drawn) == pytest.approx(least[i], abs=0.03), (band, seeds)
+
+
+def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
+    runs = np.random.default_rng(2).normal(size=(20_000, 3))
+    low, high = BANDS["ci"](runs)
+    assert ((low <= 0) & (high >= 0)).mean() == pytest.approx(0.95, abs=0.006)
+    low, high = BANDS["minmax"](runs)
+    assert ((low <= 0) & (high >= 0)).mean() == pytest.approx(1 - 2 / 8, abs=0.011)  # not all on one side
+
+
+def test_between_the_numbers_of_runs_the_fewer_count() -> None:
+    assert table.coverage("ci", 4) == table.coverage("ci", 3)
+    assert table.coverage("ci", 19) == table.coverage("ci", 10) < table.ENOUGH
+    assert table.is_trusted("ci", 20) and not table.is_trusted("se", 50)
+    assert table.coverage("ci", 2) == 0 == table.coverage("variance", 50)
+
+
+def test_distributions_have_mean_0_and_deviation_1() -> None:
+    generator = np.random.default_rng(3)
+    for name in ("normal", "80/20 bimodal"):
+        runs = claim_lists.DISTRIBUTIONS[name](generator, (200, 1_000))
+        assert runs.mean() == pytest.approx(0, abs=0.01) and runs.std() == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("truths", "p", "wrong"),
+    [
+        (("alike",), (1e-6, 1.0, 1.0), True),
+        (("alike",), (1.0, 1e-6, 1.0), True),
+        (("alike",), (0.5, 0.5, 1e-6), False),
+        (("alike",), (0.01, 0.99, 1.0), False),  # 60 claims: not enough
+        (("edge",), (1e-6, 1.0, 1.0), False),
+        (("edge",), (0.5, 0.5, 1e-6), True),
+        (("far",), (1.0, 1e-6, 1.0), True),
+    ],
+)
+def test_what_counts_as_a_false_verdict(
+    monkeypatch: pytest.MonkeyPatch, truths: tuple[str, ...], p: tuple[float, float, float], wrong: bool
+) -> None:
+    def given(kind: str, a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> PValues:
+        return PValues(*(np.full(len(a), each) for each in p))
+
+    monkeypatch.setattr(claim_lists, "_p_values", given)
+    draw = claim_lists.DISTRIBUTIONS["normal"]
+    count = claim_lists._wrong_lists(3, draw, 4, truths, np.random.default_rng(4))
+    assert count == (3 if wrong else 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", claim_lists.DISTRIBUTIONS)
+def test_lists_of_ten_seeds_keep_their_error_rate(name: str) -> None:
+    draw = claim_lists.DISTRIBUTIONS[name]
+    wrong = claim_lists._wrong_lists(400, draw, 10, ("alike",), np.random.default_rng(5))
+    assert wrong / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
+
+
+@pytest.mark.slow
+def test_the_command_prints_one_document() -> None:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(["bench", "calibration", "--lists", "1", "--json"])
+    document = json.loads(out.getvalue())
+    assert code == 0 and document["schema"] == 1
+    assert {row["seeds"] for row in document["false_verdicts"]} >= {"3", "50", "10/20/40"}
+    assert {row["method"] for row in document["coverage"]} > {"ci", "se", "std", "BCa bootstrap"}
