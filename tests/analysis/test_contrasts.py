@@ -41,6 +41,14 @@ def test_means_are_tested_as_scipy_permutes_welchs_t() -> None:
     assert own.p_equivalent == pytest.approx(max(below, above), abs=1e-12)
 
 
+def test_unequal_arms_are_tested_by_welchs_t_too() -> None:
+    generator = rng()
+    a, b = generator.normal(1, 3, size=3), generator.normal(size=9)
+    own = compare("mean", a, b, None, generator)
+    assert own.p_greater == pytest.approx(by_scipy(a, b, "greater"), abs=1e-12)
+    assert own.p_less == pytest.approx(by_scipy(a, b, "less"), abs=1e-12)
+
+
 def test_drawn_relabelings_come_close_to_all_of_them() -> None:
     generator = rng()
     a, b = generator.normal(size=(2, 1, 8)) + [[[0.8]], [[0.0]]]

@@ -50,6 +50,17 @@ def test_it_stops_as_soon_as_all_is_decided(monkeypatch: pytest.MonkeyPatch, tmp
     assert len(record["runs"]) == 3 * 20
 
 
+def test_what_is_decided_stays_decided(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Looking again at what was found would spend the error rate twice."""
+    study = load_study(STUDY)
+    others = [name for name in study.conditions if name != study.baseline]
+    written = Written(monkeypatch, {study.baseline: 0.2, others[0]: 0.9, others[1]: 0.21})
+    written.values[others[0]][10:] = -2 + written.values[study.baseline][10:]
+    looks = list(run_until_decided(study, Selection(), 20, Store(tmp_path), written.train))
+    assert [look.findings[0].decided for look in looks] == ["greater", "greater"]
+    assert looks[1].findings[0].contrast.effect < 0
+
+
 def test_what_is_too_close_stays_undecided_to_the_last_stage(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
