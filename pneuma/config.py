@@ -14,13 +14,22 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TypeVar
 
+from pneuma.algorithms import (
+    ALGORITHM_DEFAULTS,
+    ALGORITHM_ENGINES,
+    ALGORITHM_SETTINGS,
+    ALGORITHMS,
+    MAILMAN,
+    OF_ALGORITHMS,
+    TABULAR,
+)
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.values import MOST_NAMES, Choice, Flag, Matching, Names, Number, Reader, Several, Text
 
 RULES_VERSION = 2
 """Raised by hand when the same seed and actions give another world; part of every run id."""
 
-ENGINE_VERSIONS = {"batched": 1, "sb3": 1}
+ENGINE_VERSIONS = {"batched": 1, "sb3": 1, "tabular": 1}
 """Raised by hand when an engine trains the same run to other numbers; part of every run id."""
 
 ENGINES = tuple(ENGINE_VERSIONS)
@@ -32,7 +41,6 @@ REWARDS = ("thesis", "pygame", "godot", "kills", "distance-sigmoid")
 OBSERVATIONS = ("thesis", "pygame", "godot")
 ORDERS = ("nearest", "fixed")
 SCALES = ("unit", "map", "raw")
-ALGORITHMS = ("ppo",)
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
@@ -183,9 +191,9 @@ _LAYERS = Several(Number(1, 65536, whole=True), 1, 8)
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: str = setting(ENVIRONMENTS[0], Choice(ENVIRONMENTS))
+    env: str = setting(ENVIRONMENTS[0], Choice((*ENVIRONMENTS, MAILMAN)))
     engine: str = setting(ENGINES[0], Choice(ENGINES))
-    """What trains it: the compiled engine; or Stable-Baselines3 as it is, where that one cannot."""
+    """What trains it: the compiled engine; Stable-Baselines3 as it is, where that one cannot; or tables."""
     algorithm: str = setting("ppo", Choice(ALGORITHMS))
     seed: int = setting(0, Number(0, 2**32 - 1, whole=True))
     steps: int = setting(50_000, Number(1, 10**12, whole=True))
@@ -202,7 +210,7 @@ class Run(EnvConfig):
     learning_rate: float = setting(3e-4, Number(0, 100, above=True))
     clip_range: float = setting(0.1, Number(0, 100, above=True))
     horizon: int = setting(256, Number(2, 10**6, whole=True))
-    """Steps of one rollout per slot; the n_steps of Stable-Baselines3."""
+    """Steps of one rollout per slot, Stable-Baselines3's n_steps; where values are learned, of one report."""
     minibatch: int = setting(64, Number(2, 10**6, whole=True))
     epochs: int = setting(10, Number(1, 1000, whole=True))
     value_coefficient: float = setting(0.5, Number(0, 1e6))
@@ -211,6 +219,33 @@ class Run(EnvConfig):
     """Greatest L2 norm of the gradient; None for no limit (thesis section 6.2)."""
     clip: str = setting("joint", Choice(CLIPPINGS))
     """One norm over actor and critic together, as in Stable-Baselines3, or one for each."""
+    value_baseline: bool = setting(True, Flag())
+    """Whether the critic's values are subtracted from returns to make advantages (thesis section 4.2)."""
+
+    target_kl: float | None = setting(None, Number(0, 100, above=True))
+    """TRPO's trust region: the greatest mean KL divergence of one update (thesis Eq. 4.12)."""
+    conjugate_steps: int | None = setting(None, Number(1, 1000, whole=True))
+    line_search_steps: int | None = setting(None, Number(1, 1000, whole=True))
+
+    exploration: float | None = setting(None, _UNIT)
+    """Chance of a random action where actions are chosen by their values (thesis Eq. 4.4)."""
+    exploration_fraction: float | None = setting(None, _UNIT)
+    """Share of the budget over which that chance falls to `exploration` from 1."""
+    buffer_size: int | None = setting(None, Number(1, 10**8, whole=True))
+    """Newest transitions, over all slots, that DQN replays; as many as a minibatch, it hardly replays."""
+    learning_starts: int | None = setting(None, Number(0, 10**9, whole=True))
+    """Agent steps of random actions before the first gradient."""
+    train_every: int | None = setting(None, Number(1, 10**6, whole=True))
+    """Steps per slot between gradients."""
+    gradient_steps: int | None = setting(None, Number(1, 10_000, whole=True))
+    """Gradients that are taken then."""
+    target_every: int | None = setting(None, Number(1, 10**12, whole=True))
+    """Agent steps between copies to the target network; 1 for a copy at every step: as good as none."""
+
+    action_slip: float | None = setting(None, _UNIT)
+    """Mailman's: chance that the other action is taken instead."""
+    reward_noise: float | None = setting(None, Number(0, 1e6))
+    """Mailman's: standard deviation of normal noise on every reward."""
 
     optimizer: str = setting("adam", Choice(tuple(OPTIMIZER_SETTINGS)))
     betas: tuple[float, ...] | None = setting(None, Several(Number(0, 1, below=True), 2, 2))
@@ -319,40 +354,95 @@ def make_run(settings: Mapping[str, object]) -> Run:
         UserError: for an unknown key, a value out of range, or two values that do not go together.
     """
     env = read_setting(Run, "env", settings.get("env", ENVIRONMENTS[0]))
-    left_open = {key for key in _OPTIMIZER_DEFAULTS if settings.get(key, ...) is None}
-    settings = {**ENVIRONMENT_SETTINGS[env], **settings}
+    left_open = {key for key in _left_to_the_learner() if settings.get(key, ...) is None}
+    settings = {**ENVIRONMENT_SETTINGS.get(env, {}), **settings}
     values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
     values = _resolve_learner(_resolve_world(values))
-    reason = beyond_engine(Run(**{**values, "engine": ENGINES[0]}))
-    if reason and values.get("engine") == ENGINES[0]:
-        raise UserError(f'engine = "{ENGINES[0]}" is not allowed: it cannot train {reason}; sb3 can')
-    run = Run(**{**values, "engine": "sb3"} if reason else values)
-    values = {**values, "engine": run.engine}
-    if run.minibatch > run.steps_per_update:
-        most = f"horizon x slots x players = {run.steps_per_update}"
-        raise UserError(f"minibatch = {run.minibatch} is not allowed: at most {most}")
+    values["engine"] = _engine(values)
+    run = Run(**values)
+    _check_learner(run)
     whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
     return run if whole == run.steps else Run(**{**values, "steps": whole})
 
 
+def settings_read(run: Run) -> frozenset[str]:
+    """Return the names of the settings that the training of a run hangs on, by algorithm and optimizer."""
+    return _read_by(run.algorithm, run.optimizer)
+
+
 def beyond_engine(run: Run) -> str:
     """Return what of a run the compiled engine cannot do; empty where it can do all."""
+    if ENGINES[0] not in ALGORITHM_ENGINES[run.algorithm]:
+        return f"the algorithm {run.algorithm}"
+    if not run.value_baseline:
+        return "advantages without a baseline"
     if run.players > 1:
         return "several players in one world"
     return "a reward of one's own" if any(":" in name for name in run.reward) else ""
 
 
+def _engine(values: Mapping[str, Any]) -> str:
+    """Return the engine of a run: the one that is named, or the usual one of those that can train it."""
+    run = Run(**{**values, "engine": ENGINES[0]})
+    reason = beyond_engine(run)
+    able = [name for name in ALGORITHM_ENGINES[run.algorithm] if not reason or name != ENGINES[0]]
+    engine = str(values.get("engine", able[0]))
+    if engine not in able:
+        what = reason or f"the algorithm {run.algorithm}"
+        raise UserError(
+            f'engine = "{engine}" is not allowed: it cannot train {what}; {" and ".join(able)} can'
+        )
+    return engine
+
+
+def _check_learner(run: Run) -> None:
+    """Refuse what does not go together: environment, algorithm, and the sizes of what it learns from."""
+    if (run.algorithm in TABULAR) != (run.env == MAILMAN):
+        fitting = [name for name in ALGORITHMS if (name in TABULAR) == (run.env == MAILMAN)]
+        raise UserError(
+            f'algorithm = "{run.algorithm}" is not allowed in {run.env}: one of {", ".join(fitting)}'
+        )
+    if run.algorithm in ("ppo", "trpo") and run.minibatch > run.steps_per_update:
+        most = f"horizon x slots x players = {run.steps_per_update}"
+        raise UserError(f"minibatch = {run.minibatch} is not allowed: at most {most}")
+    if run.train_every and run.horizon % run.train_every:
+        raise UserError(
+            f"train_every = {run.train_every} is not allowed: horizon = {run.horizon} is no multiple of it"
+        )
+    if run.learning_rate > 1 and run.algorithm in TABULAR:
+        raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
+    if run.fork_reset == "critic" and "critic" not in settings_read(run):
+        raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
+
+
+def _left_to_the_learner() -> set[str]:
+    """Return the settings that None leaves open."""
+    return {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values() for key in own)}
+
+
+def _read_by(algorithm: str, optimizer: str) -> frozenset[str]:
+    """Return the names of the settings that an algorithm reads, with an optimizer if it has one."""
+    own = ALGORITHM_SETTINGS[algorithm]
+    if algorithm in TABULAR:
+        return frozenset(own) | _READ_BY_ALL
+    return frozenset((*own, *OPTIMIZER_SETTINGS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
+
+
+_OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
+_OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_SETTINGS.values() for key in own)
+_READ_BY_ALL = frozenset(item.name for item in fields(Run)) - {*_OF_WORLDS, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
+
+
 def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
-    """Fill the optimizer's settings and drop what nothing reads."""
-    values = dict(values)
-    optimizer = values.get("optimizer", "adam")
-    for key, default in _OPTIMIZER_DEFAULTS.items():
-        used = key in OPTIMIZER_SETTINGS[optimizer]
-        values[key] = values.get(key, default) if used else None
-    if values["momentum"] == 0 and values["dampening"] is not None:
+    """Fill the settings of algorithm and optimizer, and drop what nothing reads."""
+    algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
+    read = _read_by(algorithm, optimizer)
+    defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
+    values = {key: value for key, value in {**defaults, **values}.items() if key in read}
+    if values.get("momentum") == 0 and values.get("dampening") is not None:
         values["dampening"] = 0.0  # torch reads it only beside a momentum
     if values.get("gradient_limit", 0.5) is None:
-        values["clip"] = "joint"  # nothing is clipped either way
+        values.pop("clip", None)  # nothing is clipped either way
     return values
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import asdict, fields
 from typing import Any
 
 import pytest
 
+from pneuma.algorithms import ALGORITHMS, MAILMAN, TABULAR
 from pneuma.config import (
     ACTIVATIONS,
     BASES,
@@ -108,6 +110,50 @@ def test_an_optimizer_has_its_own_settings_and_no_others(optimizer: str, read: d
     assert {key: run[key] for key in all_of_them} == {**dict.fromkeys(all_of_them), **read}
 
 
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_algorithm_has_its_own_settings_and_no_others(algorithm: str) -> None:
+    """What it does not read is at its default, whatever was said; None where only others have it."""
+    env = MAILMAN if algorithm in TABULAR else "pneuma/Pneuma-v0"
+    said = {"critic": [64], "clip_range": 0.3, "buffer_size": 32, "target_kl": 0.5, "reward_noise": 2.0}
+    run = make_run({**said, "algorithm": algorithm, "env": env})
+    expected: dict[str, Any] = {
+        "critic": (64,) if algorithm in ("ppo", "a2c", "trpo") else (256,),
+        "clip_range": 0.3 if algorithm == "ppo" else 0.1,
+        "buffer_size": 32 if algorithm in ("dqn", "double-dqn") else None,
+        "target_kl": 0.5 if algorithm == "trpo" else None,
+        "reward_noise": 2.0 if algorithm in TABULAR else None,
+        "betas": None if algorithm in TABULAR else (0.9, 0.999),
+        "engine": "batched" if algorithm == "ppo" else "tabular" if algorithm in TABULAR else "sb3",
+    }
+    assert {key: getattr(run, key) for key in expected} == expected
+    assert make_run(as_settings(run)) == run
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"algorithm": "dqn", "engine": "batched"}, "cannot train the algorithm dqn; sb3 can"),
+        (
+            {"value_baseline": False, "engine": "batched"},
+            "cannot train advantages without a baseline; sb3 can",
+        ),
+        ({"engine": "tabular"}, "cannot train the algorithm ppo; batched and sb3 can"),
+        ({"algorithm": "q-learning", "env": MAILMAN, "engine": "sb3"}, "q-learning; tabular can"),
+        (
+            {"algorithm": "q-learning"},
+            "not allowed in pneuma/Pneuma-v0: one of ppo, a2c, trpo,",
+        ),
+        ({"env": MAILMAN}, "not allowed in pneuma/Mailman-v0: one of q-learning, double-q-learning"),
+        ({"algorithm": "dqn", "train_every": 3}, "train_every = 3 is not allowed: horizon = 256"),
+        ({"algorithm": "q-learning", "env": MAILMAN, "learning_rate": 2}, "learning_rate = 2 is not allowed"),
+        ({"algorithm": "trpo", "minibatch": 257}, "minibatch = 257 is not allowed"),
+    ],
+)
+def test_what_does_not_go_with_an_algorithm_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=re.escape(message)):
+        make_run(settings)
+
+
 @pytest.mark.parametrize(
     ("one", "other"),
     [
@@ -203,10 +249,23 @@ NUMBERS: dict[str, tuple[Any, Any, Any, Any]] = {
     "weight_decay": (-0.1, 1.1, 0, 1),
     "evaluation_episodes": (0, 10_001, 1, 10_000),
     "fork_step": (-1, 10**12 + 1, 0, 10**12),
+    "target_kl": (0, 100.1, 1e-12, 100),
+    "conjugate_steps": (0, 1001, 1, 1000),
+    "line_search_steps": (0, 1001, 1, 1000),
+    "exploration": (-0.1, 1.1, 0, 1),
+    "exploration_fraction": (-0.1, 1.1, 0, 1),
+    "buffer_size": (0, 10**8 + 1, 1, 10**8),
+    "learning_starts": (-1, 10**9 + 1, 0, 10**9),
+    "train_every": (0, 10**6 + 1, 1, 10**6),
+    "gradient_steps": (0, 10_001, 1, 10_000),
+    "target_every": (0, 10**12 + 1, 1, 10**12),
+    "action_slip": (-0.1, 1.1, 0, 1),
+    "reward_noise": (-0.1, 1.1e6, 0, 1e6),
 }
 WHOLE = (
     *("seed", "steps", "slots", "episode_steps", "horizon", "minibatch", "epochs", "evaluation_episodes"),
-    *("random_levels", "players", "fork_step"),
+    *("random_levels", "players", "fork_step", "conjugate_steps", "line_search_steps", "buffer_size"),
+    *("learning_starts", "train_every", "gradient_steps", "target_every"),
 )
 LISTS: dict[str, list[Any]] = {
     "actor": [[], [0], [65_537], [1] * 9, [1.5], 128, "128", [[1]]],
@@ -221,7 +280,7 @@ WORDS = (
     *("observation", "start", "coast", "kill_credit", "xp_scope", "time_limit"),
 )
 WORDS_OR_NOTHING = ("characters", "perceive", "order", "scale", "parent", "fork_reset")
-FLAGS = ("end_on_clear", "magic")
+FLAGS = ("end_on_clear", "magic", "value_baseline")
 
 
 def _assert_refused(key: str, value: Any, shown: str) -> str:

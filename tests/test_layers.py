@@ -16,12 +16,13 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
 }
 
-BASE = ("pneuma.config", "pneuma.errors", "pneuma.values")
+BASE = ("pneuma.config", "pneuma.algorithms", "pneuma.errors", "pneuma.values")
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma": ("pneuma.env",),  # registers the environments
     "pneuma.__main__": ("pneuma.cli",),
+    "pneuma.algorithms": (),
     "pneuma.config": (),
     "pneuma.errors": (),
     "pneuma.values": (),

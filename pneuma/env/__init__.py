@@ -8,12 +8,12 @@ from typing import Any
 
 import gymnasium
 
+from pneuma.algorithms import MAILMAN
 from pneuma.config import ENVIRONMENTS
 
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
 """The same worlds with vector rewards."""
 
-MAILMAN = "pneuma/Mailman-v0"
 REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
 
 

@@ -16,7 +16,16 @@ from dataclasses import dataclass, fields
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_SETTINGS, OPTIMIZER_SETTINGS, Run, env_config, make_run, read_setting
+from pneuma.algorithms import ALGORITHM_SETTINGS
+from pneuma.config import (
+    FORK_SETTINGS,
+    OPTIMIZER_SETTINGS,
+    Run,
+    env_config,
+    make_run,
+    read_setting,
+    settings_read,
+)
 from pneuma.errors import UserError
 from pneuma.study.definition import join_settings, studies_folder
 from pneuma.study.faults import (
@@ -82,16 +91,21 @@ def read_settings_table(file: TomlFile, where: Where) -> dict[str, Any]:
 
 
 def unread_settings(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
-    """Return those of `keys` that are an optimizer's settings and that none of the runs' reads."""
-    of_optimizers = {key for own in OPTIMIZER_SETTINGS.values() for key in own}
-    read = {key for run in runs for key in OPTIMIZER_SETTINGS[run.optimizer]}
-    return [key for key in keys if key in of_optimizers - read]
+    """Return those of `keys` that none of the runs' algorithms and optimizers reads."""
+    read = {key for run in runs for key in settings_read(run)}
+    return [key for key in keys if key not in read]
 
 
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
-    """Say which settings the runs' optimizers do read."""
-    optimizers = sorted({run.optimizer for run in runs})
-    read = "; ".join(f"{name} reads {', '.join(OPTIMIZER_SETTINGS[name])}" for name in optimizers)
+    """Say which settings the runs' optimizers do read, or the algorithms where the key is none of those."""
+    runs = list(runs)
+    of_optimizers = any(key in own for own in OPTIMIZER_SETTINGS.values())
+    optimizers = {run.optimizer for run in runs if "optimizer" in settings_read(run)}
+    if of_optimizers and optimizers:
+        told = {name: OPTIMIZER_SETTINGS[name] for name in optimizers}
+    else:
+        told = {run.algorithm: ALGORITHM_SETTINGS[run.algorithm] for run in runs}
+    read = "; ".join(f"{name} reads {', '.join(told[name])}" for name in sorted(told))
     return f"{key} does nothing: {read}"
 
 

@@ -98,6 +98,30 @@ rmsprop = { optimizer = "rmsprop" }
 optimizer = "rmsprop"
 smoothing = 0.9
 
+[conditions.trpo]
+algorithm = "trpo"
+value_baseline = false
+target_kl = 0.02
+conjugate_steps = 5
+line_search_steps = 5
+
+[conditions.dqn]
+algorithm = "dqn"
+exploration = 0.1
+exploration_fraction = 0.2
+buffer_size = 500
+learning_starts = 50
+train_every = 8
+gradient_steps = 2
+target_every = 400
+
+[conditions.table]
+env = "pneuma/Mailman-v0"
+engine = "tabular"
+algorithm = "q-learning"
+action_slip = 0.1
+reward_noise = 0.2
+
 [presets.quick]
 seeds = 2
 steps = 1_000
@@ -205,6 +229,19 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "dampening": FRACTION,
     "smoothing": BELOW_ONE,
     "weight_decay": FRACTION,
+    "value_baseline": _flag(),
+    "target_kl": _number("above 0", "at most 100", "0", "-1", "101"),
+    "conjugate_steps": _count(1, 1000),
+    "line_search_steps": _count(1, 1000),
+    "exploration": FRACTION,
+    "exploration_fraction": FRACTION,
+    "buffer_size": _count(1, 10**8),
+    "learning_starts": _count(0, 10**9),
+    "train_every": _count(1, 10**6),
+    "gradient_steps": _count(1, 10_000),
+    "target_every": _count(1, 10**12),
+    "action_slip": FRACTION,
+    "reward_noise": _number("at least 0", "at most 1e+06", "-1", "1000001"),
     "evaluation_episodes": _count(1, 10_000),
     "seeds": (
         ("0", "-1", "10_001", "1.5", '"3"', "true", "[]", "[1, 1]", "[-1]", "[4294967296]", "[1.5]", '["3"]'),
@@ -335,7 +372,9 @@ def test_the_maximal_study_is_right_and_has_every_key(here: Path, capsys: Captur
     assert {place.key for place in _places(MAXIMAL)} | headers == known == set(WRONG)
     path = here / "mine.toml"
     path.write_text(MAXIMAL, encoding="utf-8")
-    assert set(load_study(str(path)).conditions) == {"adam", "sgd", "rmsprop", "slow"}
+    assert set(load_study(str(path)).conditions) == {
+        *("adam", "sgd", "rmsprop", "slow", "trpo", "dqn", "table"),
+    }
 
 
 def _walk_keys(text: str, captured: Captured, every: bool) -> None:

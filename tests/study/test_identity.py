@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
 from pneuma.env.level import LEVELS
 from pneuma.study import identity
@@ -72,11 +73,29 @@ OTHER: dict[str, Any] = {
 """For every field with more than one value, one that is not the default."""
 
 OF_OTHER_OPTIMIZERS = {"momentum": ("sgd", 0.9), "dampening": ("sgd", 0.9), "smoothing": ("rmsprop", 0.9)}
-OF_ONE_VALUE = {"engine", "algorithm"}
+OF_OTHER_ALGORITHMS: dict[str, tuple[dict[str, Any], Any]] = {
+    "algorithm": ({"algorithm": "dqn"}, "double-dqn"),
+    "value_baseline": ({"algorithm": "a2c"}, False),
+    "target_kl": ({"algorithm": "trpo"}, 0.02),
+    "conjugate_steps": ({"algorithm": "trpo"}, 10),
+    "line_search_steps": ({"algorithm": "trpo"}, 20),
+    "exploration": ({"algorithm": "dqn"}, 0.1),
+    "exploration_fraction": ({"algorithm": "dqn"}, 0.5),
+    "buffer_size": ({"algorithm": "dqn"}, 64),
+    "learning_starts": ({"algorithm": "dqn"}, 1000),
+    "train_every": ({"algorithm": "dqn"}, 8),
+    "gradient_steps": ({"algorithm": "dqn"}, 2),
+    "target_every": ({"algorithm": "dqn"}, 1),
+    "action_slip": ({"algorithm": "q-learning", "env": MAILMAN}, 0.1),
+    "reward_noise": ({"algorithm": "q-learning", "env": MAILMAN}, 1.0),
+}
+"""For every field that PPO does not read, settings under which it is, and a value that is not the default."""
+
+OF_ONE_VALUE = {"engine"}
 
 
 def test_every_field_of_a_run_is_tested_here() -> None:
-    tested = {*OTHER, *OF_OTHER_OPTIMIZERS, *OF_ONE_VALUE, "level", "random_levels"}
+    tested = {*OTHER, *OF_OTHER_OPTIMIZERS, *OF_OTHER_ALGORITHMS, *OF_ONE_VALUE, "level", "random_levels"}
     assert tested == {item.name for item in fields(Run)}
 
 
@@ -98,6 +117,14 @@ def test_a_setting_changes_the_name_under_an_optimizer_that_reads_it(key: str) -
         settings["momentum"] = 0.5  # which it dampens
     assert run_id(make_run({**settings, key: value})) != run_id(make_run(settings))
     assert run_id(make_run({key: value})) == run_id(make_run({}))  # Adam reads none of them
+
+
+@pytest.mark.parametrize("key", OF_OTHER_ALGORITHMS)
+def test_a_setting_changes_the_name_under_an_algorithm_that_reads_it(key: str) -> None:
+    settings, value = OF_OTHER_ALGORITHMS[key]
+    assert run_id(make_run({**settings, key: value})) != run_id(make_run(settings))
+    if key not in ("algorithm", "value_baseline"):
+        assert run_id(make_run({key: value})) == run_id(make_run({}))  # PPO reads none of them
 
 
 def test_a_thousand_different_runs_have_a_thousand_names() -> None:

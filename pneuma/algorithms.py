@@ -1,0 +1,79 @@
+"""What trains each learning algorithm, and which of a run's settings it reads.
+
+Data for `pneuma.config`, which resolves a run by it. What an algorithm does not read is at its default
+in a resolved run (None, where only some algorithms have it), and a study that sets it is refused.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+MAILMAN = "pneuma/Mailman-v0"
+"""The one environment with a table of states (thesis Fig. 2.1)."""
+
+ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
+    "ppo": ("batched", "sb3"),
+    "a2c": ("sb3",),
+    "trpo": ("sb3",),
+    "dqn": ("sb3",),
+    "double-dqn": ("sb3",),
+    "q-learning": ("tabular",),
+    "double-q-learning": ("tabular",),
+}
+"""The engines that train each algorithm, the usual one first."""
+
+ALGORITHMS = tuple(ALGORITHM_ENGINES)
+TABULAR = ("q-learning", "double-q-learning")
+VALUE_BASED = ("dqn", "double-dqn", *TABULAR)
+"""Those that act by estimated values of actions (thesis chapter 3)."""
+
+_NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots")
+_ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
+_GRADIENT = ("value_coefficient", "entropy_coefficient", "gradient_limit", "clip")
+_EXPLORATION = ("exploration", "exploration_fraction")
+_DQN = (
+    *_NETWORK, *_EXPLORATION, "minibatch", "gradient_limit", "buffer_size", "learning_starts", "train_every",
+    "gradient_steps", "target_every",
+)  # fmt: skip
+_TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
+
+ALGORITHM_SETTINGS: dict[str, tuple[str, ...]] = {
+    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs"),
+    "a2c": (*_ACTOR_CRITIC, *_GRADIENT),
+    "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
+    "dqn": _DQN,
+    "double-dqn": _DQN,
+    "q-learning": _TABLE,
+    "double-q-learning": _TABLE,
+}
+"""Which settings each algorithm reads, beside those that all read; an optimizer's own come on top."""
+
+OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_SETTINGS.values() for key in keys)
+
+_DQN_DEFAULTS: dict[str, Any] = {
+    "buffer_size": 100_000,
+    "learning_starts": 100,
+    "train_every": 4,
+    "gradient_steps": 1,
+    "target_every": 10_000,
+    "exploration": 0.05,
+    "exploration_fraction": 0.1,
+}
+_TABLE_DEFAULTS: dict[str, Any] = {
+    "exploration": 0.1,
+    "exploration_fraction": 0.0,
+    "action_slip": 0.0,
+    "reward_noise": 0.0,
+}
+
+ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
+    "trpo": {"target_kl": 0.01, "conjugate_steps": 15, "line_search_steps": 10},
+    "dqn": _DQN_DEFAULTS,
+    "double-dqn": _DQN_DEFAULTS,
+    "q-learning": _TABLE_DEFAULTS,
+    "double-q-learning": _TABLE_DEFAULTS,
+}
+"""What settings are where nothing is said, of those that only some algorithms have.
+
+For Stable-Baselines3's and sb3-contrib's learners those are their own, but for a buffer of a tenth.
+"""
