@@ -411,6 +411,8 @@ def _check_learner(run: Run) -> None:
         )
     if run.learning_rate > 1 and run.algorithm in TABULAR:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
+    if run.parent and run.algorithm in TABULAR:
+        raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
     if run.fork_reset == "critic" and "critic" not in settings_read(run):
         raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
 

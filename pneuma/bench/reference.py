@@ -99,7 +99,7 @@ def _seconds(run: Run, alone: bool) -> float:
     env = FreeVecEnv()
     start = time.process_time()
     if alone:
-        sb3.make_model(run, env).learn(run.steps, log_interval=None)  # type: ignore[arg-type]
+        sb3.make_model(run, env).learn(run.steps, log_interval=None)
     else:
         sb3.train_one(run, lambda progress: True, env=env)
     return time.process_time() - start

@@ -75,8 +75,9 @@ def check(
     json: Json = False,
 ) -> int:
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
+    from pneuma.algorithms import MAILMAN
     from pneuma.config import ENVIRONMENTS
-    from pneuma.env import MAILMAN, REGISTERED
+    from pneuma.env import REGISTERED
     from pneuma.env.check import check_environment
 
     if all_ and name is not None:
@@ -208,8 +209,9 @@ def _settings(texts: list[str] | None) -> dict[str, Any]:
 
 def _base(name: str) -> str:
     """Return the environment whose world an id shows: vector rewards look like any others."""
+    from pneuma.algorithms import MAILMAN
     from pneuma.config import ENVIRONMENTS
-    from pneuma.env import MAILMAN, MO_ENVIRONMENTS, REGISTERED
+    from pneuma.env import MO_ENVIRONMENTS, REGISTERED
 
     if name not in REGISTERED:
         raise unknown_name("environment", name, REGISTERED)

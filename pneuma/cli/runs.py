@@ -29,12 +29,16 @@ RESULTS = Path("results")
 EXPORTS = (".zip", ".onnx")
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "environment": ("env", *(field.name for field in fields(EnvConfig))),
+    "environment": ("env", *(field.name for field in fields(EnvConfig)), "action_slip", "reward_noise"),
     "budget": ("engine", "algorithm", "seed", "steps", "slots", "evaluation_episodes"),
     "network": ("actor", "critic", "activation"),
     "optimizer": (
         *("optimizer", "learning_rate", "betas", "epsilon", "momentum", "dampening", "smoothing"),
         *("weight_decay", "gradient_limit", "clip"),
+    ),
+    "action values": (
+        *("exploration", "exploration_fraction", "buffer_size", "learning_starts", "train_every"),
+        *("gradient_steps", "target_every"),
     ),
     "fork": ("parent", "fork_step", "fork_reset"),
     "learner": (),

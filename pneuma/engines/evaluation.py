@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, env_config, stream_seed
+from pneuma.engines.action_values import ActionValues
 from pneuma.engines.policy import Policy
 from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
@@ -31,9 +33,13 @@ class Evaluation:
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
         self.random_share, self.hunter_share = self._anchors()
+        self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
     def evaluate(self, policy: Policy, step: int) -> dict[str, Any]:
-        """Return one row of `base.EVALUATION_COLUMNS` for the policy after `step` agent steps."""
+        """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
+
+        A policy of action values has `q_estimate` and `q_true` as well.
+        """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
 
         def act(worlds: Worlds) -> np.ndarray:
@@ -43,6 +49,7 @@ class Evaluation:
             best = policy.best(observations[first_best:])
             return np.concatenate([sampled, best]).reshape(worlds.players.shape)
 
+        valued = self.action_values.measure(policy) if self.action_values else {}
         returns = self._play(act)
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
@@ -61,6 +68,7 @@ class Evaluation:
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
             "hunter_share_killed": self.hunter_share,
+            **valued,
         }
 
     def _score(self, share: np.ndarray) -> float:

@@ -19,6 +19,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from torch import nn
 
+from pneuma.algorithms import TABULAR
 from pneuma.config import (
     ACTION_NAMES,
     REWARDS,
@@ -27,9 +28,10 @@ from pneuma.config import (
     SPELL_NAMES,
     Run,
     env_config,
+    settings_read,
 )
 from pneuma.engines.policy import LEAKY_SLOPE, Policy, read_policy
-from pneuma.engines.sb3 import make_model
+from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -55,13 +57,17 @@ def read_sound_policy(data: bytes) -> Policy:
     """
     try:
         policy = read_policy(data)
-        for layers in (policy.actor, policy.critic):
+        networks = (policy.actor, policy.critic) if policy.exploration is None else (policy.actor,)
+        for layers in networks:
             sizes = [weight.shape for weight, _ in layers]
             assert sizes and policy.activation in _ACTIVATIONS
             assert all(before[1] == after[0] for before, after in pairwise(sizes))
             assert all(bias.shape == (weight.shape[1],) for weight, bias in layers)
-        assert policy.actor[0][0].shape[0] == policy.critic[0][0].shape[0]
-        assert policy.critic[-1][1].shape == (1,)
+        if policy.exploration is None:
+            assert policy.actor[0][0].shape[0] == policy.critic[0][0].shape[0]
+            assert policy.critic[-1][1].shape == (1,)
+        else:
+            assert not policy.critic and 0 <= policy.exploration <= 1
     except Exception:  # safetensors, JSON and shapes each fail in their own way
         raise UserError("policy.safetensors: is no policy of Pneuma's") from None
     return policy
@@ -71,9 +77,10 @@ def read_sound_policy(data: bytes) -> Policy:
 
 
 def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
-    """Return what `stable_baselines3.PPO.load` reads: the policy with its run's hyperparameters.
+    """Return what the `load` of the run's learner reads: the policy with its run's hyperparameters.
 
-    The optimizer starts afresh: a stored run keeps no state of it.
+    The learner is Stable-Baselines3's `PPO`, `A2C` or `DQN`, the last for Double DQN too, or sb3-contrib's
+    `TRPO`. The optimizer starts afresh: a stored run keeps no state of it.
 
     Args:
         policy: actor and critic.
@@ -87,19 +94,27 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps
-    nets = model.policy.mlp_extractor
     with torch.no_grad():
-        for layers, hidden, head in (
-            (policy.actor, nets.policy_net, model.policy.action_net),
-            (policy.critic, nets.value_net, model.policy.value_net),
-        ):
-            modules = [layer for layer in (*hidden.children(), head) if isinstance(layer, nn.Linear)]
-            for (weight, bias), module in zip(layers, modules, strict=True):
+        for layers, modules in _networks(policy, model):
+            linear = [module for module in modules if isinstance(module, nn.Linear)]
+            for (weight, bias), module in zip(layers, linear, strict=True):
                 module.weight.copy_(torch.from_numpy(weight.T.copy()))  # torch keeps (outputs, inputs)
                 module.bias.copy_(torch.from_numpy(bias.copy()))
     file = io.BytesIO()
     model.save(file)
     return file.getvalue()
+
+
+def _networks(policy: Policy, model: Any) -> list[tuple[Any, list[nn.Module]]]:
+    """Return the layers of each network, with the modules of the learner that they go to."""
+    own = model.policy
+    if policy.exploration is not None:
+        return [(policy.actor, list(net.q_net.children())) for net in (own.q_net, own.q_net_target)]
+    nets = own.mlp_extractor
+    return [
+        (policy.actor, [*nets.policy_net.children(), own.action_net]),
+        (policy.critic, [*nets.value_net.children(), own.value_net]),
+    ]
 
 
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
@@ -111,6 +126,8 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
     Raises:
         UserError: when the environment observes another number of features than the policy.
     """
+    if run.algorithm in TABULAR:
+        raise UserError(".zip needs a learner of Stable-Baselines3, and a table has none: choose .onnx")
     features = policy.actor[0][0].shape[0]
     if not (trust or reads_only_shipped_files(run)):
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
@@ -127,8 +144,10 @@ def reads_only_shipped_files(run: Run) -> bool:
 
 
 def _check_shape(policy: Policy, run: Run) -> None:
-    hidden = [tuple(len(bias) for _, bias in layers[:-1]) for layers in (policy.actor, policy.critic)]
-    if (policy.activation, *hidden) != (run.activation, run.actor, run.critic):
+    networks = {"actor": policy.actor, "critic": policy.critic}
+    hidden = {name: tuple(len(bias) for _, bias in own[:-1]) for name, own in networks.items() if own}
+    of_run = {name: getattr(run, name) for name in networks if name in settings_read(run)}
+    if (policy.activation, hidden) != (run.activation, of_run):
         raise UserError("policy.safetensors: is not of the shape that its run.json says")
 
 
@@ -154,6 +173,8 @@ class _Spaces(VecEnv):
 def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     """Return an ONNX model: observation (batch, features) → logits (batch, actions), value (batch,).
 
+    Of a network of action values, its one output is action_values (batch, actions).
+
     The graph is written out layer by layer. `torch.onnx.export` would add a trace of its calls, with
     paths of this machine, to every node, and takes seconds.
 
@@ -169,19 +190,20 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     except ImportError:
         raise UserError(".onnx needs onnx: pip install 'pneuma[onnx]', or choose .zip") from None
     features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
-    actor, actor_arrays = _onnx_layers("actor", policy.actor, policy.activation, "logits")
-    critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, "values")
-    flatten = helper.make_node("Reshape", ["values", "flat"], ["value"])
-    flat = helper.make_tensor("flat", TensorProto.INT64, [1], [-1])
+    told = "logits" if policy.exploration is None else "action_values"
+    nodes, arrays = _onnx_layers("actor", policy.actor, policy.activation, told)
+    outputs = [helper.make_tensor_value_info(told, TensorProto.FLOAT, ["batch", actions])]
+    if policy.exploration is None:
+        critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, "values")
+        nodes += [*critic, helper.make_node("Reshape", ["values", "flat"], ["value"])]
+        arrays += [*critic_arrays, helper.make_tensor("flat", TensorProto.INT64, [1], [-1])]
+        outputs.append(helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]))
     graph = helper.make_graph(
-        [*actor, *critic, flatten],
+        nodes,
         "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", features])],
-        [
-            helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["batch", actions]),
-            helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]),
-        ],
-        [*actor_arrays, *critic_arrays, flat],
+        outputs,
+        arrays,
     )
     opset = helper.make_opsetid("", ONNX_OPSET)
     model = helper.make_model(

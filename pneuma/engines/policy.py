@@ -18,59 +18,79 @@ LEAKY_SLOPE = 0.01
 
 @dataclass(frozen=True)
 class Policy:
-    """Actor and critic as multilayer perceptrons.
+    """Actor and critic as multilayer perceptrons; or one network of action values, which has no critic.
 
     Attributes:
         activation: of the hidden layers; one of `pneuma.config.ACTIVATIONS`.
-        actor: weight (inputs, outputs) and bias (outputs,) of each layer, the last giving logits.
-        critic: the same, the last giving one value.
+        actor: weight (inputs, outputs) and bias (outputs,) of each layer, the last giving logits, or
+            the values of actions.
+        critic: the same, the last giving one value; empty beside values of actions.
+        exploration: chance of a random action where the actor gives values of actions, and else the
+            action of the greatest value is taken (thesis Eq. 4.4); None where it gives logits.
     """
 
     activation: str
     actor: tuple[tuple[np.ndarray, np.ndarray], ...]
     critic: tuple[tuple[np.ndarray, np.ndarray], ...]
+    exploration: float | None = None
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
-        """Return the unnormalised log-probabilities of actions: (N, features) -> (N, actions)."""
+        """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
         return forward(self.actor, self.activation, observations)[-1]
 
     def values(self, observations: np.ndarray) -> np.ndarray:
-        """Return the critic's values: (N, features) -> (N,)."""
+        """Return the critic's values, or the greatest of any action: (N, features) -> (N,)."""
+        if self.exploration is not None:
+            return self.logits(observations).max(axis=1)
         return forward(self.critic, self.activation, observations)[-1][:, 0]
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Draw an action for each observation: (N, features) -> (N,)."""
         logits = self.logits(observations)
+        if self.exploration is not None:
+            at_random = generator.random(len(logits)) < self.exploration
+            any_action = generator.integers(logits.shape[1], size=len(logits))
+            return np.where(at_random, any_action, logits.argmax(axis=1))
         weights = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1)
         draws = generator.random((len(weights), 1), dtype=np.float32) * weights[:, -1:]
         return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
 
     def best(self, observations: np.ndarray) -> np.ndarray:
-        """Return the most probable action for each observation: (N, features) -> (N,)."""
+        """Return the most probable action, or that of the greatest value: (N, features) -> (N,)."""
         return self.logits(observations).argmax(axis=1)
 
+    def entropy(self, observations: np.ndarray) -> float:
+        """Return the mean entropy over observations, (N, features), of actions drawn by logits, in nats."""
+        logits = self.logits(observations).astype(float)
+        logs = logits - logits.max(axis=1, keepdims=True)
+        logs -= np.log(np.exp(logs).sum(axis=1, keepdims=True))
+        return float(-(np.exp(logs) * logs).sum(axis=1).mean())
+
     def to_bytes(self) -> bytes:
-        """Serialise as safetensors, with the activation in the header."""
+        """Serialise as safetensors, with activation and exploration in the header."""
         arrays = {
             f"{part}.{i}.{name}": np.ascontiguousarray(array)
             for part in ("actor", "critic")
             for i, layer in enumerate(getattr(self, part))
             for name, array in zip(("weight", "bias"), layer, strict=True)
         }
-        return save(arrays, metadata={"pneuma": json.dumps({"schema": 1, "activation": self.activation})})
+        about: dict[str, object] = {"schema": 1, "activation": self.activation}
+        if self.exploration is not None:
+            about["exploration"] = self.exploration
+        return save(arrays, metadata={"pneuma": json.dumps(about)})
 
 
 def read_policy(data: bytes) -> Policy:
     """Read a policy back from `Policy.to_bytes`."""
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    activation = json.loads(header["__metadata__"]["pneuma"])["activation"]
+    about = json.loads(header["__metadata__"]["pneuma"])
     arrays = load(data)
 
     def layers(part: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         count = sum(name.startswith(f"{part}.") for name in arrays) // 2
         return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
 
-    return Policy(activation, layers("actor"), layers("critic"))
+    return Policy(about["activation"], layers("actor"), layers("critic"), about.get("exploration"))
 
 
 def forward(

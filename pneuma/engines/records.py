@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,12 +39,18 @@ EVALUATION_COLUMNS = (
     "hunter_share_killed",
 )
 
+VALUE_COLUMNS = ("q_estimate", "q_true", "q_error")
+"""What evaluations have on top where values of actions are learned; `q_error` only where all are known."""
+
 Row = Mapping[str, Any]
 
 
 @dataclass
 class Records:
-    """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order."""
+    """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
+
+    Where values of actions are learned, every evaluation has some of `VALUE_COLUMNS` as well.
+    """
 
     episodes: list[Row] = field(default_factory=list)
     metrics: list[Row] = field(default_factory=list)
@@ -53,3 +59,8 @@ class Records:
     def copy(self) -> Records:
         """Return records that further rows do not reach."""
         return Records(list(self.episodes), list(self.metrics), list(self.evaluations))
+
+
+def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of a table: those of the contract, then those of `VALUE_COLUMNS` that it has."""
+    return (*columns, *(name for name in VALUE_COLUMNS if rows and name in rows[0]))

@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import DQN
 
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.records import Records
+from pneuma.engines.sb3_learners import Learner
 from pneuma.env.sb3 import PneumaVecEnv
 
 
-def take_checkpoint(model: PPO, step: int, records: Records) -> Checkpoint:
+def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     """Copy all that the next update depends on."""
     env = model.env
     assert isinstance(env, PneumaVecEnv)
@@ -31,17 +32,19 @@ def take_checkpoint(model: PPO, step: int, records: Records) -> Checkpoint:
         "random/numpy": np.asarray(keys).copy(),
         "last/observations": np.array(model._last_obs),
         "last/episode_starts": np.array(model._last_episode_starts),
+        **(_replay_arrays(model) if isinstance(model, DQN) else {}),
     }
     numbers = {
         "numpy": [str(kind), int(position), int(has_gauss), float(gauss)],
         "optimizer": type(model.policy.optimizer).__name__,
         "updates": int(model._n_updates),
         "timesteps": int(model.num_timesteps),
+        **(_exploration_numbers(model) if isinstance(model, DQN) else {}),
     }
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def restore_checkpoint(model: PPO, checkpoint: Checkpoint, left_out: Sequence[str] = ()) -> None:
+def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequence[str] = ()) -> None:
     """Put a learner, and torch's and NumPy's global generators, where a checkpoint was taken.
 
     Arrays whose names begin with one of `left_out` stay as the learner has them.
@@ -67,11 +70,45 @@ def restore_checkpoint(model: PPO, checkpoint: Checkpoint, left_out: Sequence[st
         model._last_obs = arrays["last/observations"].copy()
         model._last_episode_starts = arrays["last/episode_starts"].copy()
         model._n_updates, model.num_timesteps = numbers["updates"], numbers["timesteps"]
+        if isinstance(model, DQN):
+            _restore_replay(model, arrays, numbers)
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
 
 
-def critic_names(model: PPO) -> tuple[str, ...]:
+_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def _replay_arrays(model: DQN) -> dict[str, np.ndarray]:
+    """Copy the part of DQN's replay buffer that holds something."""
+    buffer = model.replay_buffer
+    assert buffer is not None
+    return {f"replay/{name}": getattr(buffer, name)[: buffer.size()].copy() for name in _REPLAYED}
+
+
+def _exploration_numbers(model: DQN) -> dict[str, Any]:
+    """Return where DQN's buffer, schedules and stream of random actions stand."""
+    assert model.replay_buffer is not None
+    return {
+        "position": int(model.replay_buffer.pos),
+        "full": bool(model.replay_buffer.full),
+        "calls": int(model._n_calls),
+        "exploration": float(model.exploration_rate),
+        "random_actions": model.action_space.np_random.bit_generator.state,
+    }
+
+
+def _restore_replay(model: DQN, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> None:
+    buffer = model.replay_buffer
+    assert buffer is not None
+    for name in _REPLAYED:
+        getattr(buffer, name)[: len(arrays[f"replay/{name}"])] = arrays[f"replay/{name}"]
+    buffer.pos, buffer.full = numbers["position"], numbers["full"]
+    model._n_calls, model.exploration_rate = numbers["calls"], numbers["exploration"]
+    model.action_space.np_random.bit_generator.state = numbers["random_actions"]
+
+
+def critic_names(model: Learner) -> tuple[str, ...]:
     """Return how the names of all arrays of the critic begin, its optimizer's among them."""
     named = [name for name, _ in model.policy.named_parameters()]
     critic = [name for name in named if "value_net" in name]

@@ -21,8 +21,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from pneuma.algorithms import MAILMAN
 from pneuma.config import ENVIRONMENTS, make_env_config
-from pneuma.env import MAILMAN, MO_ENVIRONMENTS
+from pneuma.env import MO_ENVIRONMENTS
 from pneuma.env.agreement import check_faces, check_restore
 from pneuma.env.blame import blame_reward
 from pneuma.env.single import PneumaMOEnv

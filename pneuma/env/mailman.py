@@ -12,6 +12,7 @@ from pneuma.errors import UserError
 
 POST_OFFICE, LETTERS, HOME = 0, 1, 2
 GO_ON, GO_HOME = 0, 1
+PLACES, ACTIONS = 3, 2
 REWARDS = {(POST_OFFICE, LETTERS): 0.0, (LETTERS, HOME): 1.0, (POST_OFFICE, HOME): -1.0}
 """Delivering pays 1; going straight home gets him fired. The figure states no numbers."""
 
@@ -42,30 +43,47 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
             raise UserError(f"slip = {slip}, noise = {noise}: a probability, and a number of at least 0")
         if render_mode is not None:
             raise UserError(f"render_mode = {render_mode!r} is not allowed: there is nothing to draw")
-        self.observation_space = spaces.Discrete(3)
-        self.action_space = spaces.Discrete(2)
+        self.observation_space = spaces.Discrete(PLACES)
+        self.action_space = spaces.Discrete(ACTIONS)
         self.slip, self.noise, self.render_mode = slip, noise, render_mode
-        self._place = HOME  # no day has begun
+        self.place = HOME  # no day has begun
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.int64, dict[str, Any]]:
         """Begin a day at the post office."""
         super().reset(seed=seed)
-        self._place = POST_OFFICE
-        return np.int64(self._place), {}
+        self.place = POST_OFFICE
+        return np.int64(self.place), {}
 
     def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
         """Go somewhere; see `gymnasium.Env.step`."""
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is outside {self.action_space}")
-        if self._place == HOME:
+        if self.place == HOME:
             raise gymnasium.error.ResetNeeded("no day is under way: call reset first")
         slipped = bool(self.slip) and self.np_random.random() < self.slip
         home = (action == GO_HOME) != slipped
-        there = LETTERS if self._place == POST_OFFICE and not home else HOME
-        reward = REWARDS[self._place, there]
+        there = LETTERS if self.place == POST_OFFICE and not home else HOME
+        reward = REWARDS[self.place, there]
         if self.noise:
             reward += float(self.np_random.normal(0.0, self.noise))
-        self._place = there
+        self.place = there
         return np.int64(there), reward, there == HOME, False, {}
+
+
+def decision_process(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the process as numbers: what dynamic programming takes, and a learner is never told.
+
+    Returns:
+        (2, 2, 3) the chance to come, from the post office or the letters, by an action, to a place; and
+        (2, 2) the mean reward of that. Noise changes neither.
+    """
+    chances, rewards = np.zeros((2, 2, 3)), np.zeros((2, 2))
+    for place, action, slipped in np.ndindex(2, 2, 2):
+        home = (action == GO_HOME) != bool(slipped)
+        there = LETTERS if place == POST_OFFICE and not home else HOME
+        chance = slip if slipped else 1 - slip
+        chances[place, action, there] += chance
+        rewards[place, action] += chance * REWARDS[place, there]
+    return chances, rewards

@@ -9,7 +9,7 @@ whole. The latest two are kept while a run trains, and those that a study asks t
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,15 @@ import numpy as np
 from safetensors.numpy import load, save
 
 from pneuma.engines.checkpoint import Checkpoint
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, Records
+from pneuma.engines.records import (
+    EPISODE_COLUMNS,
+    EVALUATION_COLUMNS,
+    METRIC_COLUMNS,
+    VALUE_COLUMNS,
+    Records,
+    Row,
+    columns_of,
+)
 from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
 
@@ -88,8 +96,9 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
         run_id: the run's, so that the file is of no use in the folder of another.
     """
     tables = {
-        f"records/{name}": np.frombuffer(to_parquet(getattr(checkpoint.records, name), columns), np.uint8)
+        f"records/{name}": np.frombuffer(to_parquet(rows, columns_of(rows, columns)), np.uint8)
         for name, columns in TABLES.items()
+        for rows in [getattr(checkpoint.records, name)]
     }
     about = {
         "schema": SCHEMA,
@@ -124,13 +133,18 @@ def _about(data: bytes) -> dict[str, Any]:
 
 def _decoded(about: Mapping[str, Any], data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     arrays = load(data)
-    rows = {
-        name: from_parquet(arrays.pop(f"records/{name}").tobytes()).select(columns).to_pylist()
-        for name, columns in TABLES.items()
-    }
+    rows = {name: _rows(arrays.pop(f"records/{name}").tobytes(), columns) for name, columns in TABLES.items()}
     shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
     numbers, history = dict(about["numbers"]), dict(about["history"])
     return Checkpoint(about["step"], shaped, numbers, Records(**rows)), history
+
+
+def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
+    """Return the rows of a table that has the contract's columns, with those that it has on top."""
+    table = from_parquet(data)
+    own = [name for name in VALUE_COLUMNS if name in table.column_names]
+    rows: list[Row] = table.select([*columns, *own]).to_pylist()
+    return rows
 
 
 def _is_history(history: Mapping[str, Any]) -> bool:

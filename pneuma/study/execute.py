@@ -102,11 +102,12 @@ def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
     """Share runs out to worker processes.
 
     Runs of equal shapes that the compiled engine trains go together, so that its programs are loaded or
-    compiled once for them; but never so many that a worker stands idle, and alone where each is timed.
+    compiled once for them, and runs of tables, which take less time than a process does to start. But never
+    so many that a worker stands idle, and alone where each is timed.
     """
     alike: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():
-        single = run.engine != "batched" or how.timeout_seconds is not None
+        single = run.engine == "sb3" or how.timeout_seconds is not None
         shapes = (run.actor, run.critic, run.activation, run.horizon, run.minibatch, run.epochs, run.slots)
         alike.setdefault(name if single else (*shapes, run.optimizer, run.env), []).append((name, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / how.workers))

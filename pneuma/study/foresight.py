@@ -32,7 +32,8 @@ BYTES_PER_STEP = 3.0
 _SCALARS = (
     "seed", "steps", "learning_rate", "clip_range", "gamma", "gae_lambda", "value_coefficient",
     "entropy_coefficient", "gradient_limit", "betas", "epsilon", "momentum", "dampening", "smoothing",
-    "weight_decay", "activation",
+    "weight_decay", "activation", "value_baseline", "target_kl", "exploration", "exploration_fraction",
+    "learning_starts", "target_every", "action_slip", "reward_noise",
 )  # fmt: skip
 """Settings that hardly change how long an update takes."""
 

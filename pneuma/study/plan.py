@@ -159,7 +159,8 @@ def _engine_notes(study: Study, runs: Mapping[str, Run], over: Mapping[str, Any]
         if "engine" not in study.settings(name, over) and (reason := beyond_engine(run)):
             reasons.setdefault(reason, []).append(name)
     return [
-        f"{', '.join(names)}: trained by sb3, because the engine batched cannot train {reason}"
+        f"{', '.join(names)}: trained by {runs[names[0]].engine}, because the engine batched cannot train "
+        f"{reason}"
         for reason, names in reasons.items()
     ]
 

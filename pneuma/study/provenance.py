@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("pneuma", "torch", "stable-baselines3", "gymnasium", "numpy", "numba", "pyarrow")
+PACKAGES = ("pneuma", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "pyarrow")
 
 
 @dataclass(frozen=True)

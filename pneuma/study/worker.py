@@ -28,6 +28,7 @@ from typing import Any, TextIO
 from pneuma.config import Run, make_run
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import CheckpointError
+from pneuma.engines.records import columns_of
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.identity import run_id
@@ -187,7 +188,8 @@ def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[st
     """Return every file of a finished run by name."""
     files = {"run.json": run_document(result.run, name), "provenance.json": to_json(about)}
     for table, columns in TABLES.items():
-        files[f"{table}.parquet"] = to_parquet(getattr(result.records, table), columns)
+        rows = getattr(result.records, table)
+        files[f"{table}.parquet"] = to_parquet(rows, columns_of(rows, columns))
     if result.policy is not None:
         files["policy.safetensors"] = result.policy.to_bytes()
     return files

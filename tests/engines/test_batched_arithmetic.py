@@ -118,7 +118,7 @@ def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.Mo
             fill_buffer(model, run, learner.rollout)
             orders: Iterator[np.ndarray] = iter(learner.orders)
             monkeypatch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
-            theirs = {**sb3.learn_from_rollout(model), **norms.take()}
+            theirs = {**sb3.learn_from_rollout(model, run), **norms.take()}
             for name, value in theirs.items():
                 close = pytest.approx(value, rel=2e-3, abs=2e-5)
                 assert ours[name] == close, (update, name)

@@ -45,7 +45,7 @@ def test_training_is_what_stable_baselines_does_by_itself_bit_for_bit() -> None:
     torch.set_num_threads(1)  # as engines do; sums over more threads round otherwise
     run = small_run(seed=5)
     alone = sb3.make_model(run, sb3.make_env(run))
-    alone.learn(run.steps, log_interval=None)  # type: ignore[arg-type]
+    alone.learn(run.steps, log_interval=None)
     theirs = sb3.extract_policy(alone, run)
     ours = train(run).policy
     assert ours is not None
@@ -103,7 +103,7 @@ def test_gradients_are_clipped_as_the_run_says(clip: str, limit: float | None) -
         norms.append((parts["policy"] ** 0.5, parts["value"] ** 0.5))
 
     model.policy.optimizer.register_step_pre_hook(after_clipping)
-    model.learn(64, log_interval=None)  # type: ignore[arg-type]
+    model.learn(64, log_interval=None)
     actor, critic = np.array(norms).T
     if limit is None:
         assert np.hypot(actor, critic).max() > 1.0
@@ -129,7 +129,7 @@ def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
     assert model.n_steps == settings["horizon"]
     assert model.n_epochs == settings["epochs"]
     assert model.vf_coef == settings["value_coefficient"]
-    assert model.clip_range(1.0) == settings["clip_range"]  # type: ignore[operator]
+    assert model.clip_range(1.0) == settings["clip_range"]
     assert model.max_grad_norm == (float("inf") if limit is None else limit)
     group = model.policy.optimizer.param_groups[0]
     assert isinstance(model.policy.optimizer, torch.optim.Adam)
@@ -169,7 +169,7 @@ def test_extracted_policy_computes_what_the_learner_does(activation: str) -> Non
     run = small_run(activation=activation, actor=[16, 8], critic=[24, 8])
     env = sb3.make_env(run)
     model = sb3.make_model(run, env)
-    model.learn(128, log_interval=None)  # type: ignore[arg-type]
+    model.learn(128, log_interval=None)
     observations = np.concatenate([env.step(np.array([i % 5]))[0] for i in range(20)])
     policy = sb3.extract_policy(model, run)
     with torch.no_grad():
@@ -260,7 +260,7 @@ def test_a_trained_network_is_let_go() -> None:
     model = sb3.make_model(run, sb3.make_env(run))
     kept = weakref.ref(next(model.policy.parameters()))
     with sb3.GradientNorms(model, run) as norms:
-        model.learn(64, log_interval=None)  # type: ignore[arg-type]
+        model.learn(64, log_interval=None)
     del model, norms
     gc.collect()
     assert kept() is None

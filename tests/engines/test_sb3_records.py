@@ -65,7 +65,7 @@ def test_norms_of_actor_and_critic_by_hand_for_one_minibatch() -> None:
     )
     model = sb3.make_model(run, sb3.make_env(run))
     _, callback = model._setup_learn(run.steps)
-    model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)  # type: ignore[arg-type]
+    model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
     state = np.random.get_state()
     data = next(model.rollout_buffer.get(64))
     values, log_prob, entropy = model.policy.evaluate_actions(

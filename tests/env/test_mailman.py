@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
-from pneuma.env import MAILMAN
+from pneuma.algorithms import MAILMAN
 from pneuma.env.mailman import MailmanEnv
 from pneuma.errors import UserError
 

@@ -1,0 +1,81 @@
+"""How far estimated values of actions are from what their policy then earns (thesis section 3.3).
+
+As van Hasselt, Guez and Silver (2015) measure it: the greatest estimated value, over the states that the
+greedy policy visits, beside the discounted return that it truly has from each of them on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pneuma.config import Run, env_config, stream_seed
+from pneuma.engines.policy import Policy
+from pneuma.env.worlds import Worlds
+
+WEIGHT_LEFT_OUT = 0.01
+"""What is earned beyond a truncated episode counts until its discount is less than this."""
+
+
+class ActionValues:
+    """Plays the greedy policy once from every start place, far enough to know what each state was worth.
+
+    A time limit that truncates is no end to a learner, which bootstraps there: episodes go on past it until
+    the last state that counts is followed by enough steps. One that terminates is an end.
+
+    Args:
+        run: whose discount and worlds these are.
+        starts: how many start places there are.
+    """
+
+    def __init__(self, run: Run, starts: int) -> None:
+        self.run = run
+        beyond = _steps_beyond(run)
+        steps = run.episode_steps + (beyond or 0)
+        self.worlds = Worlds(starts, replace(env_config(run), episode_steps=steps))
+        self._known = beyond is not None
+
+    def measure(self, policy: Policy) -> dict[str, float]:
+        """Return means over all visited states of `q_estimate` and `q_true`.
+
+        Both are NaN where nothing discounts a future that has no end.
+        """
+        estimates, rewards, counted = self._play(policy)
+        if not (self._known or not self.worlds.truncated.any()):
+            return {"q_estimate": math.nan, "q_true": math.nan}
+        true = discounted(rewards, self.run.gamma)
+        counted[self.run.episode_steps :] = False
+        return {"q_estimate": float(estimates[counted].mean()), "q_true": float(true[counted].mean())}
+
+    def _play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return estimates, rewards and whether the player was there, each (steps, worlds, players)."""
+        worlds = self.worlds
+        worlds.seed([stream_seed(self.run.stream, "action-values", i) for i in range(len(worlds))])
+        worlds.reset(starts=np.arange(len(worlds)))
+        told: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        running = len(worlds)
+        while running:
+            values = policy.logits(worlds.observations.reshape(-1, worlds.observations.shape[2]))
+            best = values.argmax(axis=1).reshape(worlds.players.shape)
+            running -= worlds.step(best)
+            estimate = values.max(axis=1).reshape(worlds.players.shape)
+            told.append((estimate, worlds.events["reward"].copy(), worlds.present.copy()))
+        estimates, rewards, present = (np.stack(each) for each in zip(*told, strict=True))
+        return estimates, rewards, present.astype(np.bool_)
+
+
+def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:
+    """Return the discounted sum of rewards from each step on, (steps, …); nothing follows the last."""
+    sums = np.zeros((len(rewards) + 1, *rewards.shape[1:]))
+    for step in reversed(range(len(rewards))):
+        sums[step] = rewards[step] + gamma * sums[step + 1]
+    return sums[:-1]
+
+
+def _steps_beyond(run: Run) -> int | None:
+    """Return how many steps past the time limit must be played; None where none would be enough."""
+    if run.time_limit == "terminate" or run.gamma == 0:
+        return 0
+    return math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma)) if run.gamma < 1 else None

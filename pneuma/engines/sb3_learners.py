@@ -1,0 +1,191 @@
+"""The learners of Stable-Baselines3 and sb3-contrib, set up from a run: PPO, A2C, TRPO, DQN, Double DQN.
+
+Each is its library's own. What Pneuma adds is said in the two classes at the end: the target of Double
+DQN, and advantages from which no baseline is subtracted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from sb3_contrib import TRPO
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
+
+from pneuma.config import OPTIMIZER_SETTINGS, Run, stream_seed
+from pneuma.engines.policy import LEAKY_SLOPE
+
+ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
+    "tanh": nn.Tanh,
+    "relu": nn.ReLU,
+    "leaky-relu": lambda: nn.LeakyReLU(LEAKY_SLOPE),
+}
+OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
+    "adam": torch.optim.Adam,
+    "sgd": torch.optim.SGD,
+    "rmsprop": torch.optim.RMSprop,
+}
+_TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
+
+Learner = PPO | A2C | TRPO | DQN
+
+
+def make_model(run: Run, env: VecEnv) -> Any:
+    """Set a run's learner up, one of `Learner`.
+
+    Each of torch's and NumPy's global generators serves one purpose from its own stream: torch the
+    initial weights, then the actions; NumPy the order of minibatches.
+    """
+    torch.manual_seed(stream_seed(run.stream, "weights"))
+    model = _MAKE[run.algorithm](run, env)
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    seed_streams(model, run)
+    return model
+
+
+def seed_streams(model: Learner, run: Run) -> None:
+    """Begin the streams of a run's actions and minibatches.
+
+    DQN draws from NumPy's both minibatches and whether to explore; what to do then from its action space's.
+    """
+    torch.manual_seed(stream_seed(run.stream, "actions"))
+    np.random.seed(stream_seed(run.stream, "minibatches") % 2**32)
+    if isinstance(model, DQN):
+        model.action_space.seed(stream_seed(run.stream, "random-actions"))
+
+
+def _ppo(run: Run, env: VecEnv) -> PPO:
+    return PPO(
+        **_on_policy(run, env),
+        batch_size=run.minibatch,
+        n_epochs=run.epochs,
+        clip_range=run.clip_range,
+        ent_coef=run.entropy_coefficient,
+        vf_coef=run.value_coefficient,
+        max_grad_norm=joint_limit(run),
+    )
+
+
+def _a2c(run: Run, env: VecEnv) -> A2C:
+    return A2C(
+        **_on_policy(run, env),
+        ent_coef=run.entropy_coefficient,
+        vf_coef=run.value_coefficient,
+        max_grad_norm=joint_limit(run),
+    )
+
+
+def _trpo(run: Run, env: VecEnv) -> TRPO:
+    assert run.target_kl and run.conjugate_steps and run.line_search_steps
+    return TRPO(
+        **_on_policy(run, env),
+        batch_size=run.minibatch,
+        n_critic_updates=run.epochs,
+        target_kl=run.target_kl,
+        cg_max_steps=run.conjugate_steps,
+        line_search_max_iter=run.line_search_steps,
+    )
+
+
+def _on_policy(run: Run, env: VecEnv) -> dict[str, Any]:
+    """Return the arguments that all learners from rollouts share."""
+    return {
+        **_shared(run, env, {"pi": list(run.actor), "vf": list(run.critic)}),
+        "n_steps": run.horizon,
+        "gae_lambda": run.gae_lambda,
+        "rollout_buffer_class": None if run.value_baseline else WithoutBaseline,
+    }
+
+
+def _shared(run: Run, env: VecEnv, layers: Any) -> dict[str, Any]:
+    return {
+        "policy": "MlpPolicy",
+        "env": env,
+        "learning_rate": run.learning_rate,
+        "gamma": run.gamma,
+        "policy_kwargs": {
+            "net_arch": layers,
+            "activation_fn": ACTIVATIONS[run.activation],
+            "optimizer_class": OPTIMIZERS[run.optimizer],
+            "optimizer_kwargs": optimizer_arguments(run),
+        },
+        "device": "cpu",
+    }
+
+
+def _dqn(run: Run, env: VecEnv) -> DQN:
+    assert run.buffer_size and run.train_every and run.gradient_steps and run.target_every
+    assert run.learning_starts is not None and run.exploration is not None
+    assert run.exploration_fraction is not None
+    return (DoubleDQN if run.algorithm == "double-dqn" else DQN)(
+        **_shared(run, env, list(run.actor)),
+        batch_size=run.minibatch,
+        max_grad_norm=joint_limit(run),
+        buffer_size=run.buffer_size,
+        learning_starts=run.learning_starts,
+        train_freq=run.train_every,
+        gradient_steps=run.gradient_steps,
+        target_update_interval=max(run.target_every, env.num_envs),  # at least one step of all slots
+        exploration_fraction=run.exploration_fraction,
+        exploration_final_eps=run.exploration,
+    )
+
+
+_MAKE: dict[str, Callable[[Run, VecEnv], Learner]] = {
+    "ppo": _ppo,
+    "a2c": _a2c,
+    "trpo": _trpo,
+    "dqn": _dqn,
+    "double-dqn": _dqn,
+}
+
+
+def joint_limit(run: Run) -> float:
+    """Return the limit that Stable-Baselines3 itself applies, to one norm over all parameters."""
+    return run.gradient_limit if run.gradient_limit is not None and run.clip == "joint" else float("inf")
+
+
+def optimizer_arguments(run: Run) -> dict[str, Any]:
+    """Return the keyword arguments of the run's torch optimizer, all stated.
+
+    Stable-Baselines3 uses epsilon 1e-5 only when given none, torch's own 1e-8 otherwise.
+    """
+    names = OPTIMIZER_SETTINGS[run.optimizer]
+    own = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
+    return {**own, "weight_decay": run.weight_decay}
+
+
+class DoubleDQN(DQN):
+    """DQN whose target is that of Double DQN (thesis Eq. 3.10, van Hasselt et al. 2015).
+
+    The online network chooses the next action, the target network rates it.
+    """
+
+    def train(self, gradient_steps: int, batch_size: int = 100) -> None:
+        """Take gradient steps; DQN's own, which rates next observations by what `_rate` says."""
+        target = self.q_net_target
+
+        def rate(observations: torch.Tensor) -> torch.Tensor:
+            chosen = self.q_net(observations).argmax(dim=1, keepdim=True)
+            return target(observations).gather(1, chosen)  # (N, 1), of which DQN takes the greatest
+
+        self.q_net_target = rate  # type: ignore[assignment]
+        try:
+            super().train(gradient_steps, batch_size)
+        finally:
+            self.q_net_target = target
+
+
+class WithoutBaseline(RolloutBuffer):
+    """A rollout whose advantages are its returns: the critic's values are not subtracted (section 4.2)."""
+
+    def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
+        """Compute the returns (with lambda = 1, discounted sums to the rollout's end) and take them whole."""
+        super().compute_returns_and_advantage(last_values, dones)
+        self.advantages = self.returns.copy()

@@ -1,0 +1,188 @@
+"""The engine of tables: Q-learning and double Q-learning on `pneuma/Mailman-v0` (thesis chapter 3).
+
+Every step is learned from at once (Eq. 3.3). An update, after which a run may be stopped, is `horizon`
+steps. All that a run keeps is a few numbers, so that its checkpoints are small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from pneuma.config import ACTION_NAMES, Run, stream_seed
+from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import METRIC_COLUMNS, Records
+from pneuma.engines.tabular_evaluation import TableEvaluation
+from pneuma.env.mailman import ACTIONS, PLACES, MailmanEnv
+
+NAN = float("nan")
+ENDING = "home"
+
+
+def train(
+    runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
+) -> Iterator[Result]:
+    """Train every run, one after the other; see `pneuma.engines.base`."""
+    for index, run in enumerate(runs):
+        yield train_one(run, on_update, checkpoints.get(index))
+
+
+def train_one(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
+    """Train one run, from its start or from a checkpoint."""
+    learner, evaluation, records, step = TableLearner(run), TableEvaluation(run), Records(), 0
+    if checkpoint:
+        learner.restore(checkpoint)
+        records, step = checkpoint.records.copy(), checkpoint.step
+    evaluated = evaluation_updates(run)
+    status = "done"
+    for update in range(step // run.steps_per_update + 1, run.updates + 1):
+        told = [learner.step(step + i) for i in range(run.horizon)]
+        step = update * run.steps_per_update
+        records.metrics.append({**_metrics(told), "step": step})
+        records.episodes.extend(learner.take_finished())
+        if not np.isfinite(learner.tables).all():
+            return Result(run, "diverged", step, records, None)
+        if update in evaluated:
+            records.evaluations.append(evaluation.evaluate(learner.tables, step))
+        if not on_update(Progress(run, step, records, partial(learner.checkpoint, step, records))):
+            status = "done" if update == run.updates else "stopped"
+            break
+    return Result(run, status, step, records, learner.policy())
+
+
+class TableLearner:
+    """The tables of one run, its mailman and its random choices.
+
+    Attributes:
+        tables: (1 or 2, places, actions) values of actions, 0 at first; two in double Q-learning.
+    """
+
+    def __init__(self, run: Run) -> None:
+        assert run.action_slip is not None and run.reward_noise is not None
+        assert run.exploration is not None and run.exploration_fraction is not None
+        self.run = run
+        self.env = MailmanEnv(run.action_slip, run.reward_noise)
+        count = 2 if run.algorithm == "double-q-learning" else 1
+        self.tables = np.zeros((count, PLACES, ACTIONS))
+        self._generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+        self._place = int(self.env.reset(seed=stream_seed(run.stream, "world"))[0])
+        self._return, self._length, self._episode = 0.0, 0, 0
+        self._finished: list[dict[str, Any]] = []
+
+    def step(self, taken: int) -> tuple[int, float]:
+        """Take one step, after `taken` others, and learn from it; return the action and its error."""
+        action = self._choose(taken)
+        there, reward, ended, _, _ = self.env.step(np.int64(action))
+        updated = int(self._generator.integers(len(self.tables)))
+        error = temporal_difference(
+            self.tables, updated, (self._place, action, reward, None if ended else int(there)), self.run.gamma
+        )
+        self.tables[updated, self._place, action] += self.run.learning_rate * error
+        self._return, self._length, self._place = self._return + reward, self._length + 1, int(there)
+        if ended:
+            self._end(taken + 1)
+        return action, error
+
+    def _choose(self, taken: int) -> int:
+        """Return an action at random, or one of the greatest value: which of several is left to chance."""
+        if self._generator.random() < exploration_rate(self.run, taken):
+            return int(self._generator.integers(self.tables.shape[2]))
+        values = self.tables[:, self._place].mean(axis=0)
+        return int(self._generator.choice(np.flatnonzero(values == values.max())))
+
+    def _end(self, step: int) -> None:
+        self._finished.append(
+            {
+                "slot": 0,
+                "episode": self._episode,
+                "step": step,
+                "return": self._return,
+                "length": self._length,
+                "kills": NAN,
+                "hp": NAN,
+                "ending": ENDING,
+            }
+        )
+        self._return, self._length, self._episode = 0.0, 0, self._episode + 1
+        self._place = int(self.env.reset()[0])
+
+    def take_finished(self) -> list[dict[str, Any]]:
+        """Take the episodes that ended since the last call."""
+        finished, self._finished = self._finished, []
+        return finished
+
+    def policy(self) -> Policy:
+        """Return the mean of the tables as a network without hidden layers, of a place's one-hot code."""
+        table = self.tables.mean(axis=0).astype(np.float32)
+        layer = (table, np.zeros(table.shape[1], np.float32))
+        return Policy(self.run.activation, (layer,), (), self.run.exploration)
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        """Copy all that the next step depends on."""
+        numbers = {
+            "actions": self._generator.bit_generator.state,
+            "world": self.env.np_random.bit_generator.state,
+            "day": [self._place, self._return, self._length, self._episode],
+        }
+        return Checkpoint(step, {"tables": self.tables.copy()}, numbers, records.copy())
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from where a checkpoint was taken.
+
+        Raises:
+            CheckpointError: for one of another algorithm.
+        """
+        try:
+            if checkpoint.arrays["tables"].shape != self.tables.shape:
+                raise ValueError("it is of another number of tables")
+            self.tables = checkpoint.arrays["tables"].copy()
+            self._generator.bit_generator.state = checkpoint.numbers["actions"]
+            self.env.np_random.bit_generator.state = checkpoint.numbers["world"]
+            self._place, self._return, self._length, self._episode = checkpoint.numbers["day"]
+            self.env.place = self._place
+        except (KeyError, ValueError, TypeError) as error:
+            raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
+
+
+def temporal_difference(
+    tables: np.ndarray, updated: int, step: tuple[int, int, float, int | None], gamma: float
+) -> float:
+    """Return what a step says beyond a table's entry (thesis Eq. 3.2; with two tables Eq. 3.9).
+
+    The table that is updated chooses the next action; the other rates it. A single table does both.
+
+    Args:
+        tables: (1 or 2, places, actions).
+        updated: which of them is.
+        step: place, action, reward, and the next place; None where there is none.
+        gamma: discount.
+    """
+    place, action, reward, there = step
+    rated = 0.0
+    if there is not None:
+        best = tables[updated, there].argmax()
+        rated = float(tables[len(tables) - 1 - updated, there, best])
+    return reward + gamma * rated - float(tables[updated, place, action])
+
+
+def exploration_rate(run: Run, taken: int) -> float:
+    """Return the chance of a random action after so many steps; it falls in a line, then stays."""
+    assert run.exploration is not None and run.exploration_fraction is not None
+    falling = run.exploration_fraction * run.steps
+    return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
+
+
+def _metrics(told: Sequence[tuple[int, float]]) -> dict[str, float]:
+    """Return what is known of some steps: shares of actions, and the mean squared error as the loss."""
+    actions, errors = np.array([action for action, _ in told]), np.array([error for _, error in told])
+    shares = np.bincount(actions, minlength=len(ACTION_NAMES)) / len(actions)
+    return {
+        **dict.fromkeys(METRIC_COLUMNS, NAN),
+        "value_loss": float((errors**2).mean()),
+        **{f"action_{i}": float(share) for i, share in enumerate(shares)},
+    }

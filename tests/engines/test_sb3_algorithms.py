@@ -1,0 +1,272 @@
+"""The reference engine's A2C, TRPO, DQN and Double DQN: their bits, what is recorded, the double target."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import DQN
+
+from pneuma.config import BASES, Run, make_run
+from pneuma.engines import sb3
+from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.policy import Policy, read_policy
+from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.study.checkpoints import TABLES, decode, encode
+from pneuma.study.tables import to_parquet
+
+SMALL = {
+    "actor": [16],
+    "critic": [24],
+    "horizon": 64,
+    "minibatch": 32,
+    "epochs": 2,
+    "steps": 256,
+    "evaluation_episodes": 2,
+    "episode_steps": 40,
+    "gamma": 0.9,
+}
+DQN_SETTINGS = {"learning_starts": 80, "target_every": 50, "buffer_size": 150}
+CASES: dict[str, dict[str, Any]] = {
+    "a2c": {"algorithm": "a2c", "optimizer": "rmsprop"},
+    "a2c-no-baseline": {"algorithm": "a2c", "value_baseline": False, "gae_lambda": 1},
+    "trpo": {"algorithm": "trpo"},
+    "dqn": {"algorithm": "dqn", **DQN_SETTINGS},
+    "double-dqn": {"algorithm": "double-dqn", **DQN_SETTINGS, "slots": 2},
+}
+ON_POLICY = ("a2c", "a2c-no-baseline", "trpo")
+OF_VALUES = ("dqn", "double-dqn")
+
+
+def run_of(case: str, **settings: object) -> Run:
+    return make_run({**BASES["table-6-2"], **SMALL, **CASES[case], **settings})
+
+
+def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
+    """Train a run; return its end and a checkpoint of every update."""
+    taken: list[Checkpoint] = []
+
+    def keep(progress: Progress) -> bool:
+        taken.append(progress.checkpoint())
+        return True
+
+    start = {0: checkpoint} if checkpoint else {}
+    return next(load_engine("sb3").train([run], start, keep)), taken
+
+
+def bits(result: Result) -> tuple[object, ...]:
+    """Return all that a run ends with; as Parquet, where NaN equals NaN."""
+    assert result.policy is not None
+    tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
+    return result.status, result.step, tables, result.policy.to_bytes()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> None:
+    torch.set_num_threads(1)  # as engines do; sums over more threads round otherwise
+    run = run_of(case, seed=5)
+    alone = sb3.make_model(run, sb3.make_env(run))
+    alone.learn(run.steps, log_interval=None)
+    theirs = sb3.extract_policy(alone, run)
+    ours = train(run)[0].policy
+    assert ours is not None
+    assert ours.to_bytes() == theirs.to_bytes()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_same_run_same_bits_and_another_seed_others(case: str) -> None:
+    first, again, other = (bits(train(run_of(case, seed=seed))[0]) for seed in (1, 1, 2))
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(case: str) -> None:
+    run = run_of(case)
+    whole, taken = train(run)
+    for checkpoint in (taken[0], taken[1], taken[-1]):
+        np.random.seed(1)
+        torch.manual_seed(1)  # whatever other runs drew meanwhile
+        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
+        assert bits(resumed) == bits(whole), checkpoint.step
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_records_have_the_columns_of_the_contract(case: str) -> None:
+    records = train(run_of(case))[0].records
+    of_values = case in OF_VALUES
+    for row in records.metrics:
+        assert set(row) == set(METRIC_COLUMNS)
+        assert sum(row[f"action_{i}"] for i in range(5)) == pytest.approx(1)
+        assert 0 <= row["dead_units"] <= 1
+    last = records.metrics[-1]
+    missing = {name for name in METRIC_COLUMNS if np.isnan(last[name])}
+    none_of = {
+        "a2c": {"approx_kl", "clip_fraction"},
+        "trpo": {"clip_fraction"},
+        "dqn": {
+            *("policy_loss", "entropy", "approx_kl", "clip_fraction", "explained_variance"),
+            *("grad_norm_actor", "grad_norm_critic"),
+        },
+    }
+    assert missing == none_of["dqn" if of_values else "trpo" if case == "trpo" else "a2c"]
+    added = ("q_estimate", "q_true") if of_values else ()
+    assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
+
+
+def test_dqn_has_no_loss_before_it_learns() -> None:
+    losses = [row["value_loss"] for row in train(run_of("dqn"))[0].records.metrics]
+    assert np.isnan(losses).tolist() == [True, False, False, False]  # from step 80 on, of 64 an update
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
+    """At a rate of 100 without a limit weights overflow; the clean run after it is none the worse."""
+    wild = run_of(
+        case, optimizer="sgd", learning_rate=100.0, activation="leaky-relu", steps=6400, actor=[16, 16],
+        **({"target_every": 2, "train_every": 1} if case in OF_VALUES else {}),
+        **({} if case == "trpo" else {"gradient_limit": "none"}),
+    )  # fmt: skip
+    clean = run_of(case)
+    diverged, after = load_engine("sb3").train([wild, clean], {}, lambda progress: True)
+    assert (diverged.status, diverged.policy) == ("diverged", None)
+    assert diverged.step == diverged.records.metrics[-1]["step"] < wild.steps
+    assert bits(after) == bits(train(clean)[0])
+
+
+# --- Double DQN --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "target"),
+    [
+        # Of the next state the online network says (1, 3, 2, 0, 0), the target network (5, 4, 9, 0, 0);
+        # reward 0.5, gamma 0.9. DQN: 0.5 + 0.9 x 9 = 8.6. Double DQN: the online network's best is action
+        # 1, which the target network rates 4: 0.5 + 0.9 x 4 = 4.1 (Eq. 3.10).
+        ("dqn", 8.6),
+        ("double-dqn", 4.1),
+    ],
+)
+def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of(algorithm, minibatch=2, slots=1)
+    model = sb3.make_model(run, sb3.make_env(run))
+    for network, values in ((model.q_net, [1, 3, 2, 0, 0]), (model.q_net_target, [5, 4, 9, 0, 0])):
+        for parameter in network.parameters():
+            parameter.data.zero_()
+        network.q_net[-1].bias.data = torch.tensor(values, dtype=torch.float32)
+    here = np.zeros((1, 60), np.float32)
+    for _ in range(3):
+        model.replay_buffer.add(here, here, np.array([[2]]), np.array([0.5]), np.array([False]), [{}])
+    targets: list[float] = []
+
+    def loss(current: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        assert current.flatten().tolist() == [2.0, 2.0]  # the online network's value of action 2
+        targets.extend(wanted.flatten().tolist())
+        return (current - wanted).abs().mean()
+
+    monkeypatch.setattr("torch.nn.functional.smooth_l1_loss", loss)
+    model.train(gradient_steps=1, batch_size=2)
+    assert targets == pytest.approx([target, target])
+    assert isinstance(model.q_net_target, torch.nn.Module)  # put back
+
+
+def test_an_ended_episode_is_worth_its_last_reward() -> None:
+    run = run_of("double-dqn", slots=1)
+    model = sb3.make_model(run, sb3.make_env(run))
+    here = np.zeros((1, 60), np.float32)
+    for truncated, worth in ((False, 0.0), (True, 1.0)):  # a time limit is no end: what follows still counts
+        infos = [{"TimeLimit.truncated": truncated}]
+        model.replay_buffer.reset()
+        model.replay_buffer.add(here, here, np.array([[2]]), np.array([0.5]), np.array([True]), infos)
+        assert 1 - float(model.replay_buffer.sample(1).dones) == worth
+
+
+# --- What chapters 3 and 4 claim, switched off -------------------------------------------------------
+
+
+def test_a_buffer_of_one_minibatch_holds_the_newest_transitions_alone() -> None:
+    run = run_of("dqn", buffer_size=32)
+    model = sb3.make_model(run, sb3.make_env(run))
+    model.learn(run.steps, log_interval=None)
+    assert model.replay_buffer.observations.shape[0] == 32 == model.replay_buffer.size()
+
+
+def test_a_target_copied_at_every_step_is_the_online_network() -> None:
+    run = run_of("dqn", target_every=1)
+    model = sb3.make_model(run, sb3.make_env(run))
+    compared: list[bool] = []
+
+    def before_training(*arguments: Any, **keywords: Any) -> None:
+        online, target = model.q_net.state_dict(), model.q_net_target.state_dict()
+        compared.append(all(torch.equal(online[name], target[name]) for name in online))
+        DQN.train(model, *arguments, **keywords)
+
+    model.train = before_training
+    model.learn(run.steps, log_interval=None)
+    assert compared and all(compared)
+
+
+def test_without_a_baseline_advantages_are_the_returns() -> None:
+    run = run_of("a2c-no-baseline", gamma=0.5)
+    model = sb3.make_model(run, sb3.make_env(run))
+    buffer = model.rollout_buffer
+    buffer.values[:] = 7.0
+    buffer.rewards[:] = 1.0
+    buffer.episode_starts[:] = 0.0
+    buffer.compute_returns_and_advantage(torch.tensor([[4.0]]), np.array([False]))
+    # Backwards from 4 at the end: 1 + 4/2 = 3, 1 + 3/2 = 2.5, 1 + 2.5/2 = 2.25, … whatever the critic said.
+    np.testing.assert_allclose(buffer.advantages[-3:, 0], [2.25, 2.5, 3.0], rtol=1e-6)
+    np.testing.assert_array_equal(buffer.advantages, buffer.returns)
+
+
+# --- TRPO --------------------------------------------------------------------------------------------
+
+
+def test_trpos_norms_are_of_the_gradients_it_used() -> None:
+    """Of the first update: the objective's at ratio 1, worked out here; the critic's over its minibatch."""
+    run = run_of("trpo", minibatch=64, epochs=1)
+    model = sb3.make_model(run, sb3.make_env(run))
+    _, callback = model._setup_learn(run.steps)
+    model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
+    data = next(model.rollout_buffer.get(64))
+    values, log_prob, _ = model.policy.evaluate_actions(data.observations, data.actions.long().flatten())
+    advantages = (data.advantages - data.advantages.mean()) / (data.advantages.std() + 1e-8)
+    objective = (advantages * torch.exp(log_prob - data.old_log_prob)).mean()
+    loss = ((data.returns - values.flatten()) ** 2).mean()
+    named = dict(model.policy.named_parameters())
+    expected = {}
+    for part, of, scalar in (("actor", False, objective), ("critic", True, loss)):
+        own = [p for name, p in named.items() if ("value" in name) == of]
+        gradients = torch.autograd.grad(scalar, own)
+        expected[f"grad_norm_{part}"] = float(sum((g**2).sum() for g in gradients)) ** 0.5
+    with sb3.gradient_norms(model, run) as norms:
+        model.train()
+        told = norms.take()
+    expected["grad_norm"] = float(np.hypot(*expected.values()))
+    assert told == pytest.approx(expected, rel=1e-4)
+
+
+def test_entropy_of_logits_by_hand() -> None:
+    # Probabilities (1/2, 1/4, 1/4): entropy 1/2 ln 2 + 2 x 1/4 ln 4 = 1.5 ln 2.
+    layer = (np.zeros((1, 3), np.float32), np.log(np.array([2, 1, 1], np.float32)))
+    assert Policy("tanh", (layer,), (layer,)).entropy(np.zeros((4, 1))) == pytest.approx(1.5 * np.log(2))
+
+
+# --- The stored policy -------------------------------------------------------------------------------
+
+
+def test_a_policy_of_values_is_greedy_but_for_its_exploration() -> None:
+    layer = (np.zeros((1, 4), np.float32), np.array([0, 3, 1, 2], np.float32))
+    policy = Policy("relu", (layer,), (), 0.2)
+    shown = np.zeros((40_000, 1), np.float32)
+    assert set(policy.best(shown)) == {1}
+    assert policy.values(shown[:1]).tolist() == [3.0]
+    shares = np.bincount(policy.sample(shown, np.random.default_rng(0)), minlength=4) / len(shown)
+    # Four fifths greedy, and a fifth shared out over all four; one standard error is at most 0.002.
+    np.testing.assert_allclose(shares, [0.05, 0.85, 0.05, 0.05], atol=0.008)
+    again = read_policy(policy.to_bytes())
+    assert (again.exploration, again.critic) == (0.2, ())
+    assert again.to_bytes() == policy.to_bytes()

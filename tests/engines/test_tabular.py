@@ -1,0 +1,194 @@
+"""Tables: single steps by hand, the best route found, overestimation where noise makes it, and contracts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.algorithms import MAILMAN
+from pneuma.config import Run, make_run
+from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.tabular import exploration_rate, temporal_difference
+from pneuma.engines.tabular_evaluation import TableEvaluation, estimated_values, optimal_values, policy_values
+from pneuma.env.mailman import GO_HOME, GO_ON, LETTERS, POST_OFFICE, MailmanEnv, decision_process
+from pneuma.study.checkpoints import TABLES, decode, encode
+from pneuma.study.tables import to_parquet
+
+BOTH = ("q-learning", "double-q-learning")
+
+
+def run_of(algorithm: str = "q-learning", **settings: object) -> Run:
+    small = {"horizon": 10, "steps": 400, "learning_rate": 0.5, "evaluation_episodes": 5, "gamma": 0.9}
+    return make_run({"env": MAILMAN, "algorithm": algorithm, **small, **settings})
+
+
+def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
+    """Train a run; return its end and a checkpoint of every update."""
+    taken: list[Checkpoint] = []
+
+    def keep(progress: Progress) -> bool:
+        taken.append(progress.checkpoint())
+        return True
+
+    start = {0: checkpoint} if checkpoint else {}
+    return next(load_engine("tabular").train([run], start, keep)), taken
+
+
+def bits(result: Result) -> tuple[object, ...]:
+    assert result.policy is not None
+    tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
+    return result.status, result.step, tables, result.policy.to_bytes()
+
+
+# --- One step ----------------------------------------------------------------------------------------
+
+
+def test_a_step_of_q_learning_by_hand() -> None:
+    # Eq. 3.2: 0.5 + 0.9 max(2, 3) - 1 = 2.2. At home nothing follows: 0.5 - 1 = -0.5.
+    table = np.array([[[1.0, 0.0], [2.0, 3.0], [9.0, 9.0]]])
+    step: Any = (POST_OFFICE, GO_ON, 0.5)
+    assert temporal_difference(table, 0, (*step, LETTERS), 0.9) == pytest.approx(2.2)
+    assert temporal_difference(table, 0, (*step, None), 0.9) == pytest.approx(-0.5)
+
+
+def test_a_step_of_double_q_learning_by_hand() -> None:
+    # Eq. 3.9: table 0 prefers action 1 (3 > 2), which table 1 rates 5: 0.5 + 0.9 x 5 - 1 = 4. Table 1 prefers
+    # action 0 (7 > 5), which table 0 rates 2: 0.5 + 0.9 x 2 - 4 = -1.7.
+    tables = np.array([[[1.0, 0.0], [2.0, 3.0], [0.0, 0.0]], [[4.0, 0.0], [7.0, 5.0], [0.0, 0.0]]])
+    step: Any = (POST_OFFICE, GO_ON, 0.5, LETTERS)
+    assert temporal_difference(tables, 0, step, 0.9) == pytest.approx(4.0)
+    assert temporal_difference(tables, 1, step, 0.9) == pytest.approx(-1.7)
+    # What they hold the letters to be worth: the mean of 5 and 2; Q-learning with table 1 alone: 7.
+    assert estimated_values(tables)[LETTERS] == 3.5
+    assert estimated_values(tables[1:])[LETTERS] == 7.0
+
+
+def test_exploration_falls_in_a_line_and_stays() -> None:
+    run = run_of(exploration=0.2, exploration_fraction=0.5)  # from 1 to 0.2 over 200 steps
+    assert [exploration_rate(run, taken) for taken in (0, 100, 200, 400)] == pytest.approx([1, 0.6, 0.2, 0.2])
+    assert exploration_rate(run_of(exploration=0.2), 0) == 0.2
+
+
+# --- What can be computed ----------------------------------------------------------------------------
+
+
+def test_values_of_the_figures_process_by_hand() -> None:
+    # Without slips: from the letters either action pays 1; from the office home pays -1, the letters 0.
+    process = decision_process()
+    np.testing.assert_allclose(optimal_values(process, 0.9), [[0.9, -1.0], [1.0, 1.0]])
+    assert policy_values(process, np.array([GO_HOME, GO_ON]), 0.9).tolist() == [-1, 1]
+    # Slipping a tenth of the time, going on earns 0.9 (0 + 0.9 x 1) - 0.1, going home 0.1 (0 + 0.9) - 0.9.
+    np.testing.assert_allclose(optimal_values(decision_process(0.1), 0.9)[0], [0.71, -0.81])
+
+
+def test_the_computed_process_is_the_one_that_is_played() -> None:
+    env, count = MailmanEnv(slip=0.3), 4000
+    env.reset(seed=0)
+    chances, rewards = decision_process(0.3)
+    for place, action in np.ndindex(2, 2):
+        seen, earned = np.zeros(3), 0.0
+        for _ in range(count):
+            env.reset()
+            env.place = place
+            there, reward, *_ = env.step(np.int64(action))
+            seen[there] += 1 / count
+            earned += reward / count
+        # One standard error is at most 0.5 / sqrt(4000) = 0.008, of the reward twice that.
+        np.testing.assert_allclose(seen, chances[place, action], atol=0.03)
+        assert earned == pytest.approx(rewards[place, action], abs=0.06)
+
+
+# --- Whole runs --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", BOTH)
+def test_the_best_route_is_found_and_its_value(algorithm: str) -> None:
+    result, _ = train(run_of(algorithm, steps=4000, exploration=0.5))
+    last = result.records.evaluations[-1]
+    assert last["argmax_return"] == 1.0
+    assert last["q_error"] < 1e-3
+    assert (last["q_estimate"], last["q_true"]) == pytest.approx((0.95, 0.95), abs=1e-3)  # of 0.9 and 1
+
+
+def test_a_rate_of_1_holds_the_truth_as_soon_as_all_was_tried() -> None:
+    """In the figure's deterministic process; under noise it holds the last reward instead."""
+    sure = train(run_of(learning_rate=1, exploration=1.0))[0].records.evaluations[-1]
+    assert sure["q_error"] == 0.0
+    noisy = train(run_of(learning_rate=1, exploration=1.0, reward_noise=1.0))[0].records.evaluations[-1]
+    assert noisy["q_error"] > 0.3
+
+
+def test_noise_is_overestimated_by_one_table_and_not_by_two() -> None:
+    """The letters' two actions pay 1 on average, so that one of two noisy entries is above it."""
+    excess = {}
+    for algorithm in BOTH:
+        told = [
+            row["q_estimate"] - row["q_true"]
+            for seed in range(4)
+            for row in train(
+                run_of(algorithm, seed=seed, steps=2000, learning_rate=0.3, reward_noise=2.0, exploration=0.5)
+            )[0].records.evaluations[5:]
+        ]
+        excess[algorithm] = float(np.mean(told))
+    assert excess["q-learning"] > 0.2
+    assert excess["double-q-learning"] < 0.1
+
+
+@pytest.mark.parametrize("algorithm", BOTH)
+def test_same_run_same_bits_and_another_seed_others(algorithm: str) -> None:
+    noisy = {"reward_noise": 0.5, "action_slip": 0.1}
+    first, again, other = (bits(train(run_of(algorithm, seed=seed, **noisy))[0]) for seed in (1, 1, 2))
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.parametrize("algorithm", BOTH)
+def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(algorithm: str) -> None:
+    run = run_of(algorithm, reward_noise=0.5, horizon=5)  # updates end amid days
+    whole, taken = train(run)
+    for checkpoint in (taken[0], taken[6], taken[-1]):
+        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
+        assert bits(resumed) == bits(whole)
+
+
+def test_a_checkpoint_of_another_algorithm_is_refused() -> None:
+    _, taken = train(run_of("q-learning"))
+    with pytest.raises(CheckpointError, match="another number of tables"):
+        train(run_of("double-q-learning"), taken[0])
+
+
+def test_records_have_the_columns_of_the_contract() -> None:
+    records = train(run_of())[0].records
+    assert [row["step"] for row in records.metrics] == list(range(10, 401, 10))
+    assert all(set(row) == set(METRIC_COLUMNS) for row in records.metrics)
+    assert all(row["action_0"] + row["action_1"] == pytest.approx(1) for row in records.metrics)
+    assert all(tuple(row) == EPISODE_COLUMNS for row in records.episodes)
+    lengths = np.cumsum([row["length"] for row in records.episodes])
+    assert [row["step"] for row in records.episodes] == lengths.tolist()
+    assert {row["length"] for row in records.episodes} <= {1, 2}
+    assert {(row["return"], row["length"]) for row in records.episodes} == {(1.0, 2), (-1.0, 1)}
+    added = ("q_estimate", "q_true", "q_error")
+    assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
+    assert len(records.evaluations) == 20
+
+
+def test_an_evaluation_explores_as_the_run_does_and_its_greedy_route_does_not() -> None:
+    table = np.array([[[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]])
+    always = TableEvaluation(run_of(exploration=1.0, evaluation_episodes=400)).evaluate(table, 1)
+    never = TableEvaluation(run_of(exploration=0.0, evaluation_episodes=400)).evaluate(table, 1)
+    # A coin's toss at the office: 1 or -1, and two steps or one; standard errors 0.05 and 0.025.
+    assert always["return"] == pytest.approx(0.0, abs=0.2)
+    assert always["length"] == pytest.approx(1.5, abs=0.1)
+    assert (never["return"], never["length"], never["argmax_return"]) == (1.0, 2.0, 1.0)
+
+
+def test_the_stored_policy_is_the_table() -> None:
+    result, taken = train(run_of("double-q-learning"))
+    assert result.policy is not None
+    mean = taken[-1].arrays["tables"].mean(axis=0)
+    np.testing.assert_allclose(result.policy.logits(np.eye(3, dtype=np.float32)), mean, rtol=1e-6)
+    assert result.policy.exploration == 0.1
