@@ -91,6 +91,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
         UserError: when the policy is not of the run's shape.
     """
     _check_shape(policy, run)
+    run = replace(run, value_baseline=True)  # without one it would need Pneuma's class of rollouts to be read
     model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps

@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from stable_baselines3 import PPO
+from sb3_contrib import TRPO
+from stable_baselines3 import A2C, DQN, PPO
 
 import pneuma.engines.export as exports
+from pneuma.algorithms import MAILMAN
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, read_sound_policy, to_onnx, to_sb3
 from pneuma.engines.policy import LEAKY_SLOPE, Policy
@@ -80,6 +82,33 @@ def test_the_zip_computes_what_the_policy_computes(
     chosen, _ = model.predict(observations, deterministic=True)
     np.testing.assert_array_equal(chosen, policy.best(observations))
     assert len(set(chosen.tolist())) > 1
+
+
+LEARNERS: dict[str, Any] = {"a2c": A2C, "trpo": TRPO, "dqn": DQN, "double-dqn": DQN}
+
+
+@pytest.mark.parametrize("algorithm", LEARNERS)
+def test_the_zip_of_another_algorithm_acts_as_the_policy_does(algorithm: str) -> None:
+    own = {"value_baseline": False} if algorithm == "a2c" else {}
+    run = make_run({"algorithm": algorithm, "actor": [7, 5], "critic": [6], **own})
+    policy = random_policy(run, 11, actions=7)
+    if LEARNERS[algorithm] is DQN:
+        policy = replace(policy, critic=(), exploration=0.05)
+    data = to_sb3(policy, run, own_space(11))
+    assert b"pneuma" not in data  # neither class nor path of its own that reading it would need
+    model = LEARNERS[algorithm].load(io.BytesIO(data), device="cpu")
+    observations = random_observations(200, 11)
+    chosen, _ = model.predict(observations, deterministic=True)
+    np.testing.assert_array_equal(chosen, policy.best(observations))
+    assert len(set(chosen.tolist())) > 1
+    assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
+
+
+def test_a_table_has_no_zip() -> None:
+    run = make_run({"algorithm": "q-learning", "env": MAILMAN})
+    table = Policy("tanh", ((np.eye(3, 2, dtype=np.float32), np.zeros(2, np.float32)),), (), 0.1)
+    with pytest.raises(UserError, match="a table has none: choose .onnx"):
+        observation_space(table, run)
 
 
 @pytest.mark.parametrize("env_id", ["pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"])
@@ -249,3 +278,14 @@ def test_what_is_no_policy_is_refused() -> None:
     ):
         with pytest.raises(UserError, match="no policy of Pneuma's"):
             read_sound_policy(data)
+
+
+def test_a_network_of_action_values_is_one_output_of_onnx() -> None:
+    run = make_run({"algorithm": "dqn", "actor": [7]})
+    policy = replace(random_policy(run, 11), critic=(), exploration=0.05)
+    onnxruntime = pytest.importorskip("onnxruntime")
+    session = onnxruntime.InferenceSession(to_onnx(policy, {}))
+    observations = random_observations(20, 11)
+    (told,) = session.run(None, {"observation": observations})
+    assert [output.name for output in session.get_outputs()] == ["action_values"]
+    np.testing.assert_allclose(told, policy.logits(observations), rtol=1e-5, atol=1e-5)

@@ -1,0 +1,76 @@
+"""Columns that only learners of values have: through files, tables of several runs, and the published one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.export import encode_table
+from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.run_records import RunRecords
+from pneuma.analysis.tables import StudyData
+from pneuma.engines.base import load_engine
+from pneuma.engines.records import EVALUATION_COLUMNS
+from pneuma.study.execute import selection_record
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store
+from pneuma.study.worker import result_files
+
+STUDY = """
+title = "Policies and values"
+base = "table-6-2"
+[run]
+engine = "sb3"
+actor = [8]
+horizon = 64
+evaluation_episodes = 1
+episode_steps = 30
+[conditions.ppo]
+[conditions.dqn]
+algorithm = "dqn"
+[presets.quick]
+seeds = 1
+steps = 128
+"""
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Two runs, stored as a worker does."""
+    folder = tmp_path_factory.mktemp("values")
+    (folder / "mine.toml").write_text(STUDY, encoding="utf-8")
+    store = Store(folder / "results")
+    plan = make_plan(load_study(str(folder / "mine.toml")), Selection())
+    for cell in plan.cells:
+        result = next(load_engine("sb3").train([cell.run], {}, lambda progress: True))
+        store.save_run(cell.run_id, Status("done", 128), result_files(result, cell.run_id, {}))
+    store.save_selection("mine", selection_record(plan))
+    return store
+
+
+def test_a_table_of_both_is_blank_where_there_are_no_values(store: Store) -> None:
+    record = store.selection("mine")
+    assert record is not None
+    data = StudyData(RunRecords(store), record)
+    table = data.table("evaluations")
+    assert list(table.columns) == ["condition", "seed", "run_id", *EVALUATION_COLUMNS, "q_estimate", "q_true"]
+    blank = table.groupby("condition")[["q_estimate", "q_true"]].count()
+    assert blank.loc["ppo"].tolist() == [0, 0]
+    assert blank.loc["dqn"].tolist() == [2, 2]
+    lines = encode_table(data, "evaluations", "csv")[0].decode().splitlines()
+    assert lines[1].endswith(",,")  # of PPO
+    assert not lines[-1].endswith(",")
+
+
+def test_the_published_table_keeps_them(store: Store) -> None:
+    record = store.selection("mine")
+    assert record is not None
+    data = StudyData(RunRecords(store), record)
+    store.write(published_path(store, "mine"), encode_study(data))
+    published = read_published(store, "mine")
+    again = StudyData(published, published.record)
+    for name in ("q_estimate", "q_true"):
+        np.testing.assert_array_equal(
+            again.table("evaluations")[name].to_numpy(), data.table("evaluations")[name].to_numpy()
+        )
