@@ -112,12 +112,14 @@ def judge(claims: ClaimList, store: Store) -> list[Judged]:
         for place in PLACES
     ]
     family = [(pair.contrast, claim.direction) for claim, _, pairs in open_cases for pair in pairs]
-    verdicts = iter(judge_list(family, ALPHA))
-    corrected = iter(holm([contrast.p_any for contrast, _ in family]))
+    found = judge_list(family, ALPHA)
+    left = found.count(INCONCLUSIVE)
+    verdicts, corrected = iter(found), iter(holm([contrast.p_any for contrast, _ in family]))
     judged = []
     for claim, place, pairs in open_cases:
         decided = tuple(
-            replace(pair, verdict=_verdict(pair, next(verdicts)), p=float(next(corrected))) for pair in pairs
+            _decided(replace(pair, verdict=next(verdicts), p=float(next(corrected))), claim, left)
+            for pair in pairs
         )
         if place in (*claim.settings, LOGS) and (decided or place != LOGS):
             judged.append(_judged(claim, place, _planned(claim, place, runs, decided, len(family))))
@@ -196,8 +198,19 @@ def _none(claim: Claim, reason: str) -> Contrast:
 # --- Verdicts ------------------------------------------------------------------------------------
 
 
-def _verdict(pair: Pair, found: str) -> str:
-    return UNTESTABLE if pair.contrast.reason else found
+def _decided(pair: Pair, claim: Claim, left: int) -> Pair:
+    """Call a contrast untestable that has a reason, or that no p-value of so few runs could have decided.
+
+    Args:
+        pair: with the verdict of the list.
+        claim: whose it is.
+        left: contrasts of the list that are not decided: by their number Holm multiplies the next p-value.
+    """
+    smallest = pair.contrast.smallest_p * (1 if claim.margin else 2)  # of equivalence, or of two sides
+    if pair.verdict == INCONCLUSIVE and not pair.contrast.reason and smallest * left > ALPHA:
+        told = f"too few seeds: the smallest p possible is {smallest:.2g}, and {left} contrasts are open"
+        return replace(pair, verdict=UNTESTABLE, contrast=replace(pair.contrast, reason=told))
+    return replace(pair, verdict=UNTESTABLE) if pair.contrast.reason else pair
 
 
 def _planned(

@@ -270,13 +270,30 @@ def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: P
     assert _one(store, tmp_path) == before
 
 
+FIVE = CLAIMS.replace("seeds = 8", "seeds = 5")
+MORE = FIVE[FIVE.index("[claims.better]") :].replace('a = "high"', 'a = "middle"')
+"""A claim without runs."""
+
+
+def _judge_among(count: int, store: Store, folder: Path) -> Judged:
+    """Judge the claim of five seeds in a list of so many, of which the others have no runs."""
+    more = "".join(MORE.replace("better", f"more-{k}") for k in range(count - 1))
+    return _judge(store, folder, FIVE + more)[0]
+
+
 def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> None:
     """Claims without runs count too: a verdict does not hang on what else has been run."""
     write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    claim = CLAIMS[CLAIMS.index("[claims.better]") :].replace('a = "high"', 'a = "middle"')
-    more = "".join(claim.replace("better", f"more-{k}") for k in range(400))
-    before, after = (_judge(store, tmp_path, text)[0] for text in (CLAIMS, CLAIMS + more))
-    assert before.claim == after.claim
-    assert (before.verdict, after.verdict) == ("supported", "inconclusive")
-    assert after.told is not None and after.told.p == pytest.approx(401 * 2 / 12870)
+    save_runs(store, tmp_path, {"high": HIGH[:5], "low": LOW[:5]})
+    six, seven = (_judge_among(count, store, tmp_path) for count in (6, 7))
+    assert (six.verdict, seven.verdict) == ("supported", "inconclusive")
+    assert six.told is not None and six.told.p == pytest.approx(6 * 2 / 252)  # 0.048
+    assert seven.told is not None and seven.told.p == pytest.approx(7 * 2 / 252)  # 0.056
+
+
+def test_seeds_may_be_too_few_for_a_list_alone(store: Store, tmp_path: Path) -> None:
+    """The smallest p of equivalence of 5 over 5 runs is 1 in 252: 12 times that is below 0.05."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": WIDE[:5], "low": WIDE[:5][::-1]})
+    reasons = [_judge_among(count, store, tmp_path).reason for count in (12, 13)]
+    assert reasons == ["", "too few seeds: the smallest p possible is 0.004, and 13 contrasts are open"]
