@@ -213,9 +213,10 @@ def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame)
         told = f"{plain(row['condition']):<18} seed {row['seed']:<6} {row['run_id']}"
         print(f"{told}  {update}step {row['onset_step']:,}: {row['signs']}{after}{again}")
     for row in shares.to_dict("records"):
-        interval = f"95 % interval {row['low']:.0%} to {row['high']:.0%}"
-        print(f"{plain(row['condition']):<18} {row['collapsed']} of {row['runs']} runs collapsed, {interval}")
-    print("Show the cause of one: pneuma study collapse " + plain(data.study) + " --fork")
+        interval = f", 95 % interval {row['low']:.0%} to {row['high']:.0%}" if row["runs"] else ""
+        print(f"{plain(row['condition']):<18} {row['collapsed']} of {row['runs']} runs collapsed{interval}")
+    if found["collapsed"].any():
+        print(f"To show the cause: pneuma study collapse {plain(data.study)} --fork")
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -103,7 +103,7 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
     rows: Sequence[dict[Any, Any]] = shares.to_dict("records")
     for place, row in enumerate(rows):
         colour = condition_look(data.conditions.index(row["condition"]))["color"]
-        axes.barh(place, row["share"], height=0.55, color=colour, alpha=0.85)
+        axes.barh(place, row["share"], height=0.55, color=colour, alpha=0.6)
         again = row["recovered"] / row["runs"] if row["runs"] else 0
         axes.barh(
             place, again, left=row["share"] - again, height=0.55, color="white", edgecolor=colour, linewidth=1

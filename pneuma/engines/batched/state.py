@@ -56,7 +56,8 @@ def restore_checkpoint(learner: Learner, checkpoint: Checkpoint, reset: str = ""
             zero = initial_state(learner.run.optimizer, fresh)
             for name, moment in learner.optimizer.items():
                 if name != "steps":
-                    learner.optimizer[name] = {**moment, "critic": zero[name]["critic"]}
+                    part = zero[name]["critic"]  # copied, as an optimizer's moments may begin as one array
+                    learner.optimizer[name] = {**moment, "critic": _rebuilt(part, "", dict(_named(part)))}
         learner.collector.generator.bit_generator.state = numbers["actions"]
         learner.generator.bit_generator.state = numbers["minibatches"]
     except (KeyError, ValueError, TypeError) as error:
