@@ -150,7 +150,10 @@ def _roughness(seen: RunView) -> float:
 
 def _overestimation(seen: RunView) -> float:
     """Return by how much the learner's own value of its play exceeds what that play returned."""
-    return _last(seen.evaluations("q_estimate")) - _last(seen.evaluations("q_true"))
+    steps, estimates = seen.evaluations("q_estimate")
+    true_steps, true = seen.evaluations("q_true")
+    _, of_estimate, of_true = np.intersect1d(steps, true_steps, return_indices=True)
+    return float(estimates[of_estimate[-1]] - true[of_true[-1]]) if len(of_true) else NAN
 
 
 # --- From training curves --------------------------------------------------------------------------

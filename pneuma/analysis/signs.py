@@ -32,9 +32,11 @@ def update_signs(
 
     Args:
         step: (updates,) rising.
-        columns: (updates,) each: entropy, dead_units, action_0 …; a NaN is no sign.
+        columns: (updates,) each: entropy, dead_units, action_0 …; a NaN is no sign, and one that is NaN
+            throughout, as entropy is where values of actions are learned, tells nothing.
         actions: how many actions have a column.
     """
+    columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
     held: dict[str, np.ndarray] = {}
     if "entropy" in columns:
         held[NO_ENTROPY] = columns["entropy"] < LEAST_ENTROPY

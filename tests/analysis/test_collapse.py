@@ -195,6 +195,13 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write
     assert data.budget == BUDGET
 
 
+def test_a_learner_without_entropy_is_not_said_to_have_kept_it(tmp_path: Path) -> None:
+    updates = one_action(61)
+    updates[:, 0] = np.nan
+    found = diagnosed(tmp_path, updates, learning())
+    assert (found.collapsed, found.unseen) == (False, ("no entropy",))
+
+
 def test_stretches_by_hand() -> None:
     step = np.array([10, 20, 30, 40, 50])
     assert signs.stretches(step, np.array([True, True, False, True, False])) == [(10, 20), (40, 40)]
