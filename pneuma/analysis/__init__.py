@@ -1,6 +1,6 @@
 """Analysis: from records to curves. Reads the store, trains nothing."""
 
-BAND_NAMES = ("std", "se", "minmax")
+BAND_NAMES = ("ci", "bootstrap", "se", "std", "variance", "minmax", "iqr", "runs")
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
 EXPORT_TABLES = (*RECORD_TABLES, "curves", "summary")
@@ -25,3 +25,9 @@ UPDATE_QUANTITIES = (
 
 PEAKED_QUANTITIES = ("entropy", "grad_norm")
 """Those of which the least and the greatest single update are kept, as means would hide them."""
+
+EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed")
+"""What a curve over evaluations may be of: columns of the evaluations table."""
+
+CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
+"""All that curves may be of."""

@@ -7,13 +7,16 @@ then are runs averaged, over those that have a value at t. Nothing is extrapolat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis import EVALUATION_QUANTITIES
+from pneuma.analysis.bands import BANDS, Edges, count_of, mean_of, variance_of
+from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.analysis.windows import GRID_POINTS, WINDOW_POINTS
 
 
 @dataclass(frozen=True)
@@ -24,63 +27,43 @@ class Curve:
         condition: its name.
         step: (points,) agent steps.
         runs: (seeds, points) each run's values, NaN where it has none.
+        diverged: (seeds,) whether each run ended in a loss, gradient or parameter that is not finite.
     """
 
     condition: str
     step: np.ndarray
     runs: np.ndarray
+    diverged: tuple[bool, ...] = ()
 
     @property
     def count(self) -> np.ndarray:
         """How many runs have a value at each point, (points,)."""
-        return np.isfinite(self.runs).sum(axis=0)
+        return count_of(self.runs)
 
     @property
     def mean(self) -> np.ndarray:
         """Mean over the runs that have a value, NaN where none has, (points,)."""
-        total = np.nansum(self.runs, axis=0)
-        return np.divide(total, self.count, out=np.full(total.shape, np.nan), where=self.count > 0)
+        return mean_of(self.runs)
 
     @property
     def deviation(self) -> np.ndarray:
         """Sample standard deviation over runs, NaN where fewer than two have a value, (points,)."""
-        squares = np.nansum((self.runs - self.mean) ** 2, axis=0)
-        many = self.count > 1
-        variance = np.divide(squares, self.count - 1, out=np.full(squares.shape, np.nan), where=many)
-        return np.sqrt(variance)
+        return np.sqrt(variance_of(self.runs))
 
-    def band(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+    def band(self, name: str) -> Edges:
         """Return lower and upper edge of a band of `BANDS`, NaN where fewer than two runs are."""
-        return BANDS[name].edges(self)
+        edges = BANDS[name].edges
+        return edges(self.runs) if edges else (np.full(self.step.shape, np.nan),) * 2
 
-
-@dataclass(frozen=True)
-class Band:
-    """What a band shows: its words for a legend, and its edges."""
-
-    label: str
-    edges: Callable[[Curve], tuple[np.ndarray, np.ndarray]]
-
-
-def _around(half: Callable[[Curve], np.ndarray]) -> Callable[[Curve], tuple[np.ndarray, np.ndarray]]:
-    return lambda curve: (curve.mean - half(curve), curve.mean + half(curve))
-
-
-def _extremes(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
-    low = np.where(np.isfinite(curve.runs), curve.runs, np.inf).min(axis=0)
-    high = np.where(np.isfinite(curve.runs), curve.runs, -np.inf).max(axis=0)
-    alone = curve.count < 2
-    return np.where(alone, np.nan, low), np.where(alone, np.nan, high)
-
-
-BANDS = {
-    "std": Band("± 1 standard deviation", _around(lambda curve: curve.deviation)),
-    "se": Band(
-        "± 1 standard error",
-        _around(lambda curve: curve.deviation / np.sqrt(np.maximum(curve.count, 1))),
-    ),
-    "minmax": Band("least to greatest", _extremes),
-}
+    @property
+    def stops(self) -> list[tuple[float, float]]:
+        """Step and value at which the curve of each diverged run ends, where it has any."""
+        ends = [np.flatnonzero(np.isfinite(run))[-1:] for run in self.runs]
+        return [
+            (float(self.step[end[0]]), float(run[end[0]]))
+            for run, end, diverged in zip(self.runs, ends, self.diverged, strict=False)
+            if diverged and len(end)
+        ]
 
 
 def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
@@ -95,25 +78,65 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
     Raises:
         UserError: for a quantity or window that the study's data does not have.
     """
-    groups = {condition: data.of_condition(condition) for condition in data.conditions}
     return [
-        Curve(condition, data.grid, np.stack([data.curve(run, quantity, window) for run in runs]))
-        for condition, runs in groups.items()
-        if runs
+        _curve(condition, data.grid, [data.curve(run, quantity, window) for run in runs], runs)
+        for condition, runs in _groups(data).items()
     ]
 
 
 def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
     """Return the curve of an evaluation column of every condition, at the evaluations' own steps."""
-    evaluations = data.table("evaluations")
     curves = []
-    for condition in data.conditions:
-        runs = [run.run_id for run in data.of_condition(condition)]
-        own = evaluations[evaluations["condition"] == condition]
-        wide = own.pivot(index="run_id", columns="step", values=column).reindex(runs)
-        if runs:
-            curves.append(Curve(condition, wide.columns.to_numpy(float), wide.to_numpy(float)))
+    for condition, runs in _groups(data).items():
+        tables = [data.run_table(run, "evaluations") for run in runs]
+        step = np.unique(np.concatenate([table["step"].to_numpy(float) for table in tables]))
+        values = np.full((len(runs), len(step)), np.nan)
+        for row, table in zip(values, tables, strict=True):
+            row[np.searchsorted(step, table["step"].to_numpy(float))] = table[column].to_numpy(float)
+        curves.append(_curve(condition, step, values, runs))
     return curves
+
+
+def curve_names(data: StudyData) -> list[str]:
+    """Return the names of all curves that a study's data has."""
+    columns = data.run_table(data.runs[0], "evaluations").columns if "evaluations" in data.tables else ()
+    return [*(name for name in EVALUATION_QUANTITIES if name in columns), *data.quantities]
+
+
+def study_curves(data: StudyData, name: str, window: str | None = None) -> list[Curve]:
+    """Return one of `curve_names` of every condition, over evaluations or over training.
+
+    Raises:
+        UserError: for a name or window that the study's data does not have.
+    """
+    if name in EVALUATION_QUANTITIES and name in curve_names(data):
+        return evaluation_curves(data, name)
+    return training_curves(data, name, window)
+
+
+def common_step(data: StudyData) -> int:
+    """Return the largest step count that every condition was to train for: where sizes are compared.
+
+    A diverged run counts as having had its whole budget, for its end is its result.
+    """
+    return min(max(run.budget for run in runs) for runs in _groups(data).values())
+
+
+def has_shorter(data: StudyData) -> bool:
+    """Tell whether some condition trains for less than the others by more than a window of a curve."""
+    return common_step(data) < data.budget * (1 - WINDOW_POINTS / GRID_POINTS)
+
+
+def _groups(data: StudyData) -> dict[str, list[FinishedRun]]:
+    """Return the finished runs of every condition that has any."""
+    groups = {condition: data.of_condition(condition) for condition in data.conditions}
+    return {condition: runs for condition, runs in groups.items() if runs}
+
+
+def _curve(
+    condition: str, step: np.ndarray, values: Sequence[np.ndarray] | np.ndarray, runs: Sequence[FinishedRun]
+) -> Curve:
+    return Curve(condition, step, np.stack(list(values)), tuple(run.status == "diverged" for run in runs))
 
 
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:

@@ -18,6 +18,7 @@ import pandas as pd
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
+from pneuma.study.spec import in_setting, split_setting
 from pneuma.study.store import Status
 
 
@@ -130,6 +131,7 @@ class StudyData:
                 raise UserError(
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
+        self.figure = in_setting(self.figure, split_setting(self.study)[1])  # both have figures
         self.same: list[list[str]] = record["same"]
         self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in record["runs"]))
         self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in record["runs"]))
@@ -200,18 +202,26 @@ class StudyData:
         Raises:
             UserError: where the source has no such table.
         """
+        frames = []
+        for run in self.runs:
+            frame = self.run_table(run, name).copy()
+            for place, column in enumerate(("condition", "seed", "run_id")):
+                frame.insert(place, column, getattr(run, column))
+            frames.append(frame)
+        return pd.concat(frames, ignore_index=True)
+
+    def run_table(self, run: FinishedRun, name: str) -> pd.DataFrame:
+        """Return one of `RECORD_TABLES` of one run.
+
+        Raises:
+            UserError: where the source has no such table.
+        """
         if name not in self.tables:
             raise UserError(
                 f"study {self.study}: {self.source.what} holds no {name}; "
                 f"there are {', '.join((*self.tables, 'curves'))}"
             )
-        frames = []
-        for run in self.runs:
-            frame = self.source.table(run, name).copy()
-            for place, column in enumerate(("condition", "seed", "run_id")):
-                frame.insert(place, column, getattr(run, column))
-            frames.append(frame)
-        return pd.concat(frames, ignore_index=True)
+        return self.source.table(run, name)
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,), NaN where it has no value.

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import study_map, study_output, study_run, study_summary, study_verify
+from pneuma.cli import study_map, study_output, study_plot, study_run, study_summary, study_verify
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -35,7 +35,7 @@ RESULTS = Path("results")
 
 app.command("plan")(study_run.plan_)
 app.command()(study_run.run)
-app.command()(study_output.plot)
+app.command()(study_plot.plot)
 app.command()(study_output.export)
 app.command()(study_output.publish)
 app.command()(study_summary.summary)

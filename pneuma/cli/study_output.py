@@ -1,17 +1,15 @@
-"""`pneuma study plot`, `export` and `publish`: what people take away from a study."""
+"""`pneuma study export` and `publish`: what people take away from a study, beside figures."""
 
 from __future__ import annotations
 
 import sys
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pneuma.analysis import BAND_NAMES, EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TABLES, WINDOWS
+from pneuma.analysis import EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -28,10 +26,8 @@ from pneuma.cli.options import (
     say,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_records import known_studies, study_record
+from pneuma.cli.study_records import study_record
 from pneuma.errors import UserError, unknown_name
-from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.plan import Selection
 from pneuma.study.store import Store, write_whole
 
 if TYPE_CHECKING:
@@ -40,52 +36,6 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 MOST_PUBLISHED_BYTES = 20_000_000
 """Over all studies (design section 4)."""
-
-
-def plot(
-    names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
-    ] = None,
-    band: Annotated[
-        str, typer.Option("--band", metavar="|".join(BAND_NAMES), help="What the band shows.")
-    ] = "std",
-    window: Annotated[
-        str | None,
-        typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages."),
-    ] = None,
-    format: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--format",
-            metavar="|".join(FIGURE_FORMATS),
-            help="File formats (may be repeated; default: png and svg).",
-        ),
-    ] = None,
-    preset: Preset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    setting: SettingName = None,
-    results: Results = RESULTS,
-    json: Json = False,
-) -> None:
-    """Draw a study's figure: mean over seeds with a band, return and monsters killed."""
-    formats = tuple(format or ("png", "svg"))
-    _check_looks(band, window, formats)
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
-    store = Store(results)
-    studies = _studies_to_draw(store, names or known_studies(store, setting), selection, window, setting)
-    paths = _draw(store, studies, out, lambda data, folder: _figure(data, folder, band, window, formats))
-    if json:
-        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
-    for path in paths:
-        print(f"wrote {plain(str(path))}")
-    return None
 
 
 def export(
@@ -124,7 +74,7 @@ def export(
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record)
-    _tell_left_out(data)
+    tell_left_out(data)
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
     if str(out) != "-":
@@ -163,7 +113,7 @@ def publish(
     data = open_study(store, record)
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
-    _tell_left_out(data)
+    tell_left_out(data)
     encoded = encode_study(data)
     path = published_path(store, data.study)
     store.write(path, encoded)
@@ -178,71 +128,7 @@ def publish(
     return None
 
 
-def _check_looks(band: str, window: str | None, formats: Iterable[str]) -> None:
-    check_choice("--band", band, BAND_NAMES)
-    if window is not None:
-        check_choice("--window", window, WINDOWS)
-    for form in formats:
-        check_choice("--format", form, FIGURE_FORMATS)
-
-
-def _studies_to_draw(
-    store: Store,
-    names: Sequence[str],
-    selection: Selection | None,
-    window: str | None,
-    setting: str | None,
-) -> list[StudyData]:
-    """Return the data of studies, each with a figure's name of its own."""
-    from pneuma.analysis.sources import open_study
-
-    if not names:
-        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
-    studies = [open_study(store, study_record(store, name, selection, setting)) for name in names]
-    for data in studies:
-        data.checked_window(window)
-    stems = Counter(data.figure for data in studies)
-    for data in studies:
-        if stems[data.figure] > 1:
-            data.figure += f"-{data.study}"
-    return studies
-
-
-def _draw(
-    store: Store,
-    studies: Sequence[StudyData],
-    out: Path | None,
-    figure: Callable[[StudyData, Path], list[Path]],
-) -> list[Path]:
-    """Draw studies into a folder that a person names, or else into that of the results.
-
-    In a results folder, which may be a stranger's, no link is followed.
-    """
-    if out is not None:
-        check_folder("--out", out)
-    else:
-        store.check_writable()
-    for data in studies:
-        _tell_left_out(data)
-    if out is not None:
-        return [path for data in studies for path in figure(data, out)]
-    with TemporaryDirectory() as folder:
-        drawn = [path for data in studies for path in figure(data, Path(folder))]
-        paths = {path: store.root / "figures" / path.name for path in drawn}
-        for path, target in paths.items():
-            store.write(target, path.read_bytes())
-    return list(paths.values())
-
-
-def _figure(
-    data: StudyData, folder: Path, band: str, window: str | None, formats: tuple[str, ...]
-) -> list[Path]:
-    from pneuma.figures.curves import draw_study
-
-    return draw_study(data, folder, band, window, formats)
-
-
-def _tell_left_out(data: StudyData) -> None:
+def tell_left_out(data: StudyData) -> None:
     """Say how many runs of a selection are not shown, if any."""
     if data.left_out:
         of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"

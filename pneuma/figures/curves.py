@@ -1,142 +1,164 @@
-"""The figure of a study: training return, and beside it the share of monsters killed in evaluation."""
+"""The figure of a study's curves: the share of monsters killed and the return, or whatever is asked for.
+
+Few conditions share a panel; more than eight get a panel each, with the others' means behind it.
+"""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from pneuma.analysis import WINDOWS
-from pneuma.analysis.curves import BANDS, Curve, evaluation_curves, training_curves
+from pneuma.analysis.curves import Curve, common_step, curve_names, has_shorter, study_curves
+from pneuma.analysis.references import PLAYERS, shared_levels
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.style import condition_look, house_style, save_figure
+from pneuma.figures.captions import caption_of, headline_of, legend_title_of
+from pneuma.figures.multiples import draw_multiples
+from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes
+from pneuma.figures.quantities import look_of
+from pneuma.figures.sizes import SIZES, Size
+from pneuma.figures.style import house_style, save_figure
+from pneuma.figures.words import Words
 
-WIDTH_INCHES, HEIGHT_INCHES = 7.0, 3.4
-LEGEND_COLUMNS = 4
-LEGEND_ROW_INCHES = 0.22
+USUAL_BAND = {"pneuma": "ci", "thesis": "minmax"}
+"""Of each layout; the author's own script drew the least and the greatest."""
+USUAL_QUANTITIES = ("share_killed", "return")
+MOST_IN_A_PANEL = 8
+ALONE = 1.3
+"""How much higher a panel is that stands alone."""
+THESIS_WINDOW = "trailing-100"
+LONGEST_STEM = 100
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How a figure of curves is drawn, with nothing left open: what an index tells of it."""
+
+    quantities: tuple[str, ...]
+    band: str
+    window: str
+    layout: str
+    size: str
 
 
 def draw_study(
     data: StudyData,
     folder: Path,
-    band: str = "std",
+    band: str | None = None,
     window: str | None = None,
     formats: tuple[str, ...] = ("png", "svg"),
+    *,
+    quantities: Sequence[str] = (),
+    layout: str = "pneuma",
+    size: str = "page",
 ) -> list[Path]:
-    """Draw a study's figure from its finished runs; return the files written.
+    """Draw a study's curves from its finished runs; return the files written.
 
     Args:
-        data: the study; without evaluations, as imported logs are, its return alone is drawn.
+        data: the study.
         folder: where to write.
-        band: one of `BANDS`.
-        window: one of the study's windows, the usual one when left out.
+        band: one of `BANDS`; the layout's usual one when left out.
+        window: one of the study's windows; the layout's usual one when left out.
         formats: of `FIGURE_FORMATS`.
+        quantities: of `curve_names`; when left out, the share killed and the return, of these what there
+            is, and the first of them alone where each condition has a panel.
+        layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
+        size: one of `SIZES`.
 
     Raises:
-        UserError: for a window that the study's data does not have, or data without returns.
+        UserError: for a quantity or window that the study's data does not have, data without curves, or
+            more panels than a slide has room for.
     """
-    window = data.checked_window(window)
-    returns = training_curves(data, "return", window)
-    evaluations = data.table("evaluations") if "evaluations" in data.tables else None
-    with house_style():
-        rows = -(-(len(data.conditions) + 1) // LEGEND_COLUMNS)
-        height = HEIGHT_INCHES + LEGEND_ROW_INCHES * (rows - 1)
-        figure = Figure(figsize=(WIDTH_INCHES, height), layout="constrained")
-        panels = figure.subplots(1, 1 if evaluations is None else 2, squeeze=False)[0]
-        _draw_returns(panels[0], data, returns, band)
-        if evaluations is not None:
-            _draw_killed(panels[1], data, evaluations, band)
-        _add_words(figure, panels[-1], _headline(data), _caption(data, evaluations, band, window))
-        return save_figure(figure, folder, data.figure, formats)
+    drawing = settle(data, band, window, quantities=quantities, layout=layout, size=size)
+    curves = {name: study_curves(data, name, drawing.window) for name in drawing.quantities}
+    caption = caption_of(data, curves, drawing.band, drawing.window)
+    words = Words(headline_of(data), legend_title_of(drawing.band), caption)
+    draw = draw_multiples if len(data.conditions) > MOST_IN_A_PANEL else draw_panels
+    how = SIZES[size]
+    with house_style(how.type_points):
+        figure = draw(data, curves, drawing.band, how, words)
+        return save_figure(figure, folder, file_stem(data, drawing), formats, how.dots_per_inch)
 
 
-def _draw_returns(axes: Axes, data: StudyData, curves: Sequence[Curve], band: str) -> None:
-    _draw_panel(axes, data, curves, band)
-    averaged = data.averaged_over
-    axes.set(
-        title="Return in training",
-        xlabel="Environment steps",
-        ylabel=f"Return, mean of {averaged} episodes" if averaged else "Return of an episode",
-    )
+def settle(
+    data: StudyData,
+    band: str | None = None,
+    window: str | None = None,
+    *,
+    quantities: Sequence[str] = (),
+    layout: str = "pneuma",
+    size: str = "page",
+) -> Drawing:
+    """Return how `draw_study` draws, given the same.
+
+    Raises:
+        UserError: as it does.
+    """
+    wanted = window or (THESIS_WINDOW if layout == "thesis" else None)
+    names = tuple(dict.fromkeys(quantities)) or _usual(data, layout)
+    return Drawing(names, band or USUAL_BAND[layout], data.checked_window(wanted), layout, size)
 
 
-def _draw_killed(axes: Axes, data: StudyData, evaluations: pd.DataFrame, band: str) -> None:
-    _draw_panel(axes, data, evaluation_curves(data), band, marked=True)
-    if len(evaluations):
-        level = evaluations["random_share_killed"].mean()
-        axes.axhline(level, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)), label="random player")
-    axes.set(title="Monsters killed in evaluation", xlabel="Environment steps", ylabel="Share killed")
-    axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
-    axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=None))
+def file_stem(data: StudyData, drawing: Drawing) -> str:
+    """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
+    differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
+    if drawing.quantities != _usual(data, drawing.layout):
+        every = list(drawing.quantities) == curve_names(data)
+        differs = ["all" if every else _shortened(drawing.quantities), *differs]
+    return "-".join([data.figure, *differs])
 
 
-def _add_words(figure: Figure, axes: Axes, headline: str, caption: str) -> None:
-    """Put the headline and a row or more of legend above the panels, and the caption below."""
-    lines, labels = axes.get_legend_handles_labels()
-    rows = -(-len(labels) // LEGEND_COLUMNS)
-    height = figure.get_size_inches()[1]
-    top, bottom = 1 - (0.27 + LEGEND_ROW_INCHES * rows) / height, 0.34 / height
-    figure.get_layout_engine().set(rect=(0, bottom, 1, top - bottom))  # type: ignore[union-attr, call-arg]
-    figure.text(0.01, 1 - 0.2 / height, headline, fontsize=10)
-    figure.legend(
-        lines,
-        labels,
-        loc="upper left",
-        bbox_to_anchor=(0.0, 1 - 0.2 / height),
-        ncols=LEGEND_COLUMNS,
-        handlelength=3.2,
-    )
-    figure.text(0.01, 0.07 / height, caption, fontsize=6.2, color="#444444", linespacing=1.4)
+def _shortened(names: Sequence[str]) -> str:
+    """Return names in a row; where these are many, the first and a count of the others."""
+    whole = "-".join(names)
+    return whole if len(whole) <= LONGEST_STEM else f"{names[0]}-and-{len(names) - 1}-more"
 
 
-def _draw_panel(
-    axes: Axes, data: StudyData, curves: Sequence[Curve], band: str, marked: bool = False
-) -> None:
+def draw_panels(
+    data: StudyData, curves: dict[str, list[Curve]], band: str, size: Size, words: Words
+) -> Figure:
+    """Draw a panel of all conditions for each quantity."""
+    figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
+    rows, columns = size.grid(len(curves))
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    room = size.characters(1.3 * size.type_points) // columns  # titles are larger, and bold
+    entries: dict[str, Artist] = {}
+    for place, (axes, (name, group)) in enumerate(zip(panels, curves.items(), strict=False)):
+        draw_panel(axes, data, name, group, band)
+        axes.set_title("\n".join(textwrap.wrap(axes.get_title(loc="left"), room)))
+        lowest = place + columns >= len(curves)
+        axes.set_xlabel("Environment steps" if lowest else "")
+        handles, labels = axes.get_legend_handles_labels()
+        entries |= dict(zip(labels, handles, strict=True))
+    for axes in panels[len(curves) :]:
+        axes.remove()
+    players_last = dict(sorted(entries.items(), key=lambda entry: entry[0] in PLAYERS))
+    wanted = rows * size.panel_height * (ALONE if rows == columns == 1 else 1)
+    low, high = words.put(figure, size, wanted, players_last)
+    size.check_room(rows, high - low)
+    return figure
+
+
+def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], band: str) -> None:
+    """Draw one quantity of all conditions, with its reference lines and title."""
+    look = look_of(name, data.averaged_over)
     for curve in curves:
-        look = condition_look(data.conditions.index(curve.condition))
-        low, high = curve.band(band)
-        axes.fill_between(curve.step, low, high, color=look["color"], alpha=0.16, linewidth=0)
-        at_end = int(curve.count[-1]) if len(curve.count) else 0
-        runs = data.of_condition(curve.condition)
-        longest = max(run.budget for run in runs)
-        whole = all(run.status == "done" and run.end >= longest for run in runs)
-        fewer = "" if whole else f", {at_end} at the end"  # other conditions may go further
-        label = f"{curve.condition} (n = {len(curve.runs)}{fewer})"
-        look["marker"] = look["marker"] if marked else ""
-        of_all = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
-        (line,) = axes.plot(curve.step, of_all, label=label, markersize=2.8, clip_on=False, **look)
-        line.set_in_layout(False)  # it may reach over the edge, and may be empty
-        axes.plot(curve.step, curve.mean, alpha=0.35, markersize=2.8, zorder=1.5, **look)
-    axes.set_xlim(0, data.budget)
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    if np.ptp(axes.get_ylim()) > 5000:
-        axes.yaxis.set_major_formatter(EngFormatter(sep=""))
+        place = data.conditions.index(curve.condition)
+        draw_curve(axes, curve, band, place, label_of(data, curve, band), 0.16 if len(curves) < 5 else 0.09)
+    draw_references(axes, shared_levels(data, name))
+    if has_shorter(data):
+        draw_common_step(axes, common_step(data))
+    axes.set(title=look.title, ylabel=look.label)
+    set_axes(axes, look, data.budget, curves)
 
 
-def _headline(data: StudyData) -> str:
-    same = "; ".join(" = ".join(names) for names in data.same)
-    return data.title + (f"   (A/A: {same} are one configuration)" if same else "")
-
-
-def _caption(data: StudyData, evaluations: pd.DataFrame | None, band: str, window: str) -> str:
-    words = (
-        f"{', '.join(data.environments)}. Lines: mean over n runs, faint where fewer have a value; "
-        f"bands: {BANDS[band].label}.\n"
-    )
-    if data.averaged_over:
-        logger = f"averaged over its last {data.averaged_over} episodes by Stable-Baselines3"
-        return f"{words}Returns are as they were logged: each run's is already {logger}."
-    episodes = {
-        WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
-        WINDOWS[1]: "each run's last 100 episodes",
-    }[window]
-    words += f"Return averages {episodes}."
-    if evaluations is not None and len(evaluations):
-        hunter = evaluations["hunter_share_killed"].mean()
-        words += f" On the right the scripted hunter would be at {hunter:.0%}."
-    return words
+def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
+    """Return what is drawn where nothing is asked for."""
+    wanted = USUAL_QUANTITIES if layout == "pneuma" else ("return",)
+    names = tuple(name for name in wanted if name in curve_names(data)) or ("return",)
+    return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names

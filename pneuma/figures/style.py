@@ -26,13 +26,12 @@ DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
+TYPE_POINTS = 8.0
+
 _RC: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
-    "font.size": 8,
-    "axes.titlesize": 9,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.labelsize": 8,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -40,10 +39,6 @@ _RC: Any = {
     "grid.color": "#DDDDDD",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
-    "legend.fontsize": 8,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "lines.linewidth": 1.6,
     "figure.dpi": 300,
     "savefig.dpi": "figure",
     "svg.hashsalt": "pneuma",
@@ -52,6 +47,18 @@ _RC: Any = {
     "pdf.fonttype": 42,
     "pdf.compression": 6,
 }
+
+_RELATIVE_TYPE: Any = {
+    "font.size": 1.0,
+    "axes.titlesize": 1.125,
+    "axes.labelsize": 1.0,
+    "legend.fontsize": 1.0,
+    "legend.title_fontsize": 0.9,
+    "xtick.labelsize": 0.9375,
+    "ytick.labelsize": 0.9375,
+    "lines.linewidth": 0.2,
+}
+"""In units of the text's size; so that lines grow with it."""
 
 _NO_DATES = {
     "png": {"Software": None},
@@ -74,12 +81,13 @@ def condition_look(place: int) -> dict[str, Any]:
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """Draw in Pneuma's look, whatever the user's own settings are."""
+def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
+    """Draw in Pneuma's look, whatever the user's own settings are, with text of a size in points."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.use("agg")
         mpl.rcParams.update(_RC)
+        mpl.rcParams.update({key: type_points * share for key, share in _RELATIVE_TYPE.items()})
         yield
 
 

@@ -8,12 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pneuma.analysis import WINDOWS
+from pneuma.analysis import BAND_NAMES, WINDOWS
+from pneuma.analysis.bands import BANDS, coverage
 from pneuma.analysis.curves import (
-    BANDS,
     Curve,
+    common_step,
     curves_table,
     evaluation_curves,
+    has_shorter,
     training_curves,
 )
 from pneuma.analysis.run_records import RunRecords
@@ -211,6 +213,7 @@ CURVE = Curve(
 )
 # means (1 + 3 + 8) / 3 = 4, (2 + 4) / 2 = 3; squares about them 9 + 1 + 16 = 26 over 2, 1 + 1 = 2 over 1
 ROOT_13, ROOT_2 = 3.605551275463989, 1.4142135623730951
+T_2, T_1 = 4.302652729911275, 12.706204736432095  # of a table: 97.5 % of Student's t, 2 and 1 degrees
 
 
 def test_count_mean_and_deviation() -> None:
@@ -224,7 +227,12 @@ def test_count_mean_and_deviation() -> None:
     [
         ("std", [4 - ROOT_13, 3 - ROOT_2], [4 + ROOT_13, 3 + ROOT_2]),
         ("se", [4 - 2.0816659994661326, 2], [4 + 2.0816659994661326, 4]),  # sqrt(13 / 3), sqrt(2 / 2)
+        ("ci", [4 - T_2 * 2.0816659994661326, 3 - T_1], [4 + T_2 * 2.0816659994661326, 3 + T_1]),
+        ("variance", [4 - 13, 3 - 2], [4 + 13, 3 + 2]),
         ("minmax", [1, 2], [8, 4]),
+        ("iqr", [2, 2.5], [5.5, 3.5]),  # half way from 1 to 3, from 3 to 8; a quarter of the way from 2 to 4
+        ("bootstrap", [1, 2], [8, 4]),  # a resample of three is all least in 1/27, of two in 1/4: over 2.5 %
+        ("runs", [NAN, NAN], [NAN, NAN]),
     ],
 )
 def test_a_band_has_its_edges_and_none_for_a_single_run(
@@ -235,12 +243,32 @@ def test_a_band_has_its_edges_and_none_for_a_single_run(
     np.testing.assert_allclose(edges[1], [*high, NAN, NAN])
 
 
-def test_every_band_says_what_it_is() -> None:
-    assert {name: band.label for name, band in BANDS.items()} == {
-        "std": "± 1 standard deviation",
-        "se": "± 1 standard error",
-        "minmax": "least to greatest",
-    }
+def test_every_band_has_a_name_and_says_what_it_is() -> None:
+    assert tuple(BANDS) == BAND_NAMES
+    assert len({band.label for band in BANDS.values()}) == len(BANDS)
+
+
+@pytest.mark.parametrize(("count", "covered"), [(1, 0.0), (2, 0.5), (3, 3**-0.5), (10**6, 0.6826894)])
+def test_a_standard_error_covers_what_student_says(count: int, covered: float) -> None:
+    """Within 1: half of a Cauchy distribution, 1 / sqrt(3) of t with 2 degrees, and at last of a normal."""
+    assert coverage("se", count) == pytest.approx(covered, abs=1e-6)
+
+
+def test_bands_about_runs_claim_nothing_about_the_mean() -> None:
+    assert [name for name in BANDS if coverage(name, 10) is None] == [
+        "std",
+        "variance",
+        "minmax",
+        "iqr",
+        "runs",
+    ]
+
+
+@pytest.mark.parametrize("name", ["ci", "bootstrap", "se"])
+def test_a_bands_coverage_is_what_a_simulation_gives(name: str) -> None:
+    """Of 4,000 samples of ten normal runs, each a point; four standard errors are 0.03."""
+    low, high = Curve("a", np.arange(4000.0), np.random.default_rng(0).normal(size=(10, 4000))).band(name)
+    assert np.mean((low <= 0) & (high >= 0)) == pytest.approx(coverage(name, 10), abs=0.03)
 
 
 @pytest.mark.parametrize("band", BANDS)
@@ -281,6 +309,20 @@ def test_another_column_of_the_evaluations_can_be_asked_for() -> None:
     table = pd.DataFrame({"condition": ["a"], "run_id": ["r"], "step": [64], "score": [0.5]})
     (curve,) = evaluation_curves(_data([("a", "r", 64, 1)], evaluations=table), "score")
     np.testing.assert_array_equal(curve.runs, [[0.5]])
+
+
+def test_a_diverged_runs_curve_stops_at_its_last_value() -> None:
+    runs = np.array([[1.0, 2.0, NAN], [3.0, 4.0, 5.0], [NAN, NAN, NAN]])
+    curve = Curve("a", np.array([10.0, 20.0, 30.0]), runs, (True, False, True))
+    assert curve.stops == [(20.0, 2.0)]  # the last one has no value at all
+
+
+def test_conditions_are_compared_at_the_largest_step_that_all_train_for() -> None:
+    runs = [("small", "r1", 200, 1), ("small", "r2", 160, 1), ("big", "r3", 100, 1)]
+    data = _data(runs)
+    assert (common_step(data), has_shorter(data)) == (100, True)
+    close = _data([("a", "r1", 200, 1), ("b", "r2", 192, 1)])  # within a window of the other's end
+    assert (common_step(close), has_shorter(close)) == (192, False)
 
 
 def test_the_table_of_curves_has_a_row_for_each_point() -> None:

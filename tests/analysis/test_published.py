@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis import WINDOWS
-from pneuma.analysis.curves import BANDS
+from pneuma.analysis.bands import BANDS
 from pneuma.analysis.published import encode_study, published_path, published_studies, read_published
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError

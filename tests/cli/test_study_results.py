@@ -195,7 +195,7 @@ def test_plot_writes_into_the_results_unless_told_otherwise(trained: Trained, tm
     results = Path(shutil.copytree(trained.results, tmp_path / "results"))
     called = _call("study", "plot", "--results", results)
     assert called.code == 0
-    assert sorted(os.listdir(results / "figures")) == ["fig-6-5.png", "fig-6-5.svg"]
+    assert sorted(os.listdir(results / "figures")) == ["fig-6-5.png", "fig-6-5.svg", "index.json"]
     out = tmp_path / "out"
     called = _call(
         "study", "plot", "activation", "--results", results, "--out", out, "--format", "pdf", "--json"

@@ -2,141 +2,37 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
-from pneuma.analysis.sources import open_study
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS
 from pneuma.errors import UserError
-from pneuma.figures import FIGURE_FORMATS, curves, style
-from pneuma.figures.curves import draw_study
-from pneuma.study.store import Status, Store
-from pneuma.study.tables import to_parquet
+from pneuma.figures import FIGURE_FORMATS
+from pneuma.study.store import Status
 
-BUDGET = 1000
-
-
-def _id(condition: str, seed: int) -> str:
-    """Return sixteen hexadecimal digits for a run."""
-    return hashlib.sha256(f"{condition} {seed}".encode()).hexdigest()[:16]
-
-
-class _Study:
-    """A results folder that is filled by hand, and the selection that it was recorded for."""
-
-    def __init__(self, folder: Path) -> None:
-        self.store = Store(folder / "results")
-        self.record: dict[str, Any] = {
-            "study": "mine",
-            "title": "Mine",
-            "figure": "fig-mine",
-            "same": [],
-            "runs": [],
-        }
-
-    def add(
-        self,
-        condition: str,
-        seed: int,
-        episodes: int = 20,
-        evaluations: Sequence[float] = (0.1, 0.2, 0.3, 0.4),
-        status: str = "done",
-        run_id: str = "",
-    ) -> None:
-        """Store a run that finished an episode every 50 steps and was evaluated every 250."""
-        run_id = run_id or _id(condition, seed)
-        settings = {"steps": BUDGET, "slots": 1, "env": "pneuma/Pneuma-v0"}
-        self.record["runs"].append({"condition": condition, "seed": seed, "run_id": run_id, "run": settings})
-        files = {
-            "episodes.parquet": to_parquet([_episode(k, seed) for k in range(episodes)], EPISODE_COLUMNS),
-            "evaluations.parquet": to_parquet(
-                [_evaluation(k, share) for k, share in enumerate(evaluations)], EVALUATION_COLUMNS
-            ),
-        }
-        self.store.save_run(run_id, Status(status, BUDGET), files)
-
-    def draw(self, folder: Path, **options: Any) -> list[Path]:
-        return draw_study(open_study(self.store, self.record), folder, **options)
-
-
-def _episode(k: int, seed: int) -> dict[str, Any]:
-    row = {"slot": 0, "episode": k, "step": 50 * (k + 1), "return": float(k + seed), "length": 50}
-    return {**row, "kills": 1, "hp": 0.0, "ending": "killed"}
-
-
-def _evaluation(k: int, share: float) -> dict[str, Any]:
-    return {
-        **dict.fromkeys(EVALUATION_COLUMNS, 0.5),
-        "step": 250 * (k + 1),
-        "episodes": 50,
-        "argmax_starts": 6,
-        "share_killed": share,
-    }
-
-
-@pytest.fixture
-def study(tmp_path: Path) -> _Study:
-    study = _Study(tmp_path)
-    for seed in (0, 1):
-        study.add("tanh", seed)
-        study.add("relu", seed, evaluations=(0.0, 0.1, 0.1, 0.2))
-    return study
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that were about to be saved; they are saved all the same."""
-    figures: list[Figure] = []
-
-    def save(figure: Figure, *arguments: Any) -> list[Path]:
-        figures.append(figure)
-        return style.save_figure(figure, *arguments)
-
-    monkeypatch.setattr(curves, "save_figure", save)
-    return figures
-
-
-def _legend(figure: Figure) -> list[str]:
-    (legend,) = figure.legends
-    return [text.get_text() for text in legend.get_texts()]
-
-
-def _words(figure: Figure) -> str:
-    return "\n".join(text.get_text() for text in figure.findobj(Text) if isinstance(text, Text))
-
-
-def _headline(figure: Figure) -> str:
-    """Return the line that begins with the study's title."""
-    (line,) = [line for line in _words(figure).splitlines() if line.startswith("Mine")]
-    return line
-
+from .hand_made import BUDGET, HandMade, headline, legend, make_id, words
 
 # --- Files ---------------------------------------------------------------------------------------
 
 
-def test_a_figure_is_named_by_its_study(study: _Study, tmp_path: Path) -> None:
+def test_a_figure_is_named_by_its_study(study: HandMade, tmp_path: Path) -> None:
     paths = study.draw(tmp_path / "figures", formats=("png", "svg", "pdf"))
     assert paths == [tmp_path / "figures" / f"fig-mine.{form}" for form in ("png", "svg", "pdf")]
     assert sorted((tmp_path / "figures").iterdir()) == sorted(paths)
 
 
 @pytest.mark.parametrize("form", FIGURE_FORMATS)
-def test_drawing_twice_gives_the_same_bytes(study: _Study, tmp_path: Path, form: str) -> None:
+def test_drawing_twice_gives_the_same_bytes(study: HandMade, tmp_path: Path, form: str) -> None:
     (first,) = study.draw(tmp_path / "first", formats=(form,))
     (second,) = study.draw(tmp_path / "second", formats=(form,))
     assert first.read_bytes() == second.read_bytes()
     assert len(first.read_bytes()) > 5000
 
 
-def test_a_persons_own_style_changes_no_byte(study: _Study, tmp_path: Path) -> None:
+def test_a_persons_own_style_changes_no_byte(study: HandMade, tmp_path: Path) -> None:
     (first,) = study.draw(tmp_path / "first", formats=("svg",))
     with mpl.rc_context({"lines.linewidth": 9.0, "font.size": 20, "axes.facecolor": "red"}):
         (second,) = study.draw(tmp_path / "second", formats=("svg",))
@@ -144,9 +40,9 @@ def test_a_persons_own_style_changes_no_byte(study: _Study, tmp_path: Path) -> N
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_other_numbers_give_other_bytes(study: _Study, tmp_path: Path) -> None:
+def test_other_numbers_give_other_bytes(study: HandMade, tmp_path: Path) -> None:
     (first,) = study.draw(tmp_path / "first", formats=("svg",))
-    study.store.save_run(_id("tanh", 0), Status("planned"), {})
+    study.store.save_run(make_id("tanh", 0), Status("planned"), {})
     study.record["runs"].pop(0)
     study.add("tanh", 0, evaluations=(0.1, 0.2, 0.3, 0.9))
     (second,) = study.draw(tmp_path / "second", formats=("svg",))
@@ -156,54 +52,65 @@ def test_other_numbers_give_other_bytes(study: _Study, tmp_path: Path) -> None:
 # --- What it says --------------------------------------------------------------------------------
 
 
-def test_the_legend_says_of_how_many_runs(study: _Study, tmp_path: Path, drawn: list[Figure]) -> None:
+def test_the_legend_says_of_how_many_runs(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("tanh", 2)
     study.draw(tmp_path)
-    assert _legend(drawn[0])[:2] == ["tanh (n = 3)", "relu (n = 2)"]
+    assert legend(drawn[0])[:2] == ["tanh (n = 3)", "relu (n = 2)"]
 
 
 @pytest.mark.parametrize(
-    ("band", "words"),
-    [("std", "± 1 standard deviation"), ("se", "± 1 standard error"), ("minmax", "least to greatest")],
+    ("band", "said"),
+    [
+        ("std", "± 1 standard deviation"),
+        ("variance", "unit: how wide this band looks means nothing"),
+        ("se", "± 1 standard error"),
+        ("ci", "95 % interval of the mean (Student's t)"),
+        ("bootstrap", "95 % interval of the mean (bootstrap)"),
+        ("minmax", "least to greatest"),
+        ("iqr", "first to third quartile"),
+        ("runs", "every run as a thin line"),
+    ],
 )
 def test_a_figure_says_what_its_band_is(
-    study: _Study, tmp_path: Path, drawn: list[Figure], band: str, words: str
+    study: HandMade, tmp_path: Path, drawn: list[Figure], band: str, said: str
 ) -> None:
     study.draw(tmp_path, band=band)
-    assert words in _words(drawn[0])
+    assert said in words(drawn[0]).replace("\n", " ")
 
 
-@pytest.mark.parametrize(("window", "words"), [("budget-5%", "last 5 %"), ("trailing-100", "100 episodes")])
+@pytest.mark.parametrize(("window", "said"), [("budget-5%", "last 5 %"), ("trailing-100", "100 episodes")])
 def test_a_figure_says_what_a_point_averages(
-    study: _Study, tmp_path: Path, drawn: list[Figure], window: str, words: str
+    study: HandMade, tmp_path: Path, drawn: list[Figure], window: str, said: str
 ) -> None:
     study.draw(tmp_path, window=window)
-    assert words in _words(drawn[0])
+    assert said in words(drawn[0]).replace("\n", " ")
 
 
-def test_a_figure_names_its_study_and_environment(study: _Study, tmp_path: Path, drawn: list[Figure]) -> None:
+def test_a_figure_names_its_study_and_environment(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
     study.draw(tmp_path)
-    assert _headline(drawn[0]) == "Mine"
-    assert "pneuma/Pneuma-v0" in _words(drawn[0])
+    assert headline(drawn[0]) == "Mine"
+    assert "pneuma/Pneuma-v0" in words(drawn[0])
 
 
-def test_an_a_a_comparison_is_noted_in_the_headline(
-    study: _Study, tmp_path: Path, drawn: list[Figure]
+def test_an_a_a_comparison_is_noted_in_theheadline(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.record["same"] = [["tanh", "again"]]
-    study.add("again", 0, run_id=_id("tanh", 0))
-    study.add("again", 1, run_id=_id("tanh", 1))
+    study.add("again", 0, run_id=make_id("tanh", 0))
+    study.add("again", 1, run_id=make_id("tanh", 1))
     study.draw(tmp_path)
-    assert "A/A" in _headline(drawn[0])
-    assert "tanh = again" in _headline(drawn[0])
-    assert {"tanh (n = 2)", "again (n = 2)"} <= set(_legend(drawn[0]))
+    assert "A/A" in headline(drawn[0])
+    assert "tanh = again" in headline(drawn[0])
+    assert {"tanh (n = 2)", "again (n = 2)"} <= set(legend(drawn[0]))
 
 
 def test_lines_are_the_means_and_bands_lie_around_them(
-    study: _Study, tmp_path: Path, drawn: list[Figure]
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.draw(tmp_path, band="minmax")
-    left, right = drawn[0].axes
+    right, left = drawn[0].axes
     tanh = left.get_lines()[0]
     # 1,000 / 200 = 5 steps a point, 50 steps a window: at 50 (point 10) episode 0 alone, returning 0 and 1
     assert np.isnan(np.asarray(tanh.get_ydata(), float)[:9]).all()
@@ -223,10 +130,10 @@ def _corners_of_bands(figure: Figure) -> int:
 
 
 def test_one_seed_is_drawn_without_a_band(tmp_path: Path, drawn: list[Figure]) -> None:
-    study = _Study(tmp_path)
+    study = HandMade(tmp_path)
     study.add("tanh", 0)
     study.draw(tmp_path)
-    assert _legend(drawn[0])[0] == "tanh (n = 1)"
+    assert legend(drawn[0])[0] == "tanh (n = 1)"
     assert _corners_of_bands(drawn[0]) == 0
     study.add("tanh", 1)
     study.draw(tmp_path)
@@ -234,56 +141,56 @@ def test_one_seed_is_drawn_without_a_band(tmp_path: Path, drawn: list[Figure]) -
 
 
 def test_a_diverged_run_of_few_episodes_is_drawn_as_far_as_it_went(
-    study: _Study, tmp_path: Path, drawn: list[Figure]
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.add("tanh", 2, episodes=2, evaluations=(0.1,), status="diverged")
     study.draw(tmp_path)
-    assert _legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
-    line = np.asarray(drawn[0].axes[0].get_lines()[0].get_ydata(), float)
+    assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
+    line = np.asarray(drawn[0].axes[1].get_lines()[0].get_ydata(), float)
     assert line[9] == 1.0  # at step 50: of seeds 0, 1 and 2
     assert np.isnan(line[199])  # at step 1,000 only seeds 0 and 1 have a value: drawn faint
-    faint = np.asarray(drawn[0].axes[0].get_lines()[1].get_ydata(), float)
+    faint = np.asarray(drawn[0].axes[1].get_lines()[1].get_ydata(), float)
     assert faint[199] == 19.5  # their episode 19
 
 
 @pytest.mark.parametrize("episodes", [0, 2])
 def test_a_diverged_run_that_was_never_evaluated_is_still_counted(
-    study: _Study, tmp_path: Path, drawn: list[Figure], episodes: int
+    study: HandMade, tmp_path: Path, drawn: list[Figure], episodes: int
 ) -> None:
     """Design section 4: a diverged run stays in every statistic."""
     study.add("tanh", 2, episodes=episodes, evaluations=(), status="diverged")
     study.draw(tmp_path)
-    assert _legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
+    assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
 
 
-def test_a_condition_whose_runs_all_diverged_at_once_stays_in_the_legend(
-    study: _Study, tmp_path: Path, drawn: list[Figure]
+def test_a_condition_whose_runs_all_diverged_at_once_stays_in_thelegend(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.add("explosive", 0, episodes=0, evaluations=(), status="diverged")
     study.draw(tmp_path)
-    assert "explosive (n = 1, 0 at the end)" in _legend(drawn[0])
+    assert "explosive (n = 1, 0 at the end)" in legend(drawn[0])
 
 
 def test_runs_in_which_no_episode_ended_are_drawn_with_their_evaluations(tmp_path: Path) -> None:
-    study = _Study(tmp_path)
+    study = HandMade(tmp_path)
     study.add("tanh", 0, episodes=0)
     assert study.draw(tmp_path, formats=("svg",))[0].exists()
 
 
 def test_more_conditions_than_colours_are_still_told_apart(tmp_path: Path, drawn: list[Figure]) -> None:
-    study = _Study(tmp_path)
+    study = HandMade(tmp_path)
     for number in range(8):
         study.add(f"condition-{number}", 0)
     study.draw(tmp_path, formats=("svg",))
     looks = [
         (str(line.get_color()), str(line.get_linestyle()), str(line.get_marker()))
-        for line in drawn[0].axes[1].get_lines()[:16:2]
+        for line in drawn[0].axes[0].get_lines()[:16:2]
     ]
     assert len(set(looks)) == 8
 
 
 def test_a_study_without_a_finished_run_is_told_and_nothing_is_written(tmp_path: Path) -> None:
-    study = _Study(tmp_path)
+    study = HandMade(tmp_path)
     study.add("tanh", 0, status="crashed")
     with pytest.raises(UserError, match="no run of this selection of study mine has finished"):
         study.draw(tmp_path / "figures")

@@ -1,0 +1,139 @@
+"""Bands: what is drawn around a mean over runs, and whether it says where that mean lies.
+
+Every band works on (runs, points) values, NaN where a run has none, and gives its lower and upper
+edge, (points,) each, NaN where fewer than two runs have a value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+Edges = tuple[np.ndarray, np.ndarray]
+
+CONFIDENCE = 0.95
+LEAST_COVERAGE = 0.9
+"""A band about the mean that covers it less often than this is drawn with the runs themselves."""
+
+_RESAMPLES = 2000
+_COVERED: dict[str, dict[int, float]] = {
+    "ci": {2: 0.95, 3: 0.95},
+    "bootstrap": {3: 0.75, 5: 0.82, 10: 0.89, 20: 0.92},
+}
+
+
+@dataclass(frozen=True)
+class Band:
+    """What a band shows: its words for a legend, and its edges of (runs, points) values.
+
+    Attributes:
+        label: its words.
+        edges: its lower and upper edge; None where the runs themselves are drawn in its place.
+        about_mean: whether it says where the mean of all runs that there could be lies; other bands
+            say how far runs lie apart.
+    """
+
+    label: str
+    edges: Callable[[np.ndarray], Edges] | None
+    about_mean: bool = False
+
+
+def count_of(runs: np.ndarray) -> np.ndarray:
+    """Return how many runs have a value at each point, (points,)."""
+    return np.isfinite(runs).sum(axis=0)
+
+
+def mean_of(runs: np.ndarray) -> np.ndarray:
+    """Return the mean over the runs that have a value, NaN where none has, (points,)."""
+    count = count_of(runs)
+    total = np.where(np.isfinite(runs), runs, 0.0).sum(axis=0)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
+def variance_of(runs: np.ndarray) -> np.ndarray:
+    """Return the sample variance over runs, NaN where fewer than two have a value, (points,)."""
+    count = count_of(runs)
+    squares = np.where(np.isfinite(runs), (runs - mean_of(runs)) ** 2, 0.0).sum(axis=0)
+    return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
+
+
+def coverage(name: str, count: int) -> float | None:
+    """Return how often a band about the mean covers it, of `count` normal runs; None for other bands.
+
+    From simulations of 1,500 samples; between two counts, what the lower one covers.
+    """
+    if not BANDS[name].about_mean:
+        return None
+    if name == "se":  # within one standard error, exactly
+        return float(2 * special.stdtr(count - 1, 1) - 1) if count > 1 else 0.0
+    return max((covered for least, covered in _COVERED[name].items() if least <= count), default=0.0)
+
+
+# --- Edges -----------------------------------------------------------------------------------------
+
+
+def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], Edges]:
+    return lambda runs: (mean_of(runs) - half(runs), mean_of(runs) + half(runs))
+
+
+def _standard_error(runs: np.ndarray) -> np.ndarray:
+    return np.sqrt(variance_of(runs) / np.maximum(count_of(runs), 1))
+
+
+def _t_half(runs: np.ndarray) -> np.ndarray:
+    """Return half the width of Student's interval for the mean, (points,)."""
+    freedom = np.maximum(count_of(runs) - 1, 1)
+    return special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * _standard_error(runs)
+
+
+def _of_points_alike(of_whole: Callable[[np.ndarray], Edges]) -> Callable[[np.ndarray], Edges]:
+    """Turn edges of values without gaps into edges of any, point by point of the runs that have a value."""
+
+    def edges(runs: np.ndarray) -> Edges:
+        low, high = np.full((2, runs.shape[1]), np.nan)
+        for present, points in _patterns(np.isfinite(runs)):
+            if present.sum() > 1:
+                low[points], high[points] = of_whole(runs[np.ix_(present, points)])
+        return low, high
+
+    return edges
+
+
+def _patterns(finite: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield which runs have a value, (runs,), and where exactly these have, (points,), as booleans."""
+    for present in np.unique(finite, axis=1).T:
+        yield present, (finite == present[:, None]).all(axis=0)
+
+
+def _bootstrap(runs: np.ndarray) -> Edges:
+    """Return the percentile interval of the mean over resampled runs; always the same resamples."""
+    generator = np.random.default_rng(0)
+    picked = generator.integers(len(runs), size=(_RESAMPLES, len(runs)))
+    weights = np.stack([np.bincount(row, minlength=len(runs)) for row in picked]) / len(runs)
+    means = weights @ runs  # (resamples, points)
+    low, high = np.quantile(means, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], axis=0)
+    return low, high
+
+
+def _extremes(runs: np.ndarray) -> Edges:
+    return runs.min(axis=0), runs.max(axis=0)
+
+
+def _quartiles(runs: np.ndarray) -> Edges:
+    low, high = np.quantile(runs, [0.25, 0.75], axis=0)
+    return low, high
+
+
+BANDS = {
+    "ci": Band("95 % interval of the mean (Student's t)", _around(_t_half), about_mean=True),
+    "bootstrap": Band("95 % interval of the mean (bootstrap)", _of_points_alike(_bootstrap), about_mean=True),
+    "se": Band("± 1 standard error", _around(_standard_error), about_mean=True),
+    "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(variance_of(runs)))),
+    "variance": Band("± 1 variance, in the square of the axis's unit", _around(variance_of)),
+    "minmax": Band("least to greatest", _of_points_alike(_extremes)),
+    "iqr": Band("first to third quartile", _of_points_alike(_quartiles)),
+    "runs": Band("every run as a thin line", None),
+}

@@ -1,0 +1,42 @@
+"""What players of known skill reach in a study's environments: the random player and the scripted hunter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pneuma.analysis.tables import StudyData
+
+PLAYERS = ("random player", "scripted hunter")
+NEAR = 0.02
+"""Levels that lie no further apart are drawn as one line."""
+
+_COLUMNS = {
+    "share_killed": ("random_share_killed", "hunter_share_killed"),
+    "argmax_share_killed": ("random_share_killed", "hunter_share_killed"),
+}
+
+
+def reference_levels(data: StudyData, quantity: str) -> dict[str, dict[str, float]]:
+    """Return the level of each of `PLAYERS` in every condition, as far as evaluations recorded it.
+
+    A normalised score is 0 and 1 for them by its definition; returns of theirs are not recorded.
+    """
+    if quantity == "score":
+        return {condition: dict(zip(PLAYERS, (0.0, 1.0), strict=True)) for condition in data.conditions}
+    if quantity not in _COLUMNS or "evaluations" not in data.tables:
+        return {}
+    levels = {}
+    for condition in data.conditions:
+        tables = [data.run_table(run, "evaluations") for run in data.of_condition(condition)]
+        rows = [table[[*_COLUMNS[quantity]]].to_numpy(float) for table in tables if len(table)]
+        if rows:
+            levels[condition] = dict(zip(PLAYERS, np.concatenate(rows).mean(axis=0).tolist(), strict=True))
+    return levels
+
+
+def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
+    """Return the levels that hold for all conditions; none where their environments differ in them."""
+    levels = [list(level.values()) for level in reference_levels(data, quantity).values()]
+    if not levels or np.ptp(levels, axis=0).max() > NEAR:
+        return {}
+    return dict(zip(PLAYERS, np.mean(levels, axis=0).tolist(), strict=True))

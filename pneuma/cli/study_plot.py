@@ -1,0 +1,223 @@
+"""`pneuma study plot`: figures of studies, and an index of how each came about."""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.analysis import BAND_NAMES, CURVE_QUANTITIES, WINDOWS
+from pneuma.cli.options import (
+    Conditions,
+    EngineName,
+    Json,
+    Preset,
+    Results,
+    Seeds,
+    SettingName,
+    Settings,
+    Steps,
+    print_json,
+    read_selection,
+)
+from pneuma.cli.plain_text import plain
+from pneuma.cli.study_output import check_choice, check_folder, tell_left_out
+from pneuma.cli.study_records import known_studies, study_record
+from pneuma.errors import UserError
+from pneuma.figures import FIGURE_FORMATS, FIGURE_LAYOUTS, FIGURE_SIZES
+from pneuma.study.plan import Selection
+from pneuma.study.store import Store, write_whole
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
+
+RESULTS = Path("results")
+EVERY_QUANTITY = "all"
+ACTIONS = "actions"
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """How figures are asked to look."""
+
+    quantities: tuple[str, ...]
+    band: str | None
+    window: str | None
+    layout: str
+    size: str
+    formats: tuple[str, ...]
+
+    def check(self) -> None:
+        """Refuse what no figure can look like."""
+        for quantity in self.quantities:
+            check_choice("--quantity", quantity, (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY))
+        check_choice("--layout", self.layout, FIGURE_LAYOUTS)
+        check_choice("--size", self.size, FIGURE_SIZES)
+        if self.band is not None:
+            check_choice("--band", self.band, BAND_NAMES)
+        if self.window is not None:
+            check_choice("--window", self.window, WINDOWS)
+        for form in self.formats:
+            check_choice("--format", form, FIGURE_FORMATS)
+
+
+def plot(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
+    ] = None,
+    quantity: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--quantity",
+            metavar="NAME",
+            help="A curve to draw, such as entropy; actions, or all (may be repeated; default: share_killed "
+            "and return).",
+        ),
+    ] = None,
+    band: Annotated[
+        str | None,
+        typer.Option(
+            "--band",
+            metavar="|".join(BAND_NAMES),
+            help="What the band shows (default: ci; minmax with --layout thesis).",
+        ),
+    ] = None,
+    layout: Annotated[
+        str, typer.Option("--layout", metavar="|".join(FIGURE_LAYOUTS), help="Whose figure it is like.")
+    ] = "pneuma",
+    size: Annotated[
+        str, typer.Option("--size", metavar="|".join(FIGURE_SIZES), help="For two columns, one, or a slide.")
+    ] = "page",
+    window: Annotated[
+        str | None,
+        typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages."),
+    ] = None,
+    format: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="|".join(FIGURE_FORMATS),
+            help="File formats (may be repeated; default: png and svg).",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
+    ] = None,
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    engine: EngineName = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    setting: SettingName = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> None:
+    """Draw a study's curves: the mean over seeds with a band, share of monsters killed and return."""
+    looks = _Looks(tuple(quantity or ()), band, window, layout, size, tuple(format or ("png", "svg")))
+    looks.check()
+    selection = read_selection(preset, seeds, steps, engine, condition, set_)
+    chosen = _chosen(
+        {"--preset": preset, "--seeds": seeds, "--steps": steps, "--engine": engine, "--setting": setting},
+        {"--condition": condition or [], "--set": set_ or []},
+    )
+    store = Store(results)
+    studies = _studies_to_draw(store, names or known_studies(store, setting), selection, window, setting)
+    for _, data in studies:
+        tell_left_out(data)
+    paths = _write(store, out, lambda folder: _draw(studies, folder, looks, chosen))
+    if json:
+        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
+    for path in paths:
+        print(f"wrote {plain(str(path))}")
+    return None
+
+
+def _chosen(single: dict[str, str | None], repeated: dict[str, list[str]]) -> list[str]:
+    """Return the selecting options as they were given, for the index."""
+    pairs = [(option, value) for option, value in single.items() if value is not None]
+    pairs += [(option, value) for option, values in repeated.items() for value in values]
+    return [part for pair in pairs for part in pair]
+
+
+def _studies_to_draw(
+    store: Store, names: Sequence[str], selection: Selection | None, window: str | None, setting: str | None
+) -> list[tuple[str, StudyData]]:
+    """Return studies by the names that a person gave, each with a figure's name of its own."""
+    from pneuma.analysis.sources import open_study
+
+    if not names:
+        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
+    studies = [(name, open_study(store, study_record(store, name, selection, setting))) for name in names]
+    for _, data in studies:
+        data.checked_window(window)
+    stems = Counter(data.figure for _, data in studies)
+    for _, data in studies:
+        if stems[data.figure] > 1:
+            data.figure += f"-{data.study}"
+    return studies
+
+
+def _draw(
+    studies: Sequence[tuple[str, StudyData]], folder: Path, looks: _Looks, chosen: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Draw studies into a folder; return what its index is to tell of them."""
+    from pneuma.figures.curves import draw_study, settle
+    from pneuma.figures.index import index_entries
+
+    entries = []
+    for name, data in studies:
+        quantities = _quantities(data, looks.quantities)
+        drawing = settle(
+            data, looks.band, looks.window, quantities=quantities, layout=looks.layout, size=looks.size
+        )
+        paths = draw_study(data, folder, formats=looks.formats, **asdict(drawing))
+        options = ["--layout", drawing.layout, "--size", drawing.size, "--band", drawing.band]
+        options += ["--window", drawing.window]
+        options += [part for quantity in drawing.quantities for part in ("--quantity", quantity)]
+        options += [part for form in looks.formats for part in ("--format", form)]
+        command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
+        entries += index_entries(paths, command, data, asdict(drawing))
+    return entries
+
+
+def _quantities(data: StudyData, names: Sequence[str]) -> list[str]:
+    """Return the quantities that a person asks for, all and actions spelled out."""
+    from pneuma.analysis.curves import curve_names
+
+    held = curve_names(data)
+    stand_for = {
+        EVERY_QUANTITY: held,
+        ACTIONS: [name for name in CURVE_QUANTITIES if name.startswith("action_")],
+    }
+    return [quantity for name in names for quantity in stand_for.get(name, [name])]
+
+
+def _write(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str, Any]]]) -> list[Path]:
+    """Draw into a folder that a person names, or else into that of the results; keep its index.
+
+    In a results folder, which may be a stranger's, no link is followed.
+    """
+    from pneuma.figures.index import INDEX, encode_index, read_index
+
+    if out is not None:
+        check_folder("--out", out)
+        before = read_index(out)
+        entries = draw(out)
+        write_whole(out / INDEX, encode_index([*before, *entries]))
+        return [out / entry["file"] for entry in entries]
+    store.check_writable()
+    target = store.root / "figures"
+    before = read_index(target)
+    with TemporaryDirectory() as folder:
+        entries = draw(Path(folder))
+        for entry in entries:
+            store.write(target / entry["file"], (Path(folder) / entry["file"]).read_bytes())
+    store.write(target / INDEX, encode_index([*before, *entries]))
+    return [target / entry["file"] for entry in entries]

@@ -1,0 +1,164 @@
+"""Small multiples: a panel for each condition, where these are too many for one.
+
+They are placed by hand: a layout engine would take longer over fifty of them than all else does.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, MaxNLocator
+
+from pneuma.analysis.curves import Curve, common_step, has_shorter
+from pneuma.analysis.references import reference_levels
+from pneuma.analysis.tables import StudyData
+from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes
+from pneuma.figures.quantities import look_of
+from pneuma.figures.sizes import Size
+from pneuma.figures.style import condition_look
+from pneuma.figures.words import Words
+
+OTHERS_COLOUR = "#C4C4C4"
+BASELINE_COLOUR = "#222222"
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The place of one quantity's panels: all lengths in inches, from below.
+
+    Attributes:
+        rows, columns: of panels.
+        top: where its own title begins.
+        height: of it, with its title and its axis' label.
+    """
+
+    rows: int
+    columns: int
+    top: float
+    height: float
+
+
+def draw_multiples(
+    data: StudyData, curves: dict[str, list[Curve]], band: str, size: Size, words: Words
+) -> Figure:
+    """Draw each quantity as a block of small panels, one to a condition."""
+    figure = Figure(figsize=(size.width, size.height or size.width))
+    count = max(len(group) for group in curves.values())
+    columns = min(size.small_columns, count)
+    rows = -(-count // columns)
+    entries = _entries(data, curves)
+    wanted = rows * size.small_height + 4 * size.line_inches  # the block's title, ticks and label
+    low, high = words.put(figure, size, len(curves) * wanted, entries)
+    size.check_room(len(curves) * rows, high - low - 4 * size.line_inches * len(curves))
+    height = (high - low) / len(curves)
+    for place, (name, group) in enumerate(curves.items()):
+        block = _Block(rows, columns, high - place * height, height)
+        _draw_block(figure, data, name, group, band, block, size)
+    return figure
+
+
+def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]]) -> dict[str, Artist]:
+    """Return what the legend holds: the lines that every panel has."""
+    look = condition_look(0)
+    entries = {
+        "the panel's condition": Line2D([], [], **look),
+        "the others": Line2D([], [], color=OTHERS_COLOUR),
+    }
+    if data.record.get("baseline") in data.conditions:
+        words = f"{data.record['baseline']} (baseline)"
+        entries[words] = Line2D([], [], color=BASELINE_COLOUR, linestyle="--", linewidth=1)
+    scratch = Figure().subplots()
+    for name in curves:
+        for levels in reference_levels(data, name).values():
+            draw_references(scratch, levels)
+    handles, labels = scratch.get_legend_handles_labels()
+    return {**entries, **dict(zip(labels, handles, strict=True))}
+
+
+def _draw_block(
+    figure: Figure, data: StudyData, name: str, curves: Sequence[Curve], band: str, block: _Block, size: Size
+) -> None:
+    look, levels = look_of(name, data.averaged_over), reference_levels(data, name)
+    line, (width, height) = size.line_inches, figure.get_size_inches()
+    figure.text(
+        0.07 / width, (block.top - 0.3 * line) / height, look.title, weight="bold", size="large", va="top"
+    )
+    panels = _place_panels(figure, len(curves), block, size)
+    for axes, curve in zip(panels, curves, strict=True):
+        _draw_others(axes, curves, curve, data.record.get("baseline"))
+        draw_curve(axes, curve, band, 0)
+        draw_references(axes, levels.get(curve.condition, {}))
+        if has_shorter(data):
+            draw_common_step(axes, common_step(data))
+        set_axes(axes, look, data.budget, curves)
+        _name(axes, label_of(data, curve, band), size, block.columns)
+    _align(panels, block.columns, look.log)
+    bottom = (block.top - block.height) / height
+    figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
+    middle = (block.top - block.height / 2) / height
+    figure.text(0.03 / width, middle, look.label, rotation=90, va="center")
+
+
+def _place_panels(figure: Figure, count: int, block: _Block, size: Size) -> list[Axes]:
+    line = size.line_inches
+    left, above, below = 3.6 * line, 1.5 * line, 2.3 * line  # ticks and label; title; ticks and label
+    width, height = figure.get_size_inches()
+    cell = (width - left - 0.1) / block.columns, (block.height - above - below) / block.rows
+    gap, title = 0.14 * cell[0], 2.1 * size.small_points * 1.3 / 72
+    return [
+        figure.add_axes(
+            (
+                (left + (place % block.columns) * cell[0]) / width,
+                (block.top - above - (place // block.columns + 1) * cell[1]) / height,
+                (cell[0] - gap) / width,
+                (cell[1] - title) / height,
+            )
+        )
+        for place in range(count)
+    ]
+
+
+def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str | None) -> None:
+    """Draw the other conditions' means behind, and the baseline's in front of them."""
+    thin = 0.4 * mpl.rcParams["lines.linewidth"]
+    others = [curve for curve in curves if curve.condition not in (own.condition, baseline)]
+    if others:  # as one line with gaps
+        step = np.concatenate([np.append(curve.step, np.nan) for curve in others])
+        mean = np.concatenate([np.append(curve.mean, np.nan) for curve in others])
+        axes.plot(step, mean, color=OTHERS_COLOUR, linewidth=thin, zorder=1.1)
+    for curve in curves:
+        if curve.condition == baseline != own.condition:
+            axes.plot(
+                curve.step, curve.mean, color=BASELINE_COLOUR, linewidth=2 * thin, linestyle="--", zorder=1.3
+            )
+
+
+def _name(axes: Axes, label: str, size: Size, columns: int) -> None:
+    points = size.small_points
+    characters = int(size.width * 72 / columns * 0.85 / (0.56 * points))
+    lines = textwrap.wrap(label, characters)
+    axes.set_title("\n".join(lines), fontsize=points, weight="normal", pad=2, linespacing=1.05)
+    axes.tick_params(labelsize=points, length=2, pad=1.5)
+
+
+def _align(panels: Sequence[Axes], columns: int, log: bool) -> None:
+    """Give all panels the same axes with few ticks, and labels at the left and below alone."""
+    low = min(axes.get_ylim()[0] for axes in panels)
+    high = max(axes.get_ylim()[1] for axes in panels)
+    right = panels[0].get_xlim()[1]
+    steps = np.asarray(MaxNLocator(3).tick_values(0, right))
+    for place, axes in enumerate(panels):
+        axes.set_ylim(low, high)
+        axes.xaxis.set_major_locator(FixedLocator(steps[steps <= right].tolist()))
+        if not log:
+            ticks = np.asarray(MaxNLocator(4).tick_values(low, high))
+            axes.yaxis.set_major_locator(FixedLocator(ticks[(ticks >= low) & (ticks <= high)].tolist()))
+        axes.tick_params(labelleft=place % columns == 0, labelbottom=place + columns >= len(panels))

@@ -1,0 +1,124 @@
+"""One panel of curves: lines, bands, runs, where runs diverged, and what players of known skill do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import EngFormatter, FuncFormatter
+
+from pneuma.analysis.bands import BANDS, LEAST_COVERAGE, coverage
+from pneuma.analysis.curves import Curve
+from pneuma.analysis.tables import StudyData
+from pneuma.figures.quantities import Look
+from pneuma.figures.style import condition_look
+
+MARKED_POINTS = 8
+"""About so many markers a line, so that lines are told apart in grey."""
+REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
+
+
+def draw_curve(axes: Axes, curve: Curve, band: str, place: int, label: str = "", shade: float = 0.16) -> None:
+    """Draw a condition's mean and band, faint where not all of its runs have a value.
+
+    Args:
+        axes: where.
+        curve: what; runs that diverged end in a cross.
+        band: one of `BANDS`; where it covers the mean too rarely, the runs are drawn as well.
+        place: of the condition in the study, which gives its look.
+        label: for the legend; '' for none.
+        shade: of the band, 0 to 1: lighter where many overlap.
+    """
+    look = condition_look(place)
+    colour, width = look["color"], mpl.rcParams["lines.linewidth"]
+    marks = {"markersize": 1.7 * width, "markevery": _marked(len(curve.step), place)}
+    low, high = curve.band(band)
+    if BANDS[band].about_mean:  # those that are left where others diverged are no sample
+        low = np.where(curve.count == curve.count.max(initial=0), low, np.nan)
+    axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
+    if shows_runs(curve, band):
+        for run in curve.runs:
+            axes.plot(curve.step, run, color=colour, linewidth=0.3 * width, alpha=0.55, zorder=1.4)
+    of_all = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
+    (line,) = axes.plot(curve.step, of_all, label=label, clip_on=False, **marks, **look)
+    line.set_in_layout(False)  # it may reach over the edge, and may be empty
+    axes.plot(curve.step, curve.mean, alpha=0.35, zorder=1.5, **marks, **look)
+    for step, value in curve.stops:
+        axes.plot(step, value, "x", color=colour, markersize=3.4 * width, markeredgewidth=0.8 * width)
+
+
+def shows_runs(curve: Curve, band: str) -> bool:
+    """Tell whether every run is drawn: where that is the band, or it covers the mean too rarely."""
+    covered = coverage(band, len(curve.runs)) if len(curve.runs) > 1 else None
+    return BANDS[band].edges is None or (covered is not None and covered < LEAST_COVERAGE)
+
+
+def label_of(data: StudyData, curve: Curve, band: str) -> str:
+    """Return a condition's words in the legend: its name, of how many runs, and what its band is worth."""
+    runs = data.of_condition(curve.condition)
+    longest = max(run.budget for run in runs)  # other conditions may go further
+    at_end = sum(run.status == "done" and run.end >= longest for run in runs)
+    fewer = f", {at_end} at the end" if at_end < len(runs) else ""
+    covered = coverage(band, len(runs))
+    rarely = covered is not None and len(runs) > 1 and covered < LEAST_COVERAGE
+    worth = f"; band covers {100 * covered:.0f} %" if covered is not None and rarely else ""
+    return f"{curve.condition} (n = {len(runs)}{fewer}{worth})"
+
+
+def draw_references(axes: Axes, levels: Mapping[str, float]) -> None:
+    """Draw the levels of players of known skill as grey lines."""
+    for name, level in levels.items():
+        axes.axhline(
+            level, color="#666666", linestyle=REFERENCE_DASHES[name], linewidth=0.9, label=name, zorder=1.2
+        )
+
+
+def draw_common_step(axes: Axes, step: float) -> None:
+    """Draw the step at which conditions of different budgets are compared."""
+    axes.axvline(step, color="#666666", linewidth=0.9, zorder=1.2)
+
+
+def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> None:
+    """Set what both axes run over and how their ticks read; titles and labels are the caller's."""
+    axes.set_xlim(0, budget)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    if is_log(look, curves):
+        axes.set_yscale("log", nonpositive="clip")
+        axes.set_ylim(_positive(curves).min() / 1.5, None)
+        axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+    elif look.percent:
+        axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
+        axes.yaxis.set_major_formatter(FuncFormatter(_per_cent))
+    elif np.ptp(axes.get_ylim()) > 5000:
+        axes.yaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def is_log(look: Look, curves: Sequence[Curve]) -> bool:
+    """Tell whether a vertical axis is logarithmic: where a quantity asks for it and spans a power of ten."""
+    values = _positive(curves)
+    return look.log and len(values) > 0 and bool(values.max() >= 10 * values.min())
+
+
+def _positive(curves: Sequence[Curve]) -> np.ndarray:
+    values = np.concatenate([[], *(curve.runs.ravel() for curve in curves)])
+    return values[np.isfinite(values) & (values > 0)]
+
+
+def _power_of_ten(value: float, _: Any) -> str:
+    return "10" + str(round(np.log10(value))).translate(_RAISED)
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _per_cent(share: float, _: Any) -> str:
+    return f"{100 * share:.3g} %"
+
+
+def _marked(points: int, place: int) -> tuple[int, int]:
+    """Return the first marked point and the distance to the next; no two conditions' fall together."""
+    every = max(points // MARKED_POINTS, 1)
+    return (place * every // 5) % every + every // 2, every

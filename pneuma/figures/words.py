@@ -1,0 +1,104 @@
+"""What a figure says around its panels: the headline and the legend above, the caption below.
+
+Words take the height that they need; where a figure's height is fixed, its panels take the rest.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+
+from pneuma.figures.sizes import Size
+
+_HANDLE_CHARACTERS = 8
+"""Width of a legend entry beside its text."""
+_HEADLINE, _CAPTION = 1.25, 0.78
+"""Sizes of type, in that of the figure."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a figure says around its panels.
+
+    Attributes:
+        headline: its first line.
+        legend_title: what lines and bands are; '' for none.
+        caption: sentences.
+    """
+
+    headline: str
+    legend_title: str
+    caption: Sequence[str]
+
+    def put(
+        self, figure: Figure, size: Size, panels_inches: float, entries: Mapping[str, Artist]
+    ) -> tuple[float, float]:
+        """Put the words and a legend above and below the panels, and give the figure its size.
+
+        Args:
+            figure: what is written on.
+            size: of the figure.
+            panels_inches: height of the panels, where it is free.
+            entries: of the legend.
+
+        Returns:
+            From where to where the panels may reach, in inches from below; a constrained layout knows.
+        """
+        points, line = size.type_points, size.line_inches
+        heading = textwrap.wrap(self.headline, size.characters(_HEADLINE * points)) or [""]
+        columns = legend_columns(size, list(entries))
+        rows = -(-len(entries) // columns) + bool(self.legend_title and entries)
+        above = line * (_HEADLINE * len(heading) + 1.02 * rows) + 0.06
+        lines = textwrap.wrap(" ".join(self.caption), size.characters(_CAPTION * points))
+        below = len(lines) * _CAPTION * points * 1.4 / 72 + 0.1
+        height = size.height or above + panels_inches + below
+        figure.set_size_inches(size.width, height)
+        if figure.get_layout_engine() is not None:
+            rect = (0, below / height, 1, 1 - (above + below) / height)
+            figure.get_layout_engine().set(rect=rect)  # type: ignore[union-attr, call-arg]
+        edge = 0.07 / size.width
+        top = 1 - 0.05 / height
+        figure.text(edge, top, "\n".join(heading), fontsize=_HEADLINE * points, va="top")
+        if entries:
+            self._legend(figure, entries, columns, 1 - _HEADLINE * line * len(heading) / height)
+        figure.text(
+            edge,
+            0.05 / height,
+            "\n".join(lines),
+            fontsize=_CAPTION * points,
+            color="#444444",
+            linespacing=1.35,
+            va="bottom",
+        )
+        return below, height - above
+
+    def _legend(self, figure: Figure, entries: Mapping[str, Artist], columns: int, top: float) -> None:
+        figure.legend(
+            list(entries.values()),
+            list(entries),
+            loc="upper left",
+            bbox_to_anchor=(0.0, top),
+            ncols=columns,
+            title=self.legend_title or None,
+            alignment="left",
+            handlelength=3.2,
+            columnspacing=1.4,
+            labelspacing=0.3,
+            borderpad=0.1,
+            borderaxespad=0.3,
+        )
+
+
+def legend_columns(size: Size, labels: Sequence[str]) -> int:
+    """Return the number of columns that need fewest rows, each as wide as its longest label."""
+    room = size.characters(size.type_points)
+    for rows in range(1, len(labels) + 1):
+        columns = -(-len(labels) // rows)
+        filled = [labels[first : first + rows] for first in range(0, len(labels), rows)]
+        if sum(max(map(len, column)) + _HANDLE_CHARACTERS for column in filled) <= room:
+            return columns
+    return 1

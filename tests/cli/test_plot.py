@@ -1,0 +1,140 @@
+"""`study plot`: what it refuses, and the index that leads from a figure to its command and runs."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.cli import main
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.study.store import Status, Store
+from pneuma.study.tables import to_parquet
+
+IDS = {"tanh": ["aaaaaaaaaaaaaaa0", "aaaaaaaaaaaaaaa1"], "relu": ["bbbbbbbbbbbbbbb0"]}
+
+
+def _call(*arguments: str | Path) -> tuple[int, str, str]:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(argument) for argument in arguments])
+    return code, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """A results folder with a study called 'mine' of three runs."""
+    store = Store(tmp_path / "results")
+    runs = []
+    for condition, ids in IDS.items():
+        for seed, run_id in enumerate(ids):
+            settings = {"steps": 1000, "slots": 1, "env": "pneuma/Pneuma-v0", "engine": "sb3"}
+            runs.append({"condition": condition, "seed": seed, "run_id": run_id, "run": settings})
+            store.save_run(run_id, Status("done", 1000), _records(seed))
+    about = {"study": "mine", "path": None, "title": "Mine", "figure": "fig-mine", "baseline": "tanh"}
+    selection: dict[str, Any] = {
+        "preset": None,
+        "seeds": None,
+        "steps": None,
+        "engine": None,
+        "conditions": [],
+        "settings": {},
+    }
+    store.save_selection("mine", {**about, "same": [], "selection": selection, "runs": runs})
+    return store.root
+
+
+def _records(seed: int) -> dict[str, bytes]:
+    tables = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
+    own: dict[str, Any] = {"slot": 0, "length": 50, "kills": 1, "ending": "killed", "argmax_starts": 6}
+    return {
+        f"{name}.parquet": to_parquet(
+            [
+                {**dict.fromkeys(columns, 0.5), **own, "step": 100 * k, "episode": k, "episodes": 50}
+                for k in (1, 2)
+            ],
+            columns,
+        )
+        for name, columns in tables.items()
+    }
+
+
+def _index(folder: Path) -> dict[str, dict[str, Any]]:
+    document = json.loads((folder / "index.json").read_text(encoding="utf-8"))
+    assert document["schema"] == 1
+    return {entry["file"]: entry for entry in document["figures"]}
+
+
+def test_the_index_leads_from_a_figure_to_its_runs_and_looks(results: Path) -> None:
+    code, out, _ = _call("study", "plot", "mine", "--band", "minmax", "--results", results)
+    assert code == 0 and "fig-mine.png" in out and "index.json" not in out
+    index = _index(results / "figures")
+    assert list(index) == ["fig-mine.png", "fig-mine.svg"]
+    entry = index["fig-mine.png"]
+    drawn = (results / "figures" / "fig-mine.png").read_bytes()
+    assert entry["sha256"] == hashlib.sha256(drawn).hexdigest()
+    assert (entry["from"], entry["runs"], entry["n"]) == ("study mine", IDS, {"tanh": 2, "relu": 1})
+    assert (entry["environments"], entry["engines"]) == (["pneuma/Pneuma-v0"], ["sb3"])
+    looks = (entry["band"], entry["window"], entry["layout"], entry["size"], entry["quantities"])
+    assert looks == ("minmax", "budget-5%", "pneuma", "page", ["share_killed", "return"])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--quantity", "entropy", "--quantity", "actions", "--format", "svg"),
+        ("--layout", "thesis", "--size", "column", "--condition", "tanh", "--seeds", "1", "--format", "svg"),
+    ],
+)
+def test_the_command_of_the_index_draws_the_same_bytes(
+    results: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    assert _call("study", "plot", "mine", *options, "--results", results)[0] == 0
+    ((name, entry),) = _index(results / "figures").items()
+    command, *again = shlex.split(entry["command"])
+    assert command == "pneuma"
+    assert _call(*again, "--results", results, "--out", tmp_path / "again")[0] == 0
+    assert (tmp_path / "again" / name).read_bytes() == (results / "figures" / name).read_bytes()
+
+
+def test_the_index_keeps_what_other_calls_drew_and_drops_what_is_gone(results: Path) -> None:
+    for layout in ("pneuma", "thesis"):
+        assert _call("study", "plot", "mine", "--layout", layout, "--results", results)[0] == 0
+    (results / "figures" / "fig-mine.png").unlink()
+    assert _call("study", "plot", "mine", "--layout", "thesis", "--results", results)[0] == 0
+    assert list(_index(results / "figures")) == ["fig-mine-thesis.png", "fig-mine-thesis.svg", "fig-mine.svg"]
+
+
+@pytest.mark.parametrize("there", ["[]", "not JSON", '{"figures": [{"file": 3}]}', '{"schema": 1}'])
+def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path, there: str) -> None:
+    out = tmp_path / "site"
+    out.mkdir()
+    (out / "index.json").write_text(there, encoding="utf-8")
+    code, _, said = _call("study", "plot", "mine", "--out", out, "--results", results)
+    assert code == 2 and "is no index of figures" in said
+    assert [path.name for path in out.iterdir()] == ["index.json"]
+    assert (out / "index.json").read_text(encoding="utf-8") == there
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--band", "min-max"), "--band min-max: unknown value 'min-max' (did you mean minmax?)"),
+        (("--size", "pagee"), "--size pagee: unknown value 'pagee' (did you mean page?)"),
+        (("--layout", "tesis"), "--layout tesis: unknown value 'tesis' (did you mean thesis?)"),
+        (("--quantity", "entropi"), "--quantity entropi: unknown value 'entropi' (did you mean entropy?)"),
+        (("--quantity", "all", "--size", "slide"), "rows of panels do not fit a height of 5.625 inches"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_and_nothing_written(
+    results: Path, options: tuple[str, ...], told: str
+) -> None:
+    code, _, said = _call("study", "plot", "mine", *options, "--results", results)
+    assert code == 2 and told in said and said.count("\n") == 1
+    assert not (results / "figures").exists()
