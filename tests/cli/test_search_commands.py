@@ -51,7 +51,9 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path, folder / "results"
 
 
-def test_a_search_is_told_as_json_and_trains_nothing_twice(searched, capsys) -> None:
+def test_a_search_is_told_as_json_and_trains_nothing_twice(
+    searched: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     path, results = searched
     before = {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")}
     assert main(["search", "run", str(path), "--results", str(results), "--json"]) == 0
@@ -66,7 +68,9 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(searched, capsys) -> 
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
 
 
-def test_a_search_is_exported_like_a_study(searched, capsys) -> None:
+def test_a_search_is_exported_like_a_study(
+    searched: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["study", "export", "search-small", "--table", "evaluations", "--out", "-"]
     assert main([*arguments, "--results", str(searched[1])]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -74,7 +78,9 @@ def test_a_search_is_exported_like_a_study(searched, capsys) -> None:
     assert {line.split(",")[0] for line in lines[1:]} == {f"trial-{n:03}" for n in range(4)}
 
 
-def test_a_winner_is_promoted_on_fresh_seeds(searched, capsys) -> None:
+def test_a_winner_is_promoted_on_fresh_seeds(
+    searched: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     path, results = searched
     assert main(["search", "promote", str(path), "--results", str(results), "--seeds", "2", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -86,7 +92,7 @@ def test_a_winner_is_promoted_on_fresh_seeds(searched, capsys) -> None:
     assert "the search was run on 1000" in capsys.readouterr().err
 
 
-def test_its_figures_are_the_same_bytes_twice(searched, tmp_path: Path) -> None:
+def test_its_figures_are_the_same_bytes_twice(searched: tuple[Path, Path], tmp_path: Path) -> None:
     path, results = searched
     for folder in ("one", "two"):
         arguments = ["search", "plot", str(path), "--results", str(results), "--out", str(tmp_path / folder)]
@@ -97,7 +103,7 @@ def test_its_figures_are_the_same_bytes_twice(searched, tmp_path: Path) -> None:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
-def test_sensitivity_is_trained_and_drawn(searched, tmp_path: Path) -> None:
+def test_sensitivity_is_trained_and_drawn(searched: tuple[Path, Path], tmp_path: Path) -> None:
     path, results = searched
     arguments = ["search", "run", str(path), "--sensitivity", "--results", str(results), "--quiet"]
     assert main(arguments) == 0
@@ -122,7 +128,9 @@ def test_sensitivity_is_trained_and_drawn(searched, tmp_path: Path) -> None:
         (["plot", "ppo", "--what", "histroy"], "did you mean history"),
     ],
 )
-def test_mistakes_are_told_in_one_line_and_train_nothing(arguments, told, tmp_path, capsys) -> None:
+def test_mistakes_are_told_in_one_line_and_train_nothing(
+    arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["search", *arguments, "--results", str(tmp_path / "results")]) == 2
     error = capsys.readouterr().err
     assert told in error
@@ -131,7 +139,7 @@ def test_mistakes_are_told_in_one_line_and_train_nothing(arguments, told, tmp_pa
 
 
 @pytest.mark.slow
-def test_killed_half_way_it_comes_to_the_same(searched, tmp_path: Path) -> None:
+def test_killed_half_way_it_comes_to_the_same(searched: tuple[Path, Path], tmp_path: Path) -> None:
     path, results = searched
     command = [sys.executable, "-m", "pneuma", "search", "run", str(path), "--results", str(tmp_path / "r")]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)

@@ -40,6 +40,11 @@ steps = 2048
 """
 
 
+MakeTask = Callable[..., Task]
+Solve = Callable[..., Iterator[list[Told]]]
+ReadOutcome = Callable[[Cell, str], float]
+
+
 def height(cell: Cell, outcome: str) -> float:
     """Return 1 at a learning rate of 1e-3 with tanh, less elsewhere; a little more for odd seeds."""
     run = cell.run
@@ -48,7 +53,7 @@ def height(cell: Cell, outcome: str) -> float:
 
 
 @pytest.fixture
-def make_task(tmp_path: Path) -> Callable[..., Task]:
+def make_task(tmp_path: Path) -> MakeTask:
     """Return a function that makes a task of the formula search."""
 
     def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
@@ -60,10 +65,10 @@ def make_task(tmp_path: Path) -> Callable[..., Task]:
 
 
 @pytest.fixture
-def solve() -> Callable[..., Iterator[list[Told]]]:
+def solve() -> Solve:
     """Return a function that conducts a task on the formula; `plans` gets what would be trained."""
 
-    def run(task: Task, plans: list[Plan] | None = None, read=height) -> Iterator[list[Told]]:
+    def run(task: Task, plans: list[Plan] | None = None, read: ReadOutcome = height) -> Iterator[list[Told]]:
         train = (lambda plan: None) if plans is None else plans.append
         return conduct(task, train, read, lambda cell: False)
 

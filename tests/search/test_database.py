@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import optuna
@@ -10,7 +11,9 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search.database import Database
 from pneuma.study.store import Store
-from tests.search.test_trials import flat
+
+from .conftest import MakeTask, Solve
+from .test_trials import flat
 
 
 @pytest.fixture
@@ -22,7 +25,7 @@ def read(database: Database) -> list[optuna.trial.FrozenTrial]:
     return optuna.load_study(study_name=database.name, storage=database.url).trials
 
 
-def test_it_holds_what_was_told(make_task, solve, store) -> None:
+def test_it_holds_what_was_told(make_task: MakeTask, solve: Solve, store: Store) -> None:
     task = make_task(8)
     told = flat(solve(task))
     Database(task, None, store).save(told[:4])
@@ -37,7 +40,9 @@ def test_it_holds_what_was_told(make_task, solve, store) -> None:
 
 
 @pytest.mark.parametrize("damage", [lambda p: p.unlink(), lambda p: p.write_bytes(b"no database" * 500)])
-def test_a_lost_file_is_written_anew(make_task, solve, store, damage) -> None:
+def test_a_lost_file_is_written_anew(
+    make_task: MakeTask, solve: Solve, store: Store, damage: Callable[[Path], object]
+) -> None:
     task = make_task(8)
     told = flat(solve(task))
     Database(task, None, store).save(told)
@@ -47,7 +52,9 @@ def test_a_lost_file_is_written_anew(make_task, solve, store, damage) -> None:
     assert len(read(again)) == 8
 
 
-def test_another_search_of_the_name_is_refused(make_task, solve, store, tmp_path) -> None:
+def test_another_search_of_the_name_is_refused(
+    make_task: MakeTask, solve: Solve, store: Store, tmp_path: Path
+) -> None:
     task = make_task(8)
     url = f"sqlite:///{tmp_path / 'shared.db'}"
     foreign = optuna.create_study(storage=url, study_name=Database(task, None, store).name)
@@ -56,7 +63,7 @@ def test_another_search_of_the_name_is_refused(make_task, solve, store, tmp_path
         Database(task, url, store)
 
 
-def test_other_trials_under_its_name_are_refused(make_task, solve, store) -> None:
+def test_other_trials_under_its_name_are_refused(make_task: MakeTask, solve: Solve, store: Store) -> None:
     task = make_task(8)
     told = flat(solve(task))
     Database(task, None, store).save(told[:4])
@@ -64,7 +71,9 @@ def test_other_trials_under_its_name_are_refused(make_task, solve, store) -> Non
         Database(task, None, store).save(list(reversed(told)))
 
 
-def test_a_storage_that_nobody_answers_is_told_without_its_password(make_task, store) -> None:
+def test_a_storage_that_nobody_answers_is_told_without_its_password(
+    make_task: MakeTask, store: Store
+) -> None:
     with pytest.raises(UserError) as caught:
         Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
     assert "secret" not in str(caught.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,15 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search.promote import BASELINE, WINNER, gain, promoted_study, refuse_seen_seeds, winner
 from pneuma.search.record import read_record, save_record
+from pneuma.search.trials import Task, Told
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
-from tests.search.test_trials import flat
+
+from .conftest import MakeTask, Solve
+from .test_trials import flat
+
+Searched = tuple[Task, list[Told], dict[str, Any]]
 
 OPTIMIZERS = """
 [space.optimizer]
@@ -30,7 +36,7 @@ when = { optimizer = "adam" }
 
 
 @pytest.fixture
-def searched(make_task, solve, tmp_path: Path):
+def searched(make_task: MakeTask, solve: Solve, tmp_path: Path) -> Searched:
     """Return a task, what was told, and the record of it."""
     task = make_task(8, OPTIMIZERS)
     told = flat(solve(task))
@@ -39,7 +45,7 @@ def searched(make_task, solve, tmp_path: Path):
     return task, told, read_record(store, "formula")
 
 
-def test_the_promoted_condition_is_the_trial(searched, tmp_path) -> None:
+def test_the_promoted_condition_is_the_trial(searched: Searched, tmp_path: Path) -> None:
     """On the search's own seeds its run ids are the trial's: it is the very same training."""
     task, told, record = searched
     for trial in told:
@@ -51,7 +57,7 @@ def test_the_promoted_condition_is_the_trial(searched, tmp_path) -> None:
         assert {cell.run.learning_rate for cell in plan.cells if cell.condition == BASELINE} == {3e-4}
 
 
-def test_the_best_trial_is_promoted_unless_told(searched) -> None:
+def test_the_best_trial_is_promoted_unless_told(searched: Searched) -> None:
     _, told, record = searched
     assert winner(record, None)["value"] == max(trial.values[0] for trial in told)
     assert winner(record, 3)["number"] == 3
@@ -59,7 +65,7 @@ def test_the_best_trial_is_promoted_unless_told(searched) -> None:
         winner(record, 99)
 
 
-def test_seeds_of_the_search_are_refused(searched) -> None:
+def test_seeds_of_the_search_are_refused(searched: Searched) -> None:
     refuse_seen_seeds((0, 1, 2), searched[2])
     with pytest.raises(UserError, match="the search was run on 1001"):
         refuse_seen_seeds((0, 1001), searched[2])

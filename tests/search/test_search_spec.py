@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.spec import list_searches, load_search, read_search_seeds
+from pneuma.search.space import Parameter
+from pneuma.search.spec import Search, list_searches, load_search, read_search_seeds
+
+Load = Callable[[str], Search]
 
 GOOD = """
 title = "A search"
@@ -54,10 +58,10 @@ steps = 512
 
 
 @pytest.fixture
-def write(tmp_path: Path):
+def write(tmp_path: Path) -> Load:
     """Return a function that writes a search file and loads it."""
 
-    def load(text: str):
+    def load(text: str) -> Search:
         path = tmp_path / "mine.toml"
         path.write_text(text)
         return load_search(str(path))
@@ -65,7 +69,7 @@ def write(tmp_path: Path):
     return load
 
 
-def test_a_search_is_read_whole(write) -> None:
+def test_a_search_is_read_whole(write: Load) -> None:
     search = write(GOOD)
     assert search.presets["quick"].seeds == (1000, 1001)
     assert [p.name for p in search.space.parameters] == [
@@ -80,12 +84,14 @@ def test_a_search_is_read_whole(write) -> None:
     }  # fmt: skip
 
 
-def test_a_parameter_is_asked_for_only_where_it_counts(write) -> None:
+def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
     space = write(GOOD).space
     for optimizer in ("adam", "sgd"):
-        asked = space.ask(
-            lambda p, chosen=optimizer: chosen if p.name == "optimizer" else p.domain.extremes[0]
-        )
+
+        def suggest(parameter: Parameter, chosen: str = optimizer) -> object:
+            return chosen if parameter.name == "optimizer" else parameter.domain.extremes[0]
+
+        asked = space.ask(suggest)
         assert ("momentum" in asked) == (optimizer == "sgd")
 
 
@@ -110,7 +116,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write) -> None:
         ("[presets.quick]", '[pruner]\nname = "median"\nrungs = 1\n[presets.quick]', "rungs = 1 is not"),
     ],
 )  # fmt: skip
-def test_mistakes_are_refused_by_name(write, old: str, new: str, told: str) -> None:
+def test_mistakes_are_refused_by_name(write: Load, old: str, new: str, told: str) -> None:
     assert GOOD.count(old) >= 1
     with pytest.raises(UserError) as caught:
         write(GOOD.replace(old, new, 1))
@@ -118,13 +124,13 @@ def test_mistakes_are_refused_by_name(write, old: str, new: str, told: str) -> N
     assert "mine.toml" in str(caught.value)
 
 
-def test_two_ends_that_do_not_go_together_are_refused(write) -> None:
+def test_two_ends_that_do_not_go_together_are_refused(write: Load) -> None:
     both = "[space.horizon]\nchoices = [32, 256]\n[space.minibatch]\nchoices = [16, 64]\n[presets.quick]"
     with pytest.raises(UserError, match=r"horizon = 32: minibatch = 64 is not allowed"):
         write(GOOD.replace("[presets.quick]", both))
 
 
-def test_ends_that_go_together_need_not_go_with_the_base(write) -> None:
+def test_ends_that_go_together_need_not_go_with_the_base(write: Load) -> None:
     both = "[space.horizon]\nchoices = [32, 64]\n[space.minibatch]\nchoices = [16, 32]\n[presets.quick]"
     assert len(write(GOOD.replace("[presets.quick]", both)).space.parameters) == 7
 
