@@ -41,6 +41,7 @@ CASES: dict[str, dict[str, object]] = {
     "a last minibatch that is smaller": {"minibatch": 40},
     "slots": {"slots": 3, "steps": 1152},
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
+    "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
     "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
 }

@@ -18,9 +18,9 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
-    "tanh": "881b4fe577a56bc6",
-    "relu": "b9ed87826e6a1bf3",
-    "leaky-relu": "0bf4faee6ee784fc",
+    "tanh": "d43d55a1f0e89855",
+    "relu": "b5f2838dbdf8ceb1",
+    "leaky-relu": "402f014a80b25a99",
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 

@@ -33,11 +33,11 @@ def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
     mean = jax.tree.map(lambda m, g: m + (g - m) * (1 - b1), state["mean"], gradients)
     square = jax.tree.map(lambda v, g: b2 * v + (1 - b2) * g * g, state["square"], gradients)
     correction_1 = -jnp.expm1(steps * numbers["log_beta_1"])
-    correction_2 = jnp.sqrt(-jnp.expm1(steps * numbers["log_beta_2"]))
+    scale = 1 / jnp.sqrt(-jnp.expm1(steps * numbers["log_beta_2"]))
     rate = numbers["learning_rate"] / correction_1
 
     def move(p: Any, m: Any, v: Any) -> Any:
-        return p - rate * m / (jnp.sqrt(v) / correction_2 + numbers["epsilon"])
+        return p - rate * m / (jnp.sqrt(v) * scale + numbers["epsilon"])
 
     moved = jax.tree.map(move, parameters, mean, square)
     return moved, {"steps": steps, "mean": mean, "square": square}

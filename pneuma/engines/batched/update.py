@@ -4,6 +4,10 @@ The arithmetic is that of Stable-Baselines3's PPO (Schulman et al. 2017; thesis 
 normalised in each minibatch by the sample deviation, a value loss without one half, one norm limit
 over actor and critic or one for each. What is only a number is data, so that runs that differ in
 numbers alone share one compiled program; shapes, activation and optimizer make another.
+
+A small network's time goes into starting operations, so there are to be few: inside a program its layers
+are one matrix each (`joined`), and a step's metrics are one array. A large one's goes into moving
+weights, which are left where they are and not read for a decay of zero.
 """
 
 from __future__ import annotations
@@ -22,16 +26,19 @@ from pneuma.engines.batched.optimizers import STEPS
 from pneuma.engines.policy import LEAKY_SLOPE
 
 Tree = Any
+JOINED_BELOW = 2**18
+"""Weights of a layer from which on it is not worth while to copy them beside their biases."""
 METRICS = (
     "policy_loss",
     "value_loss",
     "entropy",
     "clip_fraction",
+    "approx_kl",
     "grad_norm",
     "grad_norm_actor",
     "grad_norm_critic",
 )
-"""Means over all minibatches; `approx_kl` is one over the last epoch's."""
+"""What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
 
 
 def run_numbers(run: Run) -> dict[str, np.float32]:
@@ -72,18 +79,18 @@ def look_back(parameters: Tree, observations: Any, actions: Any, activation: str
         Log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n.
     """
     count = actions.shape[0]
-    hidden_a, logits = _forward(parameters["actor"], activation, observations[:count])
-    hidden_c, values = _forward(parameters["critic"], activation, observations)
+    networks = joined(parameters)
+    hidden_a, logits = _forward(networks["actor"], activation, observations[:count])
+    hidden_c, values = _forward(networks["critic"], activation, observations)
     flags = [_dead(units, activation) for units in [*hidden_a, *(layer[:count] for layer in hidden_c)]]
     dead = jnp.concatenate(flags).mean()
-    return _log_probabilities(logits, actions), values[:, 0], dead
+    return _of_chosen(jax.nn.log_softmax(logits), actions), values[:, 0], dead
 
 
-@partial(jax.jit, static_argnames=("activation", "optimizer"), donate_argnums=(0, 1))
 def learn(
-    parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Any,
+    parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
     activation: str, optimizer: str, minibatch: Any,
-) -> tuple[Tree, Tree, dict[str, Any]]:  # fmt: skip
+) -> tuple[Tree, Tree, dict[str, float]]:  # fmt: skip
     """Take all gradient steps of an update.
 
     Args:
@@ -97,49 +104,85 @@ def learn(
         minibatch: (minibatch,) of anything: its length is the size.
 
     Returns:
-        Parameters, state, and `METRICS` with `approx_kl`.
+        Parameters, state, and `METRICS`.
     """
+    decays = bool(numbers["weight_decay"] != 0)
+    parameters, state, told = _learn(
+        parameters, state, batch, orders, numbers, activation, optimizer, minibatch, decays
+    )
+    return parameters, state, dict(zip(METRICS, np.asarray(told).tolist(), strict=True))
+
+
+@partial(jax.jit, static_argnames=("activation", "optimizer", "decays"), donate_argnums=(0, 1))
+def _learn(
+    parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
+    activation: str, optimizer: str, minibatch: Any, decays: bool,
+) -> tuple[Tree, Tree, Any]:  # fmt: skip
     size = minibatch.shape[0]
     whole = orders.shape[1] // size
 
-    def take(carry: Tree, index: Any) -> tuple[Tree, dict[str, Any]]:
-        return _step(
-            carry, {name: array[index] for name, array in batch.items()}, numbers, activation, optimizer
-        )
+    def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
+        part = {name: array[index] for name, array in batch.items()}
+        return _step(carry, part, numbers, activation, optimizer, decays)
 
-    def epoch(carry: Tree, order: Any) -> tuple[Tree, dict[str, Any]]:
+    def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
         carry, told = jax.lax.scan(take, carry, order[: whole * size].reshape(whole, size))
         if whole * size == order.shape[0]:
             return carry, told
         carry, rest = take(carry, order[whole * size :])
-        return carry, {name: jnp.append(told[name], rest[name]) for name in told}
+        return carry, jnp.concatenate([told, rest[None]])
 
-    (parameters, state), told = jax.lax.scan(epoch, (parameters, state), orders)  # (epochs, minibatches)
-    metrics = {name: told[name].mean() for name in METRICS}
-    return parameters, state, {**metrics, "approx_kl": told["approx_kl"][-1].mean()}
+    carry, told = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
+    means = told.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
+    kl = METRICS.index("approx_kl")
+    return _parted(carry[0]), _parted(carry[1]), means.at[kl].set(told[-1, :, kl].mean())
+
+
+def joined(tree: Tree) -> Tree:
+    """Return networks, or what has their form, with every small layer one matrix, (inputs + 1, outputs).
+
+    Its last row is the bias: the weights of an input that is always one.
+    """
+
+    def join(node: Any) -> Any:
+        small = _is_layer(node) and node[0].size < JOINED_BELOW
+        return jnp.concatenate([node[0], node[1][None]]) if small else node
+
+    return jax.tree.map(join, tree, is_leaf=_is_layer)
+
+
+def _parted(tree: Tree) -> Tree:
+    """Return what `joined` was made of."""
+
+    def part(node: Any) -> Any:
+        return node if _is_layer(node) or node.ndim != 2 else (node[:-1], node[-1])
+
+    return jax.tree.map(part, tree, is_leaf=_is_layer)
+
+
+def _is_layer(node: Any) -> bool:
+    """Tell a layer's weight and bias from a network's layers."""
+    return isinstance(node, tuple) and getattr(node[-1], "ndim", 0) == 1
 
 
 def _step(
-    carry: Tree, batch: Mapping[str, Any], numbers: Any, activation: str, optimizer: str
-) -> tuple[Tree, dict[str, Any]]:
-    """Take one gradient step on a minibatch."""
+    carry: Tree, batch: Mapping[str, Any], numbers: Any, activation: str, optimizer: str, decays: bool
+) -> tuple[Tree, Any]:
+    """Take one gradient step on a minibatch; return `METRICS` beside the carry."""
     parameters, state = carry
     gradients, told = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, activation)
     squares = {part: sum((g**2).sum() for g in jax.tree.leaves(gradients[part])) for part in gradients}
     norm = jnp.sqrt(squares["actor"] + squares["critic"])
     norms = {part: jnp.sqrt(square) for part, square in squares.items()}
     joint = _shrink(norm, numbers["joint_limit"])
+    factors = {part: joint * _shrink(norms[part], numbers["part_limit"]) for part in gradients}
     clipped = {
-        part: jax.tree.map(
-            partial(jnp.multiply, joint * _shrink(norms[part], numbers["part_limit"])), gradients[part]
-        )
-        for part in gradients
+        part: jax.tree.map(partial(jnp.multiply, factors[part]), gradients[part]) for part in gradients
     }
-    decayed = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
-    carry = STEPS[optimizer](decayed, parameters, state, numbers)
-    return carry, {
-        **told, "grad_norm": norm, "grad_norm_actor": norms["actor"], "grad_norm_critic": norms["critic"],
-    }  # fmt: skip
+    if decays:
+        clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
+    carry = STEPS[optimizer](clipped, parameters, state, numbers)
+    return carry, jnp.concatenate([told, jnp.stack([norm, norms["actor"], norms["critic"]])])
 
 
 def _shrink(norm: Any, limit: Any) -> Any:
@@ -147,43 +190,50 @@ def _shrink(norm: Any, limit: Any) -> Any:
     return jnp.minimum(limit / (norm + 1e-6), 1.0)
 
 
-def _loss(
-    parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: str
-) -> tuple[Any, dict[str, Any]]:
+def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: str) -> tuple[Any, Any]:
+    """Return the loss of a minibatch, and the first five `METRICS`."""
     _, logits = _forward(parameters["actor"], activation, batch["observations"])
     _, values = _forward(parameters["critic"], activation, batch["observations"])
     advantages = batch["advantages"]
     if advantages.shape[0] > 1:
         advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-    difference = _log_probabilities(logits, batch["actions"]) - batch["log_probabilities"]
+    logs = jax.nn.log_softmax(logits)
+    difference = _of_chosen(logs, batch["actions"]) - batch["log_probabilities"]
     ratio = jnp.exp(difference)
     clip = numbers["clip_range"]
-    policy_loss = -jnp.minimum(advantages * ratio, advantages * jnp.clip(ratio, 1 - clip, 1 + clip)).mean()
-    value_loss = ((batch["returns"] - values[:, 0]) ** 2).mean()
-    logs = jax.nn.log_softmax(logits)
-    entropy = -(jnp.exp(logs) * logs).sum(axis=1).mean()
+    terms = [
+        -jnp.minimum(advantages * ratio, advantages * jnp.clip(ratio, 1 - clip, 1 + clip)),
+        (batch["returns"] - values[:, 0]) ** 2,
+        -(jnp.exp(logs) * logs).sum(axis=1),
+        jnp.abs(ratio - 1) > clip,
+        ratio - 1 - difference,
+    ]
+    told = jnp.stack(terms).mean(axis=1)  # (metrics, minibatch) -> (metrics,)
+    policy_loss, value_loss, entropy = told[0], told[1], told[2]
     loss = policy_loss - numbers["entropy_coefficient"] * entropy + numbers["value_coefficient"] * value_loss
-    return loss, {
-        "policy_loss": policy_loss,
-        "value_loss": value_loss,
-        "entropy": entropy,
-        "approx_kl": (ratio - 1 - difference).mean(),
-        "clip_fraction": (jnp.abs(ratio - 1) > clip).mean(),
-    }
+    return loss, told
 
 
-def _log_probabilities(logits: Any, actions: Any) -> Any:
-    return jnp.take_along_axis(jax.nn.log_softmax(logits), actions[:, None], axis=1)[:, 0]
+def _of_chosen(logs: Any, actions: Any) -> Any:
+    """Return the log-probabilities of the actions taken: (N, actions), (N,) -> (N,)."""
+    return (logs * jax.nn.one_hot(actions, logs.shape[1])).sum(axis=1)
 
 
 def _forward(layers: Any, activation: str, x: Any) -> tuple[list[Any], Any]:
     """Return the outputs of the hidden layers, and those of the last: (N, units)."""
     hidden = []
-    for weight, bias in layers[:-1]:
-        x = _activate(activation, x @ weight + bias)
+    for layer in layers[:-1]:
+        x = _activate(activation, _linear(layer, x))
         hidden.append(x)
-    weight, bias = layers[-1]
-    return hidden, x @ weight + bias
+    return hidden, _linear(layers[-1], x)
+
+
+def _linear(layer: Any, x: Any) -> Any:
+    """Return a layer's sums: (N, inputs) -> (N, outputs)."""
+    if isinstance(layer, tuple):
+        weight, bias = layer
+        return x @ weight + bias
+    return jnp.concatenate([x, jnp.ones((x.shape[0], 1), x.dtype)], axis=1) @ layer
 
 
 def _activate(activation: str, x: Any) -> Any:
