@@ -56,6 +56,7 @@ OPTIMIZER_SETTINGS: dict[str, tuple[str, ...]] = {
     "adam": ("betas", "epsilon"),
     "sgd": ("momentum", "dampening"),
     "rmsprop": ("smoothing", "epsilon", "momentum"),
+    "upgd": ("betas", "epsilon", "utility_decay", "noise"),
 }
 """Which of a run's settings each optimizer reads; the others are None in a resolved run."""
 
@@ -65,6 +66,8 @@ _OPTIMIZER_DEFAULTS: dict[str, Any] = {
     "momentum": 0.0,
     "dampening": 0.0,
     "smoothing": 0.99,
+    "utility_decay": 0.999,
+    "noise": 0.001,
 }
 
 
@@ -255,8 +258,12 @@ class Run(EnvConfig):
     """Equal to `momentum`, it weighs a new gradient by 1 - beta as the thesis does (torch: but the first)."""
     smoothing: float | None = setting(None, Number(0, 1, below=True))
     """Decay of RMSProp's mean square, torch's alpha."""
+    utility_decay: float | None = setting(None, Number(0, 1, below=True))
+    """Of the mean utility of a weight by which UPGD protects it."""
+    noise: float | None = setting(None, Number(0, 1000))
+    """Standard deviation of what UPGD perturbs a gradient by, before protection."""
     weight_decay: float = setting(0.0, Number(0, 1))
-    """L2 regularisation as torch's optimizers define it: added to the gradient."""
+    """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
 
     evaluation_episodes: int = setting(50, Number(1, 10_000, whole=True))
 

@@ -102,11 +102,12 @@ def test_a_budget_is_rounded_up_to_whole_horizons(
         ("adam", {"betas": (0.9, 0.999), "epsilon": 1e-5}),
         ("sgd", {"momentum": 0.0, "dampening": 0.0}),
         ("rmsprop", {"smoothing": 0.99, "epsilon": 1e-5, "momentum": 0.0}),
+        ("upgd", {"betas": (0.9, 0.999), "epsilon": 1e-5, "utility_decay": 0.999, "noise": 0.001}),
     ],
 )
 def test_an_optimizer_has_its_own_settings_and_no_others(optimizer: str, read: dict[str, Any]) -> None:
     run = asdict(make_run({"optimizer": optimizer}))
-    all_of_them = ("betas", "epsilon", "momentum", "dampening", "smoothing")
+    all_of_them = ("betas", "epsilon", "momentum", "dampening", "smoothing", "utility_decay", "noise")
     assert {key: run[key] for key in all_of_them} == {**dict.fromkeys(all_of_them), **read}
 
 
@@ -246,6 +247,8 @@ NUMBERS: dict[str, tuple[Any, Any, Any, Any]] = {
     "momentum": (-0.1, 1, 0, 0.999),
     "dampening": (-0.1, 1.1, 0, 1),
     "smoothing": (-0.1, 1, 0, 0.999),
+    "utility_decay": (-0.1, 1, 0, 0.9999),
+    "noise": (-0.1, 1000.1, 0, 1000),
     "weight_decay": (-0.1, 1.1, 0, 1),
     "evaluation_episodes": (0, 10_001, 1, 10_000),
     "fork_step": (-1, 10**12 + 1, 0, 10**12),

@@ -34,7 +34,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "network": ("actor", "critic", "activation"),
     "optimizer": (
         *("optimizer", "learning_rate", "betas", "epsilon", "momentum", "dampening", "smoothing"),
-        *("weight_decay", "gradient_limit", "clip"),
+        *("utility_decay", "noise", "weight_decay", "gradient_limit", "clip"),
     ),
     "action values": (
         *("exploration", "exploration_fraction", "buffer_size", "learning_starts", "train_every"),

@@ -20,6 +20,7 @@ from torch import nn
 
 from pneuma.config import OPTIMIZER_SETTINGS, Run, stream_seed
 from pneuma.engines.policy import LEAKY_SLOPE
+from pneuma.engines.upgd import UPGD
 
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
     "tanh": nn.Tanh,
@@ -30,6 +31,7 @@ OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
     "adam": torch.optim.Adam,
     "sgd": torch.optim.SGD,
     "rmsprop": torch.optim.RMSprop,
+    "upgd": UPGD,
 }
 _TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 
@@ -158,7 +160,8 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
     """
     names = OPTIMIZER_SETTINGS[run.optimizer]
     own = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
-    return {**own, "weight_decay": run.weight_decay}
+    stream = {"stream": run.stream} if run.optimizer == "upgd" else {}
+    return {**own, **stream, "weight_decay": run.weight_decay}
 
 
 class DoubleDQN(DQN):

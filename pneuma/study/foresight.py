@@ -32,6 +32,7 @@ BYTES_PER_STEP = 3.0
 _SCALARS = (
     "seed", "steps", "learning_rate", "clip_range", "gamma", "gae_lambda", "value_coefficient",
     "entropy_coefficient", "gradient_limit", "betas", "epsilon", "momentum", "dampening", "smoothing",
+    "utility_decay", "noise",
     "weight_decay", "activation", "value_baseline", "target_kl", "exploration", "exploration_fraction",
     "learning_starts", "target_every", "action_slip", "reward_noise",
 )  # fmt: skip

@@ -9,7 +9,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pneuma.config import FORK_RESETS, FORK_SETTINGS, Run, as_settings, make_run, read_setting
+from pneuma.config import (
+    FORK_RESETS,
+    FORK_SETTINGS,
+    OPTIMIZER_SETTINGS,
+    Run,
+    as_settings,
+    make_run,
+    read_setting,
+)
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
@@ -177,7 +185,7 @@ def _forked(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
     other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
     if other and kept:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
-    own = ("betas", "epsilon", "momentum", "dampening", "smoothing") if other else ()
+    own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
     run = make_run({**base, **dict.fromkeys(own), **changes})
     if kept and bool(run.momentum) != bool(base["momentum"]):
         raise UserError("--set momentum: from or to 0 needs --reset optimizer")

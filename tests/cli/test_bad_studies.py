@@ -98,6 +98,11 @@ rmsprop = { optimizer = "rmsprop" }
 optimizer = "rmsprop"
 smoothing = 0.9
 
+[conditions.useful]
+optimizer = "upgd"
+utility_decay = 0.9
+noise = 0.1
+
 [conditions.trpo]
 algorithm = "trpo"
 value_baseline = false
@@ -219,7 +224,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "entropy_coefficient": _number("at least 0", "at most 1e+06", "-1", "1000001"),
     "gradient_limit": _number("above 0", '"none"', "0", "-1", "1e10"),
     "clip": _one_of("joint", "separate"),
-    "optimizer": _one_of("adam", "sgd", "rmsprop", near="adma"),
+    "optimizer": _one_of("adam", "sgd", "rmsprop", "upgd", near="adma"),
     "betas": (
         ("0.9", "[0.9]", "[0.9, 1]", "[0.9, -0.1]", "[0.9, 0.9, 0.9]", '["a", "b"]'),
         ("2 of", "below 1"),
@@ -228,6 +233,8 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "momentum": BELOW_ONE,
     "dampening": FRACTION,
     "smoothing": BELOW_ONE,
+    "utility_decay": BELOW_ONE,
+    "noise": _number("at least 0", "at most 1000", "-1", "1001"),
     "weight_decay": FRACTION,
     "value_baseline": _flag(),
     "target_kl": _number("above 0", "at most 100", "0", "-1", "101"),
@@ -373,7 +380,7 @@ def test_the_maximal_study_is_right_and_has_every_key(here: Path, capsys: Captur
     path = here / "mine.toml"
     path.write_text(MAXIMAL, encoding="utf-8")
     assert set(load_study(str(path)).conditions) == {
-        *("adam", "sgd", "rmsprop", "slow", "trpo", "dqn", "table"),
+        *("adam", "sgd", "rmsprop", "slow", "useful", "trpo", "dqn", "table"),
     }
 
 

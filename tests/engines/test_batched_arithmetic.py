@@ -18,7 +18,9 @@ from pneuma.config import Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.batched import Learner
 from pneuma.engines.batched.networks import initial_networks
+from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Rollout, advantages
+from pneuma.engines.batched.update import run_numbers
 from pneuma.engines.policy import dead_share
 
 SMALL: dict[str, object] = {
@@ -33,6 +35,11 @@ CASES: dict[str, dict[str, object]] = {
     "RMSProp": {"optimizer": "rmsprop"},
     "RMSProp with momentum": {"optimizer": "rmsprop", "momentum": 0.5},
     "L2": {"weight_decay": 0.01},
+    "L2 with plain descent": {"optimizer": "sgd", "learning_rate": 1e-2, "weight_decay": 0.01},
+    "L2 with momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2, "weight_decay": 0.01},
+    "L2 with RMSProp": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
+    "UPGD without noise": {"optimizer": "upgd", "noise": 0, "utility_decay": 0.9},
+    "UPGD": {"optimizer": "upgd", "noise": 0.1, "weight_decay": 0.5},
     "ReLU": {"activation": "relu"},
     "LeakyReLU": {"activation": "leaky-relu"},
     "no limit": {"gradient_limit": None, "learning_rate": 1e-4},
@@ -57,15 +64,28 @@ def torch_model(run: Run, learner: Learner) -> PPO:
     """Return Stable-Baselines3's learner with the networks of ours."""
     model = sb3.make_model(run, sb3.make_env(run))
     model._setup_learn(run.steps)
+    for module, (weight, bias) in linear_layers(model, learner.networks):
+        module.weight.data = torch.tensor(weight.T.copy())
+        module.bias.data = torch.tensor(bias.copy())
+    return model
+
+
+def linear_layers(model: PPO, networks: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield each of Stable-Baselines3's layers with what is shaped like weight and bias of ours."""
     policy = model.policy
     hidden = {"actor": policy.mlp_extractor.policy_net, "critic": policy.mlp_extractor.value_net}
     heads = {"actor": policy.action_net, "critic": policy.value_net}
-    for part, layers in learner.networks.items():
+    for part, layers in networks.items():
         linear = [m for m in hidden[part] if isinstance(m, torch.nn.Linear)] + [heads[part]]
-        for module, (weight, bias) in zip(linear, layers, strict=True):
-            module.weight.data = torch.tensor(weight.T.copy())
-            module.bias.data = torch.tensor(bias.copy())
-    return model
+        yield from zip(linear, layers, strict=True)
+
+
+def our_noise(model: PPO, learner: Learner, step: int) -> list[torch.Tensor]:
+    """Return the compiled engine's noise of a step in the order of Stable-Baselines3's parameters."""
+    drawn = upgd_noise(learner.networks, step, run_numbers(learner.run))
+    for module, (weight, bias) in linear_layers(model, drawn):
+        module.weight.noise, module.bias.noise = (torch.tensor(np.array(a).T) for a in (weight, bias))
+    return [parameter.noise for parameter in model.policy.parameters()]
 
 
 def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
@@ -112,6 +132,8 @@ class Watched(Learner):
 def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     learner = Watched(run)
     model = torch_model(run, learner)
+    if run.optimizer == "upgd":
+        monkeypatch.setattr(model.policy.optimizer, "draw", lambda step, _: our_noise(model, learner, step))
     with sb3.GradientNorms(model, run) as norms:
         for update in range(UPDATES):
             before = learner.policy()

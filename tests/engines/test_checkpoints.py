@@ -34,6 +34,7 @@ CASES: dict[str, dict[str, object]] = {
     "adam": {"betas": (0.9, 0.9)},
     "momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9},
     "plain": {"optimizer": "sgd"},
+    "upgd": {"optimizer": "upgd", "noise": 0.1},
     "rmsprop": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
     "slots": {"slots": 3, "steps": 1152, "env": "pneuma/PneumaGodot-v0", "episode_steps": 50},
     "players": {"players": 2, "steps": 768, "episode_steps": 40, "clip": "separate"},
@@ -83,10 +84,11 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str, engine: s
 
 
 @pytest.mark.parametrize("engine", BOTH)
-def test_a_run_ends_with_the_same_bits_whoever_is_trained_beside_it(engine: str) -> None:
+@pytest.mark.parametrize("name", ["adam", "upgd"])
+def test_a_run_ends_with_the_same_bits_whoever_is_trained_beside_it(name: str, engine: str) -> None:
     """Alone, after others, before others; one of which diverges."""
-    run = make_run({**SMALL, "engine": engine})
-    other = make_run({**SMALL, "engine": engine, "seed": 1})
+    run = make_run({**SMALL, **CASES[name], "engine": engine})
+    other = make_run({**SMALL, **CASES[name], "engine": engine, "seed": 1})
     wild = {
         "optimizer": "sgd",
         "learning_rate": 100,

@@ -72,7 +72,13 @@ OTHER: dict[str, Any] = {
 }
 """For every field with more than one value, one that is not the default."""
 
-OF_OTHER_OPTIMIZERS = {"momentum": ("sgd", 0.9), "dampening": ("sgd", 0.9), "smoothing": ("rmsprop", 0.9)}
+OF_OTHER_OPTIMIZERS = {
+    "momentum": ("sgd", 0.9),
+    "dampening": ("sgd", 0.9),
+    "smoothing": ("rmsprop", 0.9),
+    "utility_decay": ("upgd", 0.99),
+    "noise": ("upgd", 0.01),
+}
 OF_OTHER_ALGORITHMS: dict[str, tuple[dict[str, Any], Any]] = {
     "algorithm": ({"algorithm": "dqn"}, "double-dqn"),
     "value_baseline": ({"algorithm": "a2c"}, False),

@@ -19,11 +19,20 @@ Numbers = Mapping[str, Any]
 Step = Callable[[Tree, Tree, State, Numbers], tuple[Tree, State]]
 
 
+MOMENTS = {
+    "adam": ("mean", "square"),
+    "sgd": ("momentum",),
+    "rmsprop": ("square", "momentum"),
+    "upgd": ("mean", "square", "utility"),
+}
+"""What each keeps for every parameter."""
+
+
 def initial_state(optimizer: str, parameters: Tree) -> State:
     """Return an optimizer's state before its first step."""
     zeros = jax.tree.map(jnp.zeros_like, parameters)
-    moments = {"adam": ("mean", "square"), "sgd": ("momentum",), "rmsprop": ("square", "momentum")}
-    return {"steps": jnp.zeros((), jnp.float32)} | dict.fromkeys(moments[optimizer], zeros)
+    count = jnp.int32 if optimizer == "upgd" else jnp.float32  # what keys its noise never stops counting
+    return {"steps": jnp.zeros((), count)} | dict.fromkeys(MOMENTS[optimizer], zeros)
 
 
 def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
@@ -65,4 +74,40 @@ def rmsprop(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -
     return moved, {"steps": state["steps"] + 1, "square": square, "momentum": momentum}
 
 
-STEPS: dict[str, Step] = {"adam": adam, "sgd": sgd, "rmsprop": rmsprop}
+def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
+    """Adaptive UPGD; `pneuma.engines.upgd` says what it is and where it is from."""
+    b1, b2, kept = numbers["beta_1"], numbers["beta_2"], numbers["utility_decay"]
+    steps = state["steps"] + 1
+    mean = jax.tree.map(lambda m, g: b1 * m + (1 - b1) * g, state["mean"], gradients)
+    square = jax.tree.map(lambda v, g: b2 * v + (1 - b2) * g * g, state["square"], gradients)
+    utility = jax.tree.map(
+        lambda u, g, p: kept * u - (1 - kept) * g * p, state["utility"], gradients, parameters
+    )
+    counted = steps.astype(jnp.float32)
+    correction_1, correction_2, correction_u = (
+        -jnp.expm1(counted * numbers[name]) for name in ("log_beta_1", "log_beta_2", "log_utility_decay")
+    )
+    highest = jnp.stack([u.max() for u in jax.tree.leaves(utility)]).max()
+    scale = correction_u * jnp.where(highest == 0, 1.0, highest)
+    rate = 2 * numbers["learning_rate"]
+    shrunk = 1 - numbers["learning_rate"] * numbers["shrinking"]
+
+    def move(p: Any, m: Any, v: Any, u: Any, xi: Any) -> Any:
+        free = 1 - jax.nn.sigmoid(u / scale)
+        adapted = m / correction_1 / (jnp.sqrt(v / correction_2) + numbers["epsilon"])
+        return p * shrunk - rate * free * (adapted + numbers["noise"] * xi)
+
+    moved = jax.tree.map(move, parameters, mean, square, utility, upgd_noise(parameters, steps, numbers))
+    return moved, {"steps": steps, "mean": mean, "square": square, "utility": utility}
+
+
+def upgd_noise(parameters: Tree, steps: Any, numbers: Numbers) -> Tree:
+    """Return standard normal noise shaped like the parameters, keyed by the run and the step, from 1."""
+    leaves, structure = jax.tree.flatten(parameters)
+    key = jax.random.wrap_key_data(numbers["noise_key"], impl="threefry2x32")
+    keys = jax.random.split(jax.random.fold_in(key, steps), len(leaves))
+    drawn = [jax.random.normal(own, leaf.shape, leaf.dtype) for own, leaf in zip(keys, leaves, strict=True)]
+    return jax.tree.unflatten(structure, drawn)
+
+
+STEPS: dict[str, Step] = {"adam": adam, "sgd": sgd, "rmsprop": rmsprop, "upgd": upgd}

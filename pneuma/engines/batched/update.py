@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pneuma.config import Run
+from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.optimizers import STEPS
 from pneuma.engines.policy import LEAKY_SLOPE
 
@@ -41,8 +41,11 @@ METRICS = (
 """What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
 
 
-def run_numbers(run: Run) -> dict[str, np.float32]:
-    """Return what of a run is only a number, float32; an absent limit is infinite."""
+def run_numbers(run: Run) -> dict[str, Any]:
+    """Return what of a run is only a number, float32; an absent limit is infinite.
+
+    Beside them, the key of UPGD's noise: (2,) uint32.
+    """
     b1, b2 = run.betas or (0.0, 0.0)
     limit = math.inf if run.gradient_limit is None else run.gradient_limit
     numbers = {
@@ -60,9 +63,17 @@ def run_numbers(run: Run) -> dict[str, np.float32]:
         "momentum": run.momentum or 0.0,
         "dampening": run.dampening or 0.0,
         "smoothing": run.smoothing or 0.0,
-        "weight_decay": run.weight_decay,
+        "weight_decay": 0.0 if run.optimizer == "upgd" else run.weight_decay,
     }
-    return {name: np.float32(value) for name, value in numbers.items()}
+    if run.optimizer == "upgd":
+        numbers |= {
+            "utility_decay": run.utility_decay or 0.0,
+            "log_utility_decay": math.log(run.utility_decay) if run.utility_decay else -math.inf,
+            "noise": run.noise or 0.0,
+            "shrinking": run.weight_decay,
+        }
+    key = np.array([stream_seed(run.stream, "upgd-noise")], np.uint64).view(np.uint32)
+    return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
 
 
 @partial(jax.jit, static_argnames="activation")
