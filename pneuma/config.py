@@ -41,6 +41,7 @@ REWARDS = ("thesis", "pygame", "godot", "kills", "distance-sigmoid")
 OBSERVATIONS = ("thesis", "pygame", "godot")
 ORDERS = ("nearest", "fixed")
 SCALES = ("unit", "map", "raw")
+LEARNERS = ("shared", "independent")
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
@@ -203,6 +204,8 @@ class Run(EnvConfig):
     """Budget in agent steps, summed over slots."""
     slots: int = setting(1, Number(1, MAX_SLOTS, whole=True))
     """Worlds that collect a rollout side by side."""
+    learners: str = setting("shared", Choice(LEARNERS))
+    """One policy for all players of a world; or each player a learner of its own (independent PPO)."""
 
     actor: tuple[int, ...] = setting((128,), _LAYERS)
     critic: tuple[int, ...] = setting((256,), _LAYERS)
@@ -282,6 +285,11 @@ class Run(EnvConfig):
     def steps_per_update(self) -> int:
         """Agent steps, over all slots and players, that one update learns from."""
         return self.horizon * self.slots * self.players
+
+    @property
+    def policies(self) -> int:
+        """Number of policies that learn."""
+        return self.players if self.learners == "independent" else 1
 
     @property
     def updates(self) -> int:
@@ -381,11 +389,7 @@ def beyond_engine(run: Run) -> str:
     """Return what of a run the compiled engine cannot do; empty where it can do all."""
     if ENGINES[0] not in ALGORITHM_ENGINES[run.algorithm]:
         return f"the algorithm {run.algorithm}"
-    if not run.value_baseline:
-        return "advantages without a baseline"
-    if run.players > 1:
-        return "several players in one world"
-    return "a reward of one's own" if any(":" in name for name in run.reward) else ""
+    return "" if run.value_baseline else "advantages without a baseline"
 
 
 def _engine(values: Mapping[str, Any]) -> str:
@@ -409,8 +413,13 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f'algorithm = "{run.algorithm}" is not allowed in {run.env}: one of {", ".join(fitting)}'
         )
-    if run.algorithm in ("ppo", "trpo") and run.minibatch > run.steps_per_update:
-        most = f"horizon x slots x players = {run.steps_per_update}"
+    if run.learners == "independent" and run.engine != ENGINES[0]:
+        reason = beyond_engine(run)
+        cause = f"{reason}: only {run.engine} can train that, which" if reason else run.engine
+        raise UserError(f'learners = "independent" is not allowed: {cause} trains one policy for all players')
+    samples = run.steps_per_update // run.policies
+    if run.algorithm in ("ppo", "trpo") and run.minibatch > samples:
+        most = f"horizon x slots{' x players' if run.policies == 1 else ''} = {samples}"
         raise UserError(f"minibatch = {run.minibatch} is not allowed: at most {most}")
     if run.train_every and run.horizon % run.train_every:
         raise UserError(
@@ -448,6 +457,8 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     read = _read_by(algorithm, optimizer)
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
     values = {key: value for key, value in {**defaults, **values}.items() if key in read}
+    if values.get("players", 1) == 1:
+        values.pop("learners", None)  # one player alone learns as it does
     if values.get("momentum") == 0 and values.get("dampening") is not None:
         values["dampening"] = 0.0  # torch reads it only beside a momentum
     if values.get("gradient_limit", 0.5) is None:

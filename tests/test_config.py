@@ -279,7 +279,7 @@ LISTS: dict[str, list[Any]] = {
     "reward": [[], "", 3, "kill", "module:", ":function", ["kills"] * 9, [3]],
 }
 WORDS = (
-    *("level", "env", "engine", "algorithm", "activation", "clip", "optimizer"),
+    *("level", "env", "engine", "algorithm", "activation", "clip", "optimizer", "learners"),
     *("observation", "start", "coast", "kill_credit", "xp_scope", "time_limit"),
 )
 WORDS_OR_NOTHING = ("characters", "perceive", "order", "scale", "parent", "fork_reset")

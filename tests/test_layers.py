@@ -30,7 +30,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.engines": ("pneuma.env",),
     "pneuma.study": (),
     # what runs in the worker's own process:
-    "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.records"),
+    "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.team"),
     "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
     "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),
     "pneuma.analysis": ("pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables"),

@@ -3,7 +3,10 @@
 BAND_NAMES = ("ci", "bootstrap", "se", "std", "variance", "minmax", "iqr", "runs")
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
-EXPORT_TABLES = (*RECORD_TABLES, "curves", "summary")
+LEARNERS_TABLE = "learners"
+"""Every learner's own metrics, of runs whose players learn independently."""
+
+EXPORT_TABLES = (*RECORD_TABLES, LEARNERS_TABLE, "curves", "summary")
 EXPORT_FORMATS = ("csv", "parquet", "latex", "markdown")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}
 

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis import LEARNERS_TABLE
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
@@ -27,7 +28,7 @@ class FinishedRun:
     """A run that counts in every statistic, done or diverged.
 
     Attributes:
-        slots: worlds that it collected from; None where that is not known.
+        slots: players, over all worlds, that it collected from; None where that is not known.
         budget: agent steps that it was to train.
         end: agent steps that it trained; less than the budget where it diverged.
         status: 'done' or 'diverged'.
@@ -147,7 +148,9 @@ class StudyData:
         status = self.source.status(run["run_id"])
         if not status.finished:
             return None
-        slots, budget = run["run"]["slots"], run["run"]["steps"]
+        slots, budget, players = run["run"]["slots"], run["run"]["steps"], run["run"].get("players", 1)
+        if isinstance(slots, int) and isinstance(players, int):
+            slots *= players
         return FinishedRun(
             run["condition"], run["seed"], run["run_id"], slots, budget, status.step, status.name
         )
@@ -195,7 +198,7 @@ class StudyData:
         return [run for run in self.runs if run.condition == condition]
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return one of `RECORD_TABLES` for every finished run, in the selection's order.
+        """Return one of `RECORD_TABLES`, or that of learners, of the finished runs in the selection's order.
 
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.base`).
 
@@ -203,7 +206,7 @@ class StudyData:
             UserError: where the source has no such table.
         """
         frames = []
-        for run in self.runs:
+        for run in self._runs_with(name):
             frame = self.run_table(run, name).copy()
             for place, column in enumerate(("condition", "seed", "run_id")):
                 frame.insert(place, column, getattr(run, column))
@@ -216,12 +219,25 @@ class StudyData:
         Raises:
             UserError: where the source has no such table.
         """
-        if name not in self.tables:
+        if name not in (*self.tables, LEARNERS_TABLE if "metrics" in self.tables else ""):
             raise UserError(
                 f"study {self.study}: {self.source.what} holds no {name}; "
                 f"there are {', '.join((*self.tables, 'curves'))}"
             )
         return self.source.table(run, name)
+
+    def _runs_with(self, table: str) -> list[FinishedRun]:
+        """Return the finished runs that have a table.
+
+        Raises:
+            UserError: where none has it.
+        """
+        if table != LEARNERS_TABLE:
+            return self.runs
+        own = [run for run in self.runs if self.settings(run).get("learners") == "independent"]
+        if not own:
+            raise UserError(f'study {self.study}: no finished run has learners = "independent"')
+        return own
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,), NaN where it has no value.

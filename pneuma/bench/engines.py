@@ -108,12 +108,13 @@ def _update_share() -> tuple[float, float]:
     import jax
     import numpy as np
 
-    from pneuma.engines.batched import Learner
+    from pneuma.engines.batched.training import Training
 
     run = _run("small", "batched", 0, 512)
-    learner = Learner(run)
-    learner.update(0)
-    rollout = learner.collector.collect(learner.networks["actor"])
+    training = Training(run)
+    training.update(0)
+    (learner,) = training.learners
+    rollout = training.collector.collect([learner.networks["actor"]])
     weights = sum(weight.size for part in learner.networks.values() for weight, _ in part)
     operations = 6 * weights * run.steps_per_update * run.epochs
     square = np.ones((MATRIX_SIDE, MATRIX_SIDE), np.float32)

@@ -269,14 +269,15 @@ def _player(
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
     if player == "hunter":
         return {}, lambda worlds: Hunter(worlds).act
-    from pneuma.engines.policy import read_policy
+    from pneuma.engines.team import SHARED_FILE, policy_names, read_policies
 
     store = Store(results)
     player = _named_run(store, player)
     run = json_module.loads(store.read_file(player, "run.json"))["run"]
     if run["env"] != _base(name):
         raise UserError(f"--player {player}: was trained in {run['env']}, not in {name}")
-    policy = read_policy(store.read_file(player, "policy.safetensors"))
+    names = policy_names(store.file_names(player)) or [SHARED_FILE]
+    policy = read_policies([store.read_file(player, name) for name in names])
     return _stored_settings(run), lambda worlds: _acting(policy, worlds, seed, player)
 
 
@@ -306,9 +307,14 @@ def _acting(policy: Any, worlds: Any, seed: int, player: str) -> Callable[[Any],
     """Return what draws actions from a stored policy, which must fit the worlds."""
     import numpy as np
 
+    from pneuma.engines.team import Team
+
+    policies = policy.policies if isinstance(policy, Team) else (policy,)
+    players = worlds.players.shape[1]
     for what, trained, here in (
-        ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
-        ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
+        ("features", len(policies[0].actor[0][0]), worlds.observations.shape[2]),
+        ("actions", len(policies[0].actor[-1][1]), int(worlds.action_space.n)),
+        ("players", len(policies) if len(policies) > 1 else players, players),
     ):
         if trained != here:
             raise UserError(f"--player {player}: was trained on {trained} {what}; these settings make {here}")

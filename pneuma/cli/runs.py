@@ -106,6 +106,9 @@ def export(
     trust: Annotated[
         bool, typer.Option("--trust", help="Open the run's own level and characters files, for its bounds.")
     ] = False,
+    player: Annotated[
+        int | None, typer.Option("--player", min=0, help="Whose, where each player has its own policy.")
+    ] = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -114,7 +117,7 @@ def export(
     _check_out(out)
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
-    data, note = _exported(store, run, out.suffix.lower(), trust)
+    data, note = _exported(store, run, out.suffix.lower(), trust, player)
     try:
         write_whole(out, data)
     except OSError as error:
@@ -143,13 +146,13 @@ def _check_out(out: Path) -> None:
         raise UserError(f"--out {out}: there is no folder {out.parent}")
 
 
-def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
+def _exported(
+    store: Store, run: StoredRun, suffix: str, trust: bool, player: int | None
+) -> tuple[bytes, str]:
     """Return the file's contents, and what a person should know about them."""
     if not run.status.finished:
         raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
-    if not any(file.name == "policy.safetensors" for file in run.files):
-        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
-    data = store.read_file(run.run_id, "policy.safetensors")
+    data = store.read_file(run.run_id, _policy_file(run, player))
     from pneuma.engines import export as exports
 
     try:
@@ -166,6 +169,23 @@ def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[b
         "space in the file has no bounds, so load it without env=, or export again with --trust"
     )
     return exports.to_sb3(policy, settings, space), "" if bounded else note
+
+
+def _policy_file(run: StoredRun, player: int | None) -> str:
+    """Return the name of the file of the policy meant."""
+    from pneuma.engines.team import policy_names
+
+    names = policy_names([file.name for file in run.files])
+    if not names:
+        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
+    if len(names) == 1:
+        if player is not None:
+            raise UserError(f"--player {player}: all players of run {run.run_id} share one policy")
+        return names[0]
+    if player is None or player >= len(names):
+        given = "each player has its own policy" if player is None else f"there is no player {player}"
+        raise UserError(f"run {run.run_id}: {given}; choose --player 0 to {len(names) - 1}")
+    return names[player]
 
 
 def _resolved(run: StoredRun) -> Run:

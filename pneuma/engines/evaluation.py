@@ -16,6 +16,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.action_values import ActionValues
 from pneuma.engines.policy import Policy
+from pneuma.engines.team import Team
 from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
@@ -35,7 +36,7 @@ class Evaluation:
         self.random_share, self.hunter_share = self._anchors()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
-    def evaluate(self, policy: Policy, step: int) -> dict[str, Any]:
+    def evaluate(self, policy: Policy | Team, step: int) -> dict[str, Any]:
         """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
 
         A policy of action values has `q_estimate` and `q_true` as well.
@@ -49,7 +50,9 @@ class Evaluation:
             best = policy.best(observations[first_best:])
             return np.concatenate([sampled, best]).reshape(worlds.players.shape)
 
-        valued = self.action_values.measure(policy) if self.action_values else {}
+        valued = (
+            self.action_values.measure(policy) if self.action_values and isinstance(policy, Policy) else {}
+        )
         returns = self._play(act)
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED

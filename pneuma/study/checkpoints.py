@@ -21,6 +21,7 @@ from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
     EVALUATION_COLUMNS,
+    LEARNER_COLUMNS,
     METRIC_COLUMNS,
     VALUE_COLUMNS,
     Records,
@@ -36,7 +37,10 @@ TABLES = {
     "episodes": EPISODE_COLUMNS,
     "metrics": METRIC_COLUMNS,
     "evaluations": EVALUATION_COLUMNS,
+    "learners": LEARNER_COLUMNS,
 }
+OPTIONAL_TABLES = ("learners",)
+"""Those that are left out where they have no rows."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,8 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
         run_id: the run's, so that the file is of no use in the folder of another.
     """
     tables = {
-        f"records/{name}": np.frombuffer(to_parquet(rows, columns_of(rows, columns)), np.uint8)
-        for name, columns in TABLES.items()
-        for rows in [getattr(checkpoint.records, name)]
+        f"records/{name}": np.frombuffer(data, np.uint8)
+        for name, data in table_files(checkpoint.records).items()
     }
     about = {
         "schema": SCHEMA,
@@ -111,6 +114,16 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
     arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
     shapes = {name: list(array.shape) for name, array in checkpoint.arrays.items()}
     return save({**arrays, **tables}, metadata={"pneuma": json.dumps({**about, "shapes": shapes})})
+
+
+def table_files(records: Records) -> dict[str, bytes]:
+    """Return every table of records as a Parquet file."""
+    return {
+        name: to_parquet(rows, columns_of(rows, columns))
+        for name, columns in TABLES.items()
+        for rows in [getattr(records, name)]
+        if rows or name not in OPTIONAL_TABLES
+    }
 
 
 def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
@@ -133,7 +146,11 @@ def _about(data: bytes) -> dict[str, Any]:
 
 def _decoded(about: Mapping[str, Any], data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     arrays = load(data)
-    rows = {name: _rows(arrays.pop(f"records/{name}").tobytes(), columns) for name, columns in TABLES.items()}
+    rows = {
+        name: _rows(arrays.pop(f"records/{name}").tobytes(), columns)
+        for name, columns in TABLES.items()
+        if f"records/{name}" in arrays or name not in OPTIONAL_TABLES
+    }
     shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
     numbers, history = dict(about["numbers"]), dict(about["history"])
     return Checkpoint(about["step"], shaped, numbers, Records(**rows)), history

@@ -30,7 +30,7 @@ from pneuma.study.trust import own_things
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "magic", "observation",
-    "perceive", "slots", "horizon", "actor", "critic", "buffer_size", "seed",
+    "perceive", "slots", "learners", "horizon", "actor", "critic", "buffer_size", "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""
 

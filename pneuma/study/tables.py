@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-_WHOLE = {"slot", "episode", "step", "length", "kills", "episodes", "argmax_starts"}
+_WHOLE = {"slot", "learner", "episode", "step", "length", "kills", "episodes", "argmax_starts"}
 _TEXT = {"ending"}
 
 

@@ -28,15 +28,14 @@ from typing import Any, TextIO
 from pneuma.config import Run, make_run
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import CheckpointError
-from pneuma.engines.records import columns_of
+from pneuma.engines.team import policy_files
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import TABLES
+from pneuma.study.checkpoints import table_files
 from pneuma.study.identity import run_id
 from pneuma.study.locks import RunLock
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.resume import Resume
 from pneuma.study.store import Status, Store, run_document, to_json
-from pneuma.study.tables import to_parquet
 
 REPORT_SECONDS = 0.25
 THREADS = 1
@@ -187,11 +186,9 @@ def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Excep
 def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:
     """Return every file of a finished run by name."""
     files = {"run.json": run_document(result.run, name), "provenance.json": to_json(about)}
-    for table, columns in TABLES.items():
-        rows = getattr(result.records, table)
-        files[f"{table}.parquet"] = to_parquet(rows, columns_of(rows, columns))
+    files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
     if result.policy is not None:
-        files["policy.safetensors"] = result.policy.to_bytes()
+        files |= policy_files(result.policy)
     return files
 
 

@@ -64,6 +64,7 @@ end_on_clear = true
 engine = "sb3"
 algorithm = "ppo"
 slots = 2
+learners = "shared"
 actor = [8]
 critic = [8, 4]
 activation = "relu"
@@ -224,6 +225,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "entropy_coefficient": _number("at least 0", "at most 1e+06", "-1", "1000001"),
     "gradient_limit": _number("above 0", '"none"', "0", "-1", "1e10"),
     "clip": _one_of("joint", "separate"),
+    "learners": _one_of("shared", "independent"),
     "optimizer": _one_of("adam", "sgd", "rmsprop", "upgd", near="adma"),
     "betas": (
         ("0.9", "[0.9]", "[0.9, 1]", "[0.9, -0.1]", "[0.9, 0.9, 0.9]", '["a", "b"]'),

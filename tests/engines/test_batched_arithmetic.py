@@ -16,11 +16,11 @@ from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3
-from pneuma.engines.batched import Learner
+from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.networks import initial_networks
 from pneuma.engines.batched.optimizers import upgd_noise
-from pneuma.engines.batched.rollout import Rollout, advantages
-from pneuma.engines.batched.update import run_numbers
+from pneuma.engines.batched.rollout import Collector, Rollout, advantages
+from pneuma.engines.batched.update import joined, run_numbers
 from pneuma.engines.policy import dead_share
 
 SMALL: dict[str, object] = {
@@ -47,6 +47,7 @@ CASES: dict[str, dict[str, object]] = {
     "a tight joint limit": {"gradient_limit": 0.01},
     "a last minibatch that is smaller": {"minibatch": 40},
     "slots": {"slots": 3, "steps": 1152},
+    "players": {"players": 2, "slots": 2, "steps": 1536, "episode_steps": 70},
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
     "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
@@ -82,10 +83,12 @@ def linear_layers(model: PPO, networks: Any) -> Iterator[tuple[Any, Any]]:
 
 def our_noise(model: PPO, learner: Learner, step: int) -> list[torch.Tensor]:
     """Return the compiled engine's noise of a step in the order of Stable-Baselines3's parameters."""
-    drawn = upgd_noise(learner.networks, step, run_numbers(learner.run))
-    for module, (weight, bias) in linear_layers(model, drawn):
-        module.weight.noise, module.bias.noise = (torch.tensor(np.array(a).T) for a in (weight, bias))
-    return [parameter.noise for parameter in model.policy.parameters()]
+    own: dict[torch.Tensor, torch.Tensor] = {}
+    drawn = upgd_noise(joined(learner.networks), step, run_numbers(learner.run))
+    for module, layer in linear_layers(model, drawn):
+        *weight, bias = torch.tensor(np.array(layer))  # (inputs + 1, outputs), as small layers are
+        own |= {module.weight: torch.stack(weight).T, module.bias: bias}
+    return [own[parameter] for parameter in model.policy.parameters()]
 
 
 def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
@@ -113,39 +116,38 @@ def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
     buffer.compute_returns_and_advantage(last_values=last, dones=rollout.last_ends)
 
 
-class Watched(Learner):
-    """Keeps the rollout and the orders of an update."""
+def next_orders(learner: Learner, rollout: Rollout) -> Iterator[np.ndarray]:
+    """Return the orders of minibatches that the learner will draw for a rollout."""
+    twin = np.random.default_rng()
+    twin.bit_generator.state = learner.generator.bit_generator.state
+    return iter([twin.permutation(rollout.actions.size) for _ in range(learner.run.epochs)])
 
-    rollout: Rollout
-    orders: list[np.ndarray]
 
-    def _judge(self, rollout: Rollout) -> Any:
-        self.rollout, self.orders = rollout, []
-        count = rollout.actions.size
-        twin = np.random.default_rng()
-        twin.bit_generator.state = self.generator.bit_generator.state
-        self.orders = [twin.permutation(count) for _ in range(self.run.epochs)]
-        return super()._judge(rollout)
+def collector_and_learner(run: Run) -> tuple[Collector, Learner]:
+    collector = Collector(run)
+    features, actions = collector.worlds.observations.shape[2], int(collector.worlds.action_space.n)
+    return collector, Learner(run, features, actions)
 
 
 @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
 def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    learner = Watched(run)
+    collector, learner = collector_and_learner(run)
     model = torch_model(run, learner)
     if run.optimizer == "upgd":
         monkeypatch.setattr(model.policy.optimizer, "draw", lambda step, _: our_noise(model, learner, step))
     with sb3.GradientNorms(model, run) as norms:
         for update in range(UPDATES):
             before = learner.policy()
-            ours, _ = learner.update(update * run.steps_per_update)
-            fill_buffer(model, run, learner.rollout)
-            orders: Iterator[np.ndarray] = iter(learner.orders)
+            rollout = collector.collect([learner.networks["actor"]])
+            orders = next_orders(learner, rollout)
+            ours = learner.learn_from(rollout)
+            fill_buffer(model, run, rollout)
             monkeypatch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
             theirs = {**sb3.learn_from_rollout(model, run), **norms.take()}
             for name, value in theirs.items():
                 close = pytest.approx(value, rel=2e-3, abs=2e-5)
                 assert ours[name] == close, (update, name)
-            shown = learner.rollout.observations.reshape(-1, learner.rollout.observations.shape[2])
+            shown = rollout.observations.reshape(-1, rollout.observations.shape[2])
             assert ours["dead_units"] == pytest.approx(dead_share(before, shown), abs=1e-6)
     ended = sb3.extract_policy(model, run)
     for own, other in zip(
@@ -157,8 +159,8 @@ def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.Mo
 
 def test_the_rollouts_have_time_limits_and_deaths_in_them() -> None:
     """What the tables of endings are read by: both kinds happen."""
-    learner = Learner(make_run({**SMALL, "steps": 9600, "episode_steps": 300}))
-    ended = np.concatenate([learner.collector.collect(learner.networks["actor"]).ended for _ in range(40)])
+    collector, learner = collector_and_learner(make_run({**SMALL, "steps": 9600, "episode_steps": 300}))
+    ended = np.concatenate([collector.collect([learner.networks["actor"]]).ended for _ in range(40)])
     assert set(ended["ending"].tolist()) >= {1, 3}  # killed, time limit
 
 

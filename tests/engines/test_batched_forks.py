@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pneuma.config import make_run
-from pneuma.engines.batched import Learner
 from pneuma.engines.batched.state import restore_checkpoint, take_checkpoint
+from pneuma.engines.batched.training import Training
 from pneuma.engines.records import Records
 
 SMALL: dict[str, object] = {"horizon": 64, "minibatch": 32, "steps": 128, "actor": [8], "critic": [8]}
@@ -14,9 +14,10 @@ SMALL: dict[str, object] = {"horizon": 64, "minibatch": 32, "steps": 128, "actor
 
 def test_a_critic_begun_anew_has_moments_of_its_own() -> None:
     """The compiled update overwrites its arguments in place, so that no two may be one array."""
-    learner = Learner(make_run(SMALL))
-    checkpoint = take_checkpoint(learner, 64, Records())
-    restore_checkpoint(learner, checkpoint, "critic")
+    training = Training(make_run(SMALL))
+    checkpoint = take_checkpoint(training, 64, Records())
+    restore_checkpoint(training, checkpoint, "critic")
+    (learner,) = training.learners
     parts = [part["critic"] for name, part in learner.optimizer.items() if name != "steps"]
     arrays = [array for part in parts for layer in part for array in layer]
     assert len({id(array) for array in arrays}) == len(arrays) > 0

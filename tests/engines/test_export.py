@@ -67,6 +67,13 @@ def sb3_outputs(model: PPO, observations: np.ndarray) -> tuple[np.ndarray, np.nd
 # --- Stable-Baselines3 -----------------------------------------------------------------------------
 
 
+def test_a_zip_of_a_run_by_upgd_needs_no_optimizer_of_ours() -> None:
+    run = make_run({"optimizer": "upgd", "betas": (0.8, 0.9), "actor": [4], "critic": [4]})
+    model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, own_space(11))), device="cpu")
+    assert type(model.policy.optimizer) is torch.optim.Adam
+    assert model.policy.optimizer.defaults["betas"] == (0.8, 0.9)
+
+
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize(("actor", "critic"), [([128], [256]), ([7, 5], [3, 4, 6])])
 def test_the_zip_computes_what_the_policy_computes(

@@ -15,6 +15,7 @@ from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy, read_policy
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.team import policy_files
 from pneuma.study.checkpoints import TABLES, decode, encode
 from pneuma.study.tables import to_parquet
 
@@ -61,7 +62,7 @@ def bits(result: Result) -> tuple[object, ...]:
     """Return all that a run ends with; as Parquet, where NaN equals NaN."""
     assert result.policy is not None
     tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
-    return result.status, result.step, tables, result.policy.to_bytes()
+    return result.status, result.step, tables, policy_files(result.policy)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -73,7 +74,7 @@ def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> N
     theirs = sb3.extract_policy(alone, run)
     ours = train(run)[0].policy
     assert ours is not None
-    assert ours.to_bytes() == theirs.to_bytes()
+    assert policy_files(ours) == policy_files(theirs)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -11,9 +11,11 @@ from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.tabular import exploration_rate, temporal_difference
 from pneuma.engines.tabular_evaluation import TableEvaluation, estimated_values, optimal_values, policy_values
+from pneuma.engines.team import policy_files
 from pneuma.env.mailman import GO_HOME, GO_ON, LETTERS, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.study.checkpoints import TABLES, decode, encode
 from pneuma.study.tables import to_parquet
@@ -41,7 +43,7 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
 def bits(result: Result) -> tuple[object, ...]:
     assert result.policy is not None
     tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
-    return result.status, result.step, tables, result.policy.to_bytes()
+    return result.status, result.step, tables, policy_files(result.policy)
 
 
 # --- One step ----------------------------------------------------------------------------------------
@@ -186,7 +188,7 @@ def test_an_evaluation_explores_as_the_run_does_and_its_greedy_route_does_not() 
 
 def test_the_stored_policy_is_the_table() -> None:
     result, taken = train(run_of("double-q-learning"))
-    assert result.policy is not None
+    assert isinstance(result.policy, Policy)
     mean = taken[-1].arrays["tables"].mean(axis=0)
     np.testing.assert_allclose(result.policy.logits(np.eye(3, dtype=np.float32)), mean, rtol=1e-6)
     assert result.policy.exploration == 0.1

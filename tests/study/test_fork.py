@@ -14,6 +14,7 @@ from pneuma.engines import sb3
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.sb3_state import take_checkpoint
+from pneuma.engines.team import policy_files
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import encode, file_name
 from pneuma.study.fork import plan_fork
@@ -80,7 +81,7 @@ def test_with_a_learning_rate_of_almost_nothing_the_policy_stays_the_parents(
     result, _ = train(forked(run, learning_rate=1e-30), taken[AT])
     at_fork, _ = train(make_run({**SMALL, "xp_scope": "forever", "steps": AT}))
     assert result.policy is not None and at_fork.policy is not None
-    assert result.policy.to_bytes() == at_fork.policy.to_bytes()
+    assert policy_files(result.policy) == policy_files(at_fork.policy)
 
 
 def test_only_what_is_asked_for_is_reset(parent: tuple[Run, dict[int, Checkpoint]]) -> None:
@@ -114,8 +115,8 @@ def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
     other, _ = train(forked(run, seed=1), taken[AT])
     resumed, _ = train(forked(run), own[256])
     assert whole.policy is not None and other.policy is not None and resumed.policy is not None
-    assert whole.policy.to_bytes() != other.policy.to_bytes()
-    assert whole.policy.to_bytes() == resumed.policy.to_bytes()
+    assert policy_files(whole.policy) != policy_files(other.policy)
+    assert policy_files(whole.policy) == policy_files(resumed.policy)
     assert [row["step"] for row in whole.records.metrics] == [192, 256, 320]
     assert whole.records.metrics == resumed.records.metrics
 

@@ -97,11 +97,13 @@ OF_OTHER_ALGORITHMS: dict[str, tuple[dict[str, Any], Any]] = {
 }
 """For every field that PPO does not read, settings under which it is, and a value that is not the default."""
 
+OF_PLAYERS = {"learners"}
 OF_ONE_VALUE = {"engine"}
 
 
 def test_every_field_of_a_run_is_tested_here() -> None:
-    tested = {*OTHER, *OF_OTHER_OPTIMIZERS, *OF_OTHER_ALGORITHMS, *OF_ONE_VALUE, "level", "random_levels"}
+    several = {*OF_OTHER_OPTIMIZERS, *OF_OTHER_ALGORITHMS, *OF_PLAYERS, *OF_ONE_VALUE}
+    tested = {*OTHER, *several, "level", "random_levels"}
     assert tested == {item.name for item in fields(Run)}
 
 
@@ -131,6 +133,13 @@ def test_a_setting_changes_the_name_under_an_algorithm_that_reads_it(key: str) -
     assert run_id(make_run({**settings, key: value})) != run_id(make_run(settings))
     if key not in ("algorithm", "value_baseline"):
         assert run_id(make_run({key: value})) == run_id(make_run({}))  # PPO reads none of them
+
+
+def test_how_players_learn_changes_the_name_where_there_are_several() -> None:
+    two, alone = {"players": 2}, {"learners": "independent"}
+    assert run_id(make_run({**two, **alone})) != run_id(make_run(two))
+    assert run_id(make_run({**two, "learners": "shared"})) == run_id(make_run(two))
+    assert run_id(make_run(alone)) == run_id(make_run({}))
 
 
 def test_a_thousand_different_runs_have_a_thousand_names() -> None:

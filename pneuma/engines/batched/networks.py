@@ -20,9 +20,9 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 """Of the orthogonal initial weights, as Stable-Baselines3 has them."""
 
 
-def initial_networks(run: Run, features: int, actions: int) -> Networks:
-    """Return orthogonal weights and zero biases, drawn from the run's stream of weights."""
-    generator = np.random.default_rng(stream_seed(run.stream, "weights"))
+def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
+    """Return orthogonal weights and zero biases, drawn from the run's stream of a player's weights."""
+    generator = np.random.default_rng(stream_seed(run.stream, "weights", player))
     return {
         "actor": _layers(generator, (features, *run.actor, actions), ACTOR_GAIN),
         "critic": _layers(generator, (features, *run.critic, 1), CRITIC_GAIN),

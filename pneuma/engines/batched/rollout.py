@@ -2,15 +2,17 @@
 
 worlds, actor and random numbers → observations, actions, rewards, ends, finished episodes
 
-Everything but the learning happens in here, so that a step costs no Python. Episodes are told apart and
-rewards rounded as the slots of Stable-Baselines3 do it (`pneuma.env.sb3`).
+Everything but the learning happens in here, so that a step costs no Python; unless a reward of a user's own
+must be asked in between. Slot i is player i % P of world i // P; episodes are told apart, idle slots shown
+and rewards rounded as the slots of Stable-Baselines3 do it (`pneuma.env.slots`, `pneuma.env.sb3`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -56,57 +58,127 @@ class Rollout:
     ended: np.ndarray
     terminal_observations: np.ndarray
 
+    def of_player(self, player: int, players: int) -> Rollout:
+        """Return what one of so many players did; slots are its worlds."""
+        if players == 1:
+            return self
+        own = slice(player, None, players)
+        mine = self.ended["slot"] % players == player
+        ended = self.ended[mine]  # a copy
+        ended["slot"] //= players
+        return Rollout(
+            self.observations[own],
+            self.actions[own],
+            self.rewards[own],
+            self.starts[own],
+            self.last_observations[own],
+            self.last_ends[own],
+            ended,
+            self.terminal_observations[mine],
+        )
+
+
+class Tape(NamedTuple):
+    """What playing reads and writes beside the worlds: the episodes so far, then a rollout's arrays."""
+
+    returns: Any
+    lengths: Any
+    episodes: Any
+    begins: Any
+    idle: Any
+    observations: Any
+    actions: Any
+    rewards: Any
+    starts: Any
+    ended: Any
+    terminal: Any
+
 
 class Collector:
     """The worlds of a run's slots, and the episodes that are being played in them.
 
     Attributes:
-        worlds: one for each slot.
+        worlds: as many as the run's `slots`; each of their players is a slot here.
         returns, lengths, episodes: (S,) of the episodes so far.
         begins: (S,) float32, 1 where the next step is an episode's first.
+        idle: (S,) whose players died before the last step, in a world that goes on.
         generator: draws the actions.
     """
 
     def __init__(self, run: Run) -> None:
         self._run = run
+        self._asks = any(":" in name for name in run.reward)
         self.worlds = Worlds(run.slots, env_config(run))
         self.worlds.seed([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
         self.worlds.reset()
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-        self.returns = np.zeros(run.slots)
-        self.lengths = np.zeros(run.slots, np.int64)
-        self.episodes = np.zeros(run.slots, np.int64)
-        self.begins = np.ones(run.slots, np.float32)
+        slots = run.slots * run.players
+        self.returns = np.zeros(slots)
+        self.lengths = np.zeros(slots, np.int64)
+        self.episodes = np.zeros(slots, np.int64)
+        self.begins = np.ones(slots, np.float32)
+        self.idle = np.zeros(slots, np.bool_)
 
-    def is_cut_off(self, ended: np.ndarray) -> np.ndarray:
-        """Tell which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
-        limit = ended["ending"] == rules.TIME_LIMIT
-        return limit if self._run.time_limit == "truncate" else np.zeros_like(limit)
-
-    def collect(self, actor: Layers) -> Rollout:
-        """Play one horizon with an actor."""
-        run, features = self._run, self.worlds.observations.shape[2]
-        slots, steps = run.slots, run.horizon
-        observations = np.zeros((slots, steps, features), np.float32)
-        actions = np.zeros((slots, steps), np.int64)
+    def collect(self, actors: Sequence[Layers]) -> Rollout:
+        """Play one horizon with an actor for all players, or one for each."""
+        steps, slots, features = self._run.horizon, len(self.idle), self.worlds.observations.shape[2]
         rewards, starts = np.zeros((2, slots, steps), np.float32)
-        ended = np.zeros(slots * steps, ENDED)
-        terminal = np.zeros((16, features), np.float32)
-        count = 0
-        done = 0
+        tape = Tape(
+            self.returns, self.lengths, self.episodes, self.begins, self.idle,
+            np.zeros((slots, steps, features), np.float32), np.zeros((slots, steps), np.int64),
+            rewards, starts, np.zeros(slots * steps, ENDED), np.zeros((max(16, slots), features), np.float32),
+        )  # fmt: skip
         draws = self.generator.random((steps, slots), np.float32)
-        while done < steps:  # more than once only where the room for endings was too little
-            done, count = _play(
-                self.worlds.handle, flat(actor), sizes(actor), ACTIVATION_CODES[run.activation], draws,
-                self.worlds.usual_starts, self.returns, self.lengths, self.episodes, self.begins,
-                observations, actions, rewards, starts, ended, terminal, done, count,
-            )  # fmt: skip
-            if done < steps:
-                terminal = np.concatenate([terminal, np.zeros_like(terminal)])
-        last = self.worlds.observations[:, 0].copy()
+        play = self._play_asking if self._asks else self._play_compiled
+        tape, count = play(np.stack([flat(actor) for actor in actors]), sizes(actors[0]), draws, tape)
+        last = self.worlds.observations.reshape(slots, features).copy()
+        last[self.idle] = 0.0
         return Rollout(
-            observations, actions, rewards, starts, last, self.begins.copy(), ended[:count], terminal[:count]
-        )
+            tape.observations, tape.actions, tape.rewards, tape.starts, last, self.begins.copy(),
+            tape.ended[:count], tape.terminal[:count],
+        )  # fmt: skip
+
+    def _play_compiled(
+        self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
+    ) -> tuple[Tape, int]:
+        """Play a horizon in one call, or in more where the room for endings was too little."""
+        activation = ACTIVATION_CODES[self._run.activation]
+        done, count = 0, 0
+        while True:
+            done, count = _play(
+                self.worlds.handle, weights, widths, activation, draws, self.worlds.usual_starts, tape, done,
+                count,
+            )  # fmt: skip
+            if done == len(draws):
+                return tape, count
+            tape = _with_more_room(tape)
+
+    def _play_asking(
+        self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
+    ) -> tuple[Tape, int]:
+        """Play a horizon step by step, as rewards of a user's own are plain Python."""
+        worlds, activation = self.worlds, ACTIVATION_CODES[self._run.activation]
+        chosen = np.zeros(worlds.players.shape, np.int64)
+        over = np.zeros(len(worlds), np.bool_)
+        scratch = np.zeros((2, int(widths.max())), np.float32)
+        count = 0
+        for step, draw in enumerate(draws):
+            if count + len(draw) > len(tape.terminal):
+                tape = _with_more_room(tape)
+            _choose(worlds.handle, weights, widths, activation, draw, tape, step, chosen, scratch)
+            worlds.step(chosen)
+            count = _note(worlds.handle, worlds.usual_starts, tape, step, count, chosen, over)
+        return tape, count
+
+
+def _with_more_room(tape: Tape) -> Tape:
+    return tape._replace(terminal=np.concatenate([tape.terminal, np.zeros_like(tape.terminal)]))
+
+
+def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
+    """Tell which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
+    limit = ended["ending"] == rules.TIME_LIMIT
+    return limit if run.time_limit == "truncate" else np.zeros_like(limit)
 
 
 def episode_rows(rollout: Rollout, first_step: int, slots: int) -> list[dict[str, Any]]:
@@ -138,50 +210,80 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 
 @kernel
 def _play(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any,
-    returns: Any, lengths: Any, episodes: Any, begins: Any, observations: Any, actions: Any,
-    rewards: Any, starts: Any, ended: Any, terminal: Any, step: int, count: int,
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, tape: Any,
+    step: int, count: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Play from `step` on; return the step reached, short of the last where `terminal` was full."""
     s = rules.open_state(handle)
-    slots = s.worlds.shape[0]
-    chosen = np.zeros((slots, 1), np.int64)
-    over = np.zeros(slots, np.bool_)
+    chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
+    over = np.zeros(s.players.shape[0], np.bool_)
     scratch = np.zeros((2, widths.max()), np.float32)
-    steps = draws.shape[0]
-    while step < steps and count + slots <= terminal.shape[0]:
-        for i in range(slots):
-            observations[i, step] = s.observations[i, 0]
-            starts[i, step] = begins[i]
-            logits = _forward(weights, widths, activation, s.observations[i, 0], scratch)
-            chosen[i, 0] = actions[i, step] = _sample(logits, draws[step, i])
-        any_ended = rules.step_worlds(handle, chosen, False) > 0
-        for i in range(slots):
-            rewards[i, step] = s.events[i, 0].reward
-            returns[i] += s.events[i, 0].reward
-            lengths[i] += 1
-            over[i] = s.worlds[i].ending != 0
-            begins[i] = over[i]
-            if over[i]:
-                row = ended[count]
-                row.slot = i
-                row.episode = episodes[i]
-                row.step = step + 1
-                row["return"] = returns[i]
-                row.length = lengths[i]
-                row.kills = s.players[i, 0].kills
-                row.hp = s.players[i, 0].hp
-                row.ending = s.worlds[i].ending
-                terminal[count] = s.observations[i, 0]
-                count += 1
-                episodes[i] += 1
-                returns[i] = 0.0
-                lengths[i] = 0
-        if any_ended:
-            rules.reset_worlds(handle, usual_starts, over)
-            rules.step_worlds(handle, chosen, True)
+    while step < draws.shape[0] and count + draws.shape[1] <= tape.terminal.shape[0]:
+        _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
+        rules.step_worlds(handle, chosen, False)
+        count = _note(handle, usual_starts, tape, step, count, chosen, over)
         step += 1
     return step, count
+
+
+@kernel
+def _choose(
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, tape: Any, step: int, chosen: Any,
+    scratch: Any,
+) -> None:  # fmt: skip
+    """Note what every slot sees and draw its action; idle slots see zeros."""
+    s = rules.open_state(handle)
+    players = s.players.shape[1]
+    for i in range(len(draws)):
+        w, p = i // players, i % players
+        if tape.idle[i]:
+            tape.observations[i, step] = 0.0
+        else:
+            tape.observations[i, step] = s.observations[w, p]
+        tape.starts[i, step] = tape.begins[i]
+        own = weights[p % weights.shape[0]]
+        logits = _forward(own, widths, activation, tape.observations[i, step], scratch)
+        chosen[w, p] = tape.actions[i, step] = _sample(logits, draws[i])
+
+
+@kernel
+def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chosen: Any, over: Any) -> int:
+    """Note what a step brought to every slot and begin ended worlds anew; return the endings so far."""
+    s = rules.open_state(handle)
+    players = s.players.shape[1]
+    any_over = False
+    for i in range(len(tape.idle)):
+        w, p = i // players, i % players
+        player, event = s.players[w, p], s.events[w, p]
+        over[w] = s.worlds[w].ending != rules.RUNNING
+        any_over |= over[w]
+        present = event.present > 0 or event.died > 0
+        tape.rewards[i, step] = event.reward
+        tape.returns[i] += event.reward
+        tape.lengths[i] += 1
+        ended = present and (over[w] or player.hp <= 0)
+        tape.begins[i] = ended
+        if ended:
+            row = tape.ended[count]
+            row.slot = i
+            row.episode = tape.episodes[i]
+            row.step = step + 1
+            row["return"] = tape.returns[i]
+            row.length = tape.lengths[i]
+            row.kills = player.kills
+            row.hp = player.hp
+            row.ending = s.worlds[w].ending if player.hp > 0 else rules.KILLED
+            tape.terminal[count] = s.observations[w, p]
+            count += 1
+            tape.episodes[i] += 1
+            tape.returns[i] = 0.0
+        if ended or over[w]:  # slots that idled begin again as well
+            tape.lengths[i] = 0
+        tape.idle[i] = not present and not over[w]
+    if any_over:
+        rules.reset_worlds(handle, usual_starts, over)
+        rules.step_worlds(handle, chosen, True)
+    return count
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""The whole state of a learner between two updates, as plain arrays, and back."""
+"""The whole state of a training between two updates, as plain arrays, and back."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import stream_seed
-from pneuma.engines.batched import Learner
+from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.optimizers import initial_state
+from pneuma.engines.batched.rollout import Collector
+from pneuma.engines.batched.training import Training
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.records import Records
 from pneuma.env.state import LAYOUT_DIGEST
@@ -18,73 +20,91 @@ _WORLDS = ("worlds", "players", "monsters")
 _EPISODES = ("returns", "lengths", "episodes", "begins")
 
 
-def take_checkpoint(learner: Learner, step: int, records: Records) -> Checkpoint:
+def take_checkpoint(training: Training, step: int, records: Records) -> Checkpoint:
     """Copy all that the next update depends on."""
-    collector = learner.collector
-    arrays = {f"worlds/{name}": _bytes(getattr(collector.worlds, name)).copy() for name in _WORLDS}
-    arrays |= {f"episodes/{name}": getattr(collector, name).copy() for name in _EPISODES}
-    arrays |= {f"networks/{name}": np.array(array) for name, array in _named(learner.networks)}
-    arrays |= {f"optimizer/{name}": np.array(array) for name, array in _named(learner.optimizer)}
+    collector = training.collector
+    arrays = {name: own.copy() for name, own in _collected(collector)}
     numbers = {
         "layout": LAYOUT_DIGEST,
-        "optimizer": learner.run.optimizer,
+        "optimizer": training.run.optimizer,
         "actions": collector.generator.bit_generator.state,
-        "minibatches": learner.generator.bit_generator.state,
     }
+    for player, learner in enumerate(training.learners):
+        place = _place(player)
+        arrays |= {f"{place}networks/{name}": np.array(own) for name, own in _named(learner.networks)}
+        arrays |= {f"{place}optimizer/{name}": np.array(own) for name, own in _named(learner.optimizer)}
+        numbers[f"{place}minibatches"] = learner.generator.bit_generator.state
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def restore_checkpoint(learner: Learner, checkpoint: Checkpoint, reset: str = "") -> None:
-    """Put a learner where a checkpoint was taken, but for what `reset` names: it stays as it begins.
+def restore_checkpoint(training: Training, checkpoint: Checkpoint, reset: str = "") -> None:
+    """Put a training where a checkpoint was taken, but for what `reset` names: it stays as it begins.
 
     Raises:
-        CheckpointError: for one that does not fit this learner.
+        CheckpointError: for one that does not fit.
     """
     numbers = checkpoint.numbers
     try:
         if numbers["layout"] != LAYOUT_DIGEST:
             raise ValueError("the state of the worlds was laid out otherwise")
-        if numbers["optimizer"] != learner.run.optimizer and reset != "optimizer":
+        if numbers["optimizer"] != training.run.optimizer and reset != "optimizer":
             raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-        _restore_worlds(learner, checkpoint)
-        fresh = learner.networks
-        learner.networks = _filled(learner.networks, "networks/", checkpoint)
-        if reset != "optimizer":
-            learner.optimizer = _filled(learner.optimizer, "optimizer/", checkpoint)
-        if reset == "critic":
-            learner.networks = {**learner.networks, "critic": fresh["critic"]}
-            zero = initial_state(learner.run.optimizer, fresh)
-            for name, moment in learner.optimizer.items():
-                if name != "steps":
-                    part = zero[name]["critic"]  # copied, as an optimizer's moments may begin as one array
-                    learner.optimizer[name] = {**moment, "critic": _rebuilt(part, "", dict(_named(part)))}
-        learner.collector.generator.bit_generator.state = numbers["actions"]
-        learner.generator.bit_generator.state = numbers["minibatches"]
+        _restore_worlds(training.collector, checkpoint)
+        training.collector.generator.bit_generator.state = numbers["actions"]
+        for player, learner in enumerate(training.learners):
+            _restore_learner(learner, checkpoint, _place(player), reset)
     except (KeyError, ValueError, TypeError) as error:
         raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
 
 
-def begin_fork(learner: Learner, checkpoint: Checkpoint) -> None:
-    """Put a learner where its parent's checkpoint was taken, with random streams of its own from there on."""
-    run, worlds = learner.run, learner.collector.worlds
-    restore_checkpoint(learner, checkpoint, run.fork_reset)
+def begin_fork(training: Training, checkpoint: Checkpoint) -> None:
+    """Put a training where its parent's checkpoint was taken, with random streams of its own from then on."""
+    run, worlds = training.run, training.collector.worlds
+    restore_checkpoint(training, checkpoint, run.fork_reset)
     worlds.rekey([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
     if run.fork_reset == "xp":
         worlds.players["xp"] = 0.0
         worlds.observe()
-    learner.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-    learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
+    training.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+    for player, learner in enumerate(training.learners):
+        learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
 
 
-def _restore_worlds(learner: Learner, checkpoint: Checkpoint) -> None:
-    collector = learner.collector
-    pairs = [(_bytes(getattr(collector.worlds, name)), f"worlds/{name}") for name in _WORLDS]
-    pairs += [(getattr(collector, name), f"episodes/{name}") for name in _EPISODES]
-    for own, name in pairs:
+def _place(player: int) -> str:
+    """Return how the names of what belongs to a learner begin."""
+    return f"player-{player}/" if player else ""
+
+
+def _collected(collector: Collector) -> list[tuple[str, np.ndarray]]:
+    """Return the arrays of worlds and episodes by name; nobody idles in worlds of one player."""
+    idle = ("idle",) if collector.worlds.players.shape[1] > 1 else ()
+    return [
+        *((f"worlds/{name}", _bytes(getattr(collector.worlds, name))) for name in _WORLDS),
+        *((f"episodes/{name}", getattr(collector, name)) for name in (*_EPISODES, *idle)),
+    ]
+
+
+def _restore_worlds(collector: Collector, checkpoint: Checkpoint) -> None:
+    for name, own in _collected(collector):
         if own.shape != checkpoint.arrays[name].shape:
             raise ValueError(f"{name} is of shape {checkpoint.arrays[name].shape}, not {own.shape}")
         own[:] = checkpoint.arrays[name]
     collector.worlds.observe()
+
+
+def _restore_learner(learner: Learner, checkpoint: Checkpoint, place: str, reset: str) -> None:
+    fresh = learner.networks
+    learner.networks = _filled(learner.networks, f"{place}networks/", checkpoint)
+    if reset != "optimizer":
+        learner.optimizer = _filled(learner.optimizer, f"{place}optimizer/", checkpoint)
+    if reset == "critic":
+        learner.networks = {**learner.networks, "critic": fresh["critic"]}
+        zero = initial_state(learner.run.optimizer, fresh)
+        for name, moment in learner.optimizer.items():
+            if name != "steps":
+                part = zero[name]["critic"]  # copied, as an optimizer's moments may begin as one array
+                learner.optimizer[name] = {**moment, "critic": _rebuilt(part, "", dict(_named(part)))}
+    learner.generator.bit_generator.state = checkpoint.numbers[f"{place}minibatches"]
 
 
 def _filled(tree: Any, prefix: str, checkpoint: Checkpoint) -> Any:

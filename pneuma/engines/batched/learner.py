@@ -1,0 +1,122 @@
+"""One policy and all that trains it: a rollout goes in, better networks and what they lost come out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from pneuma.config import ACTION_NAMES, Run, stream_seed
+from pneuma.engines.batched.networks import Networks, initial_networks, to_policy
+from pneuma.engines.batched.optimizers import initial_state
+from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
+from pneuma.engines.batched.update import learn, look_back, run_numbers
+from pneuma.engines.policy import Policy
+
+Tree = Any
+
+
+class Learner:
+    """Networks, optimizer and order of minibatches of one policy.
+
+    Args:
+        run: how it learns.
+        features: numbers in an observation.
+        actions: how many there are.
+        player: whose policy it is, where each player has one: its random streams are its own.
+
+    Attributes:
+        networks: actor and critic, NumPy arrays.
+        optimizer: state of the run's optimizer, by name.
+        generator: draws the order of minibatches.
+    """
+
+    def __init__(self, run: Run, features: int, actions: int, player: int = 0) -> None:
+        self.run = run
+        self.networks: Networks = initial_networks(run, features, actions, player)
+        self.optimizer: Tree = to_numpy(initial_state(run.optimizer, self.networks))
+        self.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
+        self._numbers = run_numbers(run, player)
+        self._size = np.zeros(run.minibatch, np.bool_)
+
+    def policy(self) -> Policy:
+        """Return the networks as a stored policy."""
+        return to_policy(self.run, self.networks)
+
+    def learn_from(self, rollout: Rollout) -> dict[str, float]:
+        """Take all gradient steps of an update; return its metrics."""
+        run = self.run
+        batch, values, dead = self._judge(rollout)
+        count = len(batch["actions"])
+        orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
+        networks, optimizer, told = learn(
+            self.networks,
+            self.optimizer,
+            batch,
+            orders,
+            self._numbers,
+            run.activation,
+            run.optimizer,
+            self._size,
+        )
+        self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
+        shares = np.bincount(batch["actions"], minlength=len(ACTION_NAMES)) / count
+        return {
+            **{name: float(value) for name, value in told.items()},
+            "explained_variance": _explained_variance(values, batch["returns"]),
+            "dead_units": dead,
+            **{f"action_{i}": float(share) for i, share in enumerate(shares)},
+        }
+
+    def _judge(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
+        """Return the batch to learn from, slot by slot; its values; and the share of dead units."""
+        run = self.run
+        slots, steps, features = rollout.observations.shape
+        observations = np.concatenate([rollout.observations.reshape(-1, features), rollout.last_observations])
+        actions = rollout.actions.reshape(-1)
+        logs, values, dead = look_back(self.networks, observations, actions, run.activation)
+        values = np.asarray(values)
+        own = values[: slots * steps].reshape(slots, steps)
+        gain = advantages(
+            self._bootstrapped(rollout), own, rollout.starts, values[slots * steps :], rollout.last_ends,
+            np.float32(run.gamma), np.float32(run.gamma * run.gae_lambda),
+        )  # fmt: skip
+        batch = {
+            "observations": observations[: slots * steps],
+            "actions": actions,
+            "log_probabilities": np.asarray(logs),
+            "advantages": gain.reshape(-1),
+            "returns": (gain + own).reshape(-1),
+        }
+        return batch, own.reshape(-1), float(dead)
+
+    def _bootstrapped(self, rollout: Rollout) -> np.ndarray:
+        """Return rewards with the discounted value of what a time limit cut off, (S, T)."""
+        cut = np.flatnonzero(is_cut_off(self.run, rollout.ended))
+        if not len(cut):
+            return rollout.rewards
+        beyond = value_of(self.networks["critic"], self.run.activation, rollout.terminal_observations[cut])
+        rewards = rollout.rewards.copy()
+        rewards[rollout.ended["slot"][cut], rollout.ended["step"][cut] - 1] += (
+            np.float32(self.run.gamma) * beyond
+        )
+        return rewards
+
+    def is_finite(self, metrics: Mapping[str, float]) -> bool:
+        """Tell whether losses, gradient norms and every parameter are finite."""
+        watched = [metrics[name] for name in ("policy_loss", "value_loss", "entropy", "grad_norm")]
+        leaves = jax.tree.leaves(self.networks)
+        return bool(np.isfinite(watched).all()) and all(bool(np.isfinite(leaf).all()) for leaf in leaves)
+
+
+def to_numpy(tree: Tree) -> Tree:
+    """Return a tree's arrays as NumPy's, without a copy where that is possible."""
+    return jax.tree.map(np.asarray, tree)
+
+
+def _explained_variance(values: np.ndarray, returns: np.ndarray) -> float:
+    """Return 1 - Var(returns - values) / Var(returns); not a number where all returns are equal."""
+    spread = np.var(returns)
+    return float("nan") if spread == 0 else float(1 - np.var(returns - values) / spread)

@@ -1,0 +1,63 @@
+"""Several players' policies, each its own: what independent learners leave behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneuma.engines.policy import Policy, read_policy
+
+SHARED_FILE = "policy.safetensors"
+
+
+@dataclass(frozen=True)
+class Team:
+    """One policy for each player of a world, in the players' order; acts as a `Policy` does.
+
+    Row i of observations is player i % players of world i // players.
+    """
+
+    policies: tuple[Policy, ...]
+
+    def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        """Draw an action for each observation, player by player: (N, features) -> (N,)."""
+        return self._each(observations, lambda policy, own: policy.sample(own, generator))
+
+    def best(self, observations: np.ndarray) -> np.ndarray:
+        """Return the most probable action for each observation: (N, features) -> (N,)."""
+        return self._each(observations, lambda policy, own: policy.best(own))
+
+    def _each(self, observations: np.ndarray, act: Callable[[Policy, np.ndarray], np.ndarray]) -> np.ndarray:
+        actions = np.zeros(len(observations), np.int64)
+        for player, policy in enumerate(self.policies):
+            own = slice(player, None, len(self.policies))
+            actions[own] = act(policy, observations[own])
+        return actions
+
+
+def policy_files(policy: Policy | Team) -> dict[str, bytes]:
+    """Return a policy's file by name, or one for each player."""
+    if isinstance(policy, Policy):
+        return {SHARED_FILE: policy.to_bytes()}
+    return {policy_file(player): own.to_bytes() for player, own in enumerate(policy.policies)}
+
+
+def policy_file(player: int) -> str:
+    """Return the name of the file of a player's own policy."""
+    return f"policy-{player}.safetensors"
+
+
+def policy_names(files: Collection[str]) -> list[str]:
+    """Return which of a run's files hold its policy: one, or the players' in their order."""
+    if SHARED_FILE in files:
+        return [SHARED_FILE]
+    players = range(sum(name.startswith("policy-") for name in files))
+    return [policy_file(player) for player in players if policy_file(player) in files]
+
+
+def read_policies(contents: list[bytes]) -> Policy | Team:
+    """Read the contents of `policy_names` back."""
+    policies = tuple(read_policy(data) for data in contents)
+    return policies[0] if len(policies) == 1 else Team(policies)

@@ -1,0 +1,69 @@
+"""What both engines must do alike, for every network of thesis section 6 and every activation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pneuma.algorithms import ALGORITHM_ENGINES
+from pneuma.config import ACTIVATIONS, make_run
+from pneuma.engines.base import Progress, load_engine
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+
+ENGINES = ALGORITHM_ENGINES["ppo"]
+NETWORKS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
+    "small": ((128,), (256,)),
+    "mid": ((512,), (2048, 2048)),
+    "big": ((1024, 1024), (4096, 4096, 4096, 4096)),
+}
+ONE_UPDATE = {
+    "horizon": 64, "minibatch": 64, "epochs": 1, "steps": 64, "evaluation_episodes": 1, "episode_steps": 30,
+}  # fmt: skip
+CASES = [
+    pytest.param("small", activation, engine, id=f"small-{activation}-{engine}")
+    for activation in ACTIVATIONS
+    for engine in ENGINES
+] + [
+    pytest.param(size, "tanh", engine, id=f"{size}-{engine}", marks=pytest.mark.slow)
+    for size in ("mid", "big")
+    for engine in ENGINES
+]
+
+
+@pytest.mark.parametrize(("size", "activation", "engine"), CASES)
+def test_one_update_of_every_network(size: str, activation: str, engine: str) -> None:
+    """One epoch of one minibatch, so that a mean of squares is the square, from an almost even policy."""
+    actor, critic = NETWORKS[size]
+    run = make_run(
+        {**ONE_UPDATE, "actor": actor, "critic": critic, "activation": activation, "engine": engine}
+    )
+    told: list[int] = []
+
+    def go_on(progress: Progress) -> bool:
+        told.append(progress.step)
+        return True
+
+    (result,) = load_engine(engine).train([run], {}, go_on)
+    assert (result.status, result.step, told) == ("done", 64, [64])
+    assert isinstance(result.policy, Policy)
+    for layers, hidden, outputs in ((result.policy.actor, actor, 5), (result.policy.critic, critic, 1)):
+        assert [weight.shape for weight, _ in layers] == list(
+            zip((60, *hidden), (*hidden, outputs), strict=True)
+        )
+        assert all(np.isfinite(part).all() and part.dtype == np.float32 for layer in layers for part in layer)
+    (row,) = result.records.metrics
+    assert set(row) == set(METRIC_COLUMNS)
+    assert row["grad_norm"] ** 2 == pytest.approx(
+        row["grad_norm_actor"] ** 2 + row["grad_norm_critic"] ** 2, rel=1e-4
+    )
+    assert row["entropy"] == pytest.approx(math.log(5), abs=0.01)  # the actor's head has gain 0.01
+    assert row["policy_loss"] == pytest.approx(0, abs=1e-5)  # the mean of normalised advantages
+    assert (row["approx_kl"], row["clip_fraction"]) == (pytest.approx(0, abs=1e-6), 0)
+    assert sum(row[f"action_{i}"] for i in range(5)) == pytest.approx(1)
+    assert 0 <= row["dead_units"] < 0.9
+    assert [(own["step"], own["length"]) for own in result.records.episodes] == [(30, 30), (60, 30)]
+    assert set(result.records.episodes[0]) == set(EPISODE_COLUMNS)
+    assert [set(own) for own in result.records.evaluations] == [set(EVALUATION_COLUMNS)]
