@@ -22,6 +22,8 @@ from pneuma.analysis.verdicts import INCONCLUSIVE, found, judge_list
 SEEDS = (3, 5, 10, 20, 50)
 CLAIMS = {"mean": 36, "spread": 14, "incidence": 10}
 """How many of each kind a list has."""
+STAGED_CLAIMS = {"mean": 4}
+"""How many a list has that is judged in stages, as a study's conditions against its baseline are."""
 MARGINS = {"mean": 0.5, "spread": 1.5, "incidence": 0.2}
 """Of means, in standard deviations."""
 FAR = {"mean": 2.0, "spread": 6.0, "incidence": 0.7}
@@ -33,9 +35,8 @@ EVENT_SHARE = 0.2
 
 FEW_DRAWS, MANY_DRAWS = 400, 3_000
 FEW_ROWS, MANY_ROWS = 60, 10
-"""Samples at once: what they come to fits a processor's cache."""
-ROWS_PER_DRAW = 400
-"""Samples that share one set of many relabelings."""
+"""Samples at once: what they come to fits a processor's cache. No more than the second share one set of many
+relabelings, so that lists are as good as independent and the bound of their rate is one."""
 CLOSE = 0.1
 """A p-value by few draws that is at most this is found again by many; no other can come to a verdict."""
 TRUE_FINDINGS = {"alike": ("equal",), "edge": ("greater",), "far": ("greater",)}
@@ -66,8 +67,12 @@ def false_verdicts(lists: int, generator: np.random.Generator) -> Iterator[dict[
                 count = lists if truth == "alike" else max(1, lists // OTHER_TRUTHS_LISTS)
                 wrong = _wrong_lists(count, draw, seeds, kinds, generator)
                 yield _row(truth, name, str(seeds), wrong, count)
+
+
+def staged_verdicts(lists: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield the rates for lists of a few contrasts, all arms alike, that are judged in stages."""
+    stages = "/".join(str(stage.seeds) for stage in make_stages())
     for name, draw in DISTRIBUTIONS.items():
-        stages = "/".join(str(stage.seeds) for stage in make_stages())
         yield _row("alike", name, stages, _wrong_staged(lists, draw, generator), lists)
 
 
@@ -85,7 +90,7 @@ def _row(truth: str, distribution: str, seeds: str, wrong: int, lists: int) -> d
 def _wrong_lists(
     lists: int, draw: Draw, seeds: int, kinds: tuple[str, ...], generator: np.random.Generator
 ) -> int:
-    claims = _make_claims(lists, draw, seeds, kinds, generator)
+    claims = _make_claims(lists, draw, seeds, kinds, CLAIMS, generator)
     contrasts = _contrasts(claims, seeds, generator)
     return sum(
         any(
@@ -101,8 +106,8 @@ def _wrong_lists(
 def _wrong_staged(lists: int, draw: Draw, generator: np.random.Generator) -> int:
     """Return how many lists of arms alike, judged in stages, have a difference found at any."""
     stages = make_stages()
-    claims = _make_claims(lists, draw, stages[-1].seeds, ("alike",), generator)
-    undecided = np.ones((lists, sum(CLAIMS.values())), dtype=bool)
+    claims = _make_claims(lists, draw, stages[-1].seeds, ("alike",), STAGED_CLAIMS, generator)
+    undecided = np.ones((lists, sum(STAGED_CLAIMS.values())), dtype=bool)
     wrong = np.zeros(lists, dtype=bool)
     for stage in stages:
         for row, judged in enumerate(_contrasts(claims, stage.seeds, generator)):
@@ -115,17 +120,23 @@ def _wrong_staged(lists: int, draw: Draw, generator: np.random.Generator) -> int
 class _Claims:
     """Both arms of every claim of many lists, by kind (lists, claims, seeds), and what is true of each."""
 
-    def __init__(self, lists: int, kinds: tuple[str, ...]) -> None:
+    def __init__(self, lists: int, kinds: tuple[str, ...], sizes: dict[str, int]) -> None:
         self.lists = lists
+        self.sizes = sizes
         self.arms: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self.truths = [kinds[i % len(kinds)] for size in CLAIMS.values() for i in range(size)]
+        self.truths = [kinds[i % len(kinds)] for size in sizes.values() for i in range(size)]
 
 
 def _make_claims(
-    lists: int, draw: Draw, seeds: int, kinds: tuple[str, ...], generator: np.random.Generator
+    lists: int,
+    draw: Draw,
+    seeds: int,
+    kinds: tuple[str, ...],
+    sizes: dict[str, int],
+    generator: np.random.Generator,
 ) -> _Claims:
-    claims = _Claims(lists, kinds)
-    for kind, size in CLAIMS.items():
+    claims = _Claims(lists, kinds, sizes)
+    for kind, size in sizes.items():
         truths = [kinds[i % len(kinds)] for i in range(size)]
         none = 1.0 if kind == "spread" else 0.0
         effect = np.array([{"alike": none, "edge": MARGINS[kind], "far": FAR[kind]}[t] for t in truths])
@@ -149,7 +160,7 @@ def _contrasts(claims: _Claims, seeds: int, generator: np.random.Generator) -> l
         for i, p in enumerate(zip(*found_p, strict=True)):
             one_sided = (float(p[0]), float(p[1]), float(p[2]))
             contrast = Contrast(kind, float("nan"), no_interval(), *one_sided, (seeds, seeds))
-            lists[i // CLAIMS[kind]].append(contrast)
+            lists[i // claims.sizes[kind]].append(contrast)
     return lists
 
 
@@ -168,10 +179,9 @@ def _p_values(
     if few.exact:
         return tuple(p)
     close = np.flatnonzero(np.minimum(2 * np.minimum(p[0], p[1]), p[2]) <= CLOSE)
-    for shared in _split(close, ROWS_PER_DRAW):
+    for rows in _split(close, MANY_ROWS):
         many = relabel(seeds, seeds, generator, MANY_DRAWS)
-        for rows in _split(shared, MANY_ROWS):
-            p[:, rows] = test(a[rows], b[rows], MARGINS[kind], many)
+        p[:, rows] = test(a[rows], b[rows], MARGINS[kind], many)
     return tuple(p)
 
 
