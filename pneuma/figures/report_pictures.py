@@ -1,43 +1,100 @@
-"""A study's figures as they go into the report: drawn afresh, in the smaller of two forms."""
+"""A study's figures as they go into the report: drawn afresh, each in the smaller of two forms."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
+from pneuma.analysis.collapse import incidence
+from pneuma.analysis.robustness import Map, robustness_map, shown_level
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
+from pneuma.figures.collapse import draw_collapse
 from pneuma.figures.curves import draw_study
 from pneuma.figures.report_html import Picture
+from pneuma.figures.robustness import draw_robustness
 
 LARGE_BYTES = 300_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
 
+MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
+    "robustness": (
+        ("betas", [0.9, 0.9], [0.9, 0.999]),
+        ("activation", "tanh", "relu"),
+        ("actor", [128], [256]),
+        ("clip_range", 0.1, 0.2),
+    )
+}
+"""Contrasts of the thesis that a study maps: a setting, the value said to do better, and the other."""
+
+Draw = Callable[[Path, str], list[Path]]
+
 
 def study_pictures(data: StudyData) -> tuple[Picture, ...]:
-    """Draw what the report shows of a study."""
-    caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."
-    with TemporaryDirectory() as folder:
-        return (Picture(*_smaller(data, Path(folder)), _alt(data), caption),)
+    """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps."""
+    return (_curves(data), *_collapses(data), *_maps(data))
 
 
-def _smaller(data: StudyData, folder: Path) -> tuple[bytes, str]:
-    """Return the figure as an SVG, sharp at any size; as a PNG where that saves much."""
-    drawn = _draw(data, folder, "svg")
-    if len(drawn) > LARGE_BYTES:
-        image = _draw(data, folder, "png")
-        if len(image) < len(drawn):
-            return image, "png"
-    return drawn, "svg"
-
-
-def _draw(data: StudyData, folder: Path, form: str) -> bytes:
-    (path,) = draw_study(data, folder, formats=(form,))
-    return path.read_bytes()
-
-
-def _alt(data: StudyData) -> str:
-    """Say what the figure shows: its panels, and a line for each condition."""
+def _curves(data: StudyData) -> Picture:
     panels = ["return in training", "share of monsters killed in evaluation"]
     shown = " and ".join(panels if "evaluations" in data.tables else panels[:1])
     lines = ", ".join(f"{name} ({len(data.of_condition(name))} runs)" for name in data.conditions)
-    return f"{data.title}: {shown} over {data.budget:,} environment steps, one line each for {lines}."
+    alt = f"{data.title}: {shown} over {data.budget:,} environment steps, for {lines}."
+    caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."
+    return Picture(*_smaller(lambda folder, form: draw_study(data, folder, formats=(form,))), alt, caption)
+
+
+def _collapses(data: StudyData) -> list[Picture]:
+    """Draw the runs that collapsed; nothing where none did, or where that cannot be known."""
+    if not {"evaluations", "metrics"} <= set(data.tables):
+        return []
+    shares = incidence(data)
+    collapsed = shares[shares["collapsed"] > 0]
+    if not len(collapsed):
+        return []
+    counted = zip(collapsed["condition"], collapsed["collapsed"], collapsed["runs"], strict=True)
+    told = ", ".join(f"{name} {count} of {runs} runs" for name, count, runs in counted)
+    alt = f"{data.title}: entropy, commonest action, dead units and kills at each onset. Collapsed: {told}."
+    caption = f"Runs that collapsed. As a list: pneuma study collapse {data.study}."
+    drawn = _smaller(lambda folder, form: draw_collapse(data, folder, "collapse", (form,)))
+    return [Picture(*drawn, alt, caption)]
+
+
+def _maps(data: StudyData) -> list[Picture]:
+    """Draw every map that a study is for; one whose conditions were not run is left out."""
+    pictures = []
+    for contrast in MAPS.get(data.study.removesuffix("-godot"), ()):
+        try:
+            pictures.append(_map(robustness_map(data, *contrast)))
+        except UserError:
+            continue
+    return pictures
+
+
+def _map(found: Map) -> Picture:
+    better, worse = map(shown_level, found.values)
+    alt = (
+        f"{found.title}: {found.setting} {better} against {worse} in {len(found.cells)} cells of "
+        f"{', '.join(found.factors) or 'nothing else'}, with intervals: {found.label}."
+    )
+    caption = f"Does {found.setting} {better} against {worse} hold elsewhere? {found.label.capitalize()}."
+    return Picture(
+        *_smaller(lambda folder, form: draw_robustness(found, folder, "map", (form,))), alt, caption
+    )
+
+
+def _smaller(draw: Draw) -> tuple[bytes, str]:
+    """Return a figure as an SVG, sharp at any size; as a PNG where that saves much."""
+    with TemporaryDirectory() as folder:
+        read = partial(_read, draw, Path(folder))
+        drawn = read("svg")
+        image = read("png") if len(drawn) > LARGE_BYTES else drawn
+    return (image, "png") if len(image) < len(drawn) else (drawn, "svg")
+
+
+def _read(draw: Draw, folder: Path, form: str) -> bytes:
+    (path,) = draw(folder, form)
+    return path.read_bytes()
