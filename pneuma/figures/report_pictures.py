@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+from PIL import Image
 
 from pneuma.analysis.collapse import incidence
 from pneuma.analysis.robustness import Map, robustness_map, shown_level
@@ -17,8 +19,12 @@ from pneuma.figures.curves import draw_study
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness
 
-LARGE_BYTES = 300_000
+LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
+WIDEST_PIXELS = 1600
+"""Twice the width that the page gives a figure at most."""
+COLOURS = 128
+"""Of a PNG, which has few and so loses nothing that is seen."""
 
 MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
     "robustness": (
@@ -30,7 +36,7 @@ MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
 }
 """Contrasts of the thesis that a study maps: a setting, the value said to do better, and the other."""
 
-Draw = Callable[[Path, str], list[Path]]
+Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 
 
 def study_pictures(data: StudyData) -> tuple[Picture, ...]:
@@ -44,7 +50,7 @@ def _curves(data: StudyData) -> Picture:
     lines = ", ".join(f"{name} ({len(data.of_condition(name))} runs)" for name in data.conditions)
     alt = f"{data.title}: {shown} over {data.budget:,} environment steps, for {lines}."
     caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."
-    return Picture(*_smaller(lambda folder, form: draw_study(data, folder, formats=(form,))), alt, caption)
+    return Picture(*_smaller(lambda folder, forms: draw_study(data, folder, formats=forms)), alt, caption)
 
 
 def _collapses(data: StudyData) -> list[Picture]:
@@ -59,7 +65,7 @@ def _collapses(data: StudyData) -> list[Picture]:
     told = ", ".join(f"{name} {count} of {runs} runs" for name, count, runs in counted)
     alt = f"{data.title}: entropy, commonest action, dead units and kills at each onset. Collapsed: {told}."
     caption = f"Runs that collapsed. As a list: pneuma study collapse {data.study}."
-    drawn = _smaller(lambda folder, form: draw_collapse(data, folder, "collapse", (form,)))
+    drawn = _smaller(lambda folder, forms: draw_collapse(data, folder, "collapse", forms))
     return [Picture(*drawn, alt, caption)]
 
 
@@ -82,19 +88,26 @@ def _map(found: Map) -> Picture:
     )
     caption = f"Does {found.setting} {better} against {worse} hold elsewhere? {found.label.capitalize()}."
     return Picture(
-        *_smaller(lambda folder, form: draw_robustness(found, folder, "map", (form,))), alt, caption
+        *_smaller(lambda folder, forms: draw_robustness(found, folder, "map", forms)), alt, caption
     )
 
 
 def _smaller(draw: Draw) -> tuple[bytes, str]:
     """Return a figure as an SVG, sharp at any size; as a PNG where that saves much."""
     with TemporaryDirectory() as folder:
-        read = partial(_read, draw, Path(folder))
-        drawn = read("svg")
-        image = read("png") if len(drawn) > LARGE_BYTES else drawn
-    return (image, "png") if len(image) < len(drawn) else (drawn, "svg")
+        drawn, image = (path.read_bytes() for path in draw(Path(folder), ("svg", "png")))
+    if len(drawn) > LARGE_BYTES:
+        image = _small_image(image)
+        return (image, "png") if len(image) < len(drawn) else (drawn, "svg")
+    return drawn, "svg"
 
 
-def _read(draw: Draw, folder: Path, form: str) -> bytes:
-    (path,) = draw(folder, form)
-    return path.read_bytes()
+def _small_image(data: bytes) -> bytes:
+    """Return a PNG at most so wide as a dense screen shows it, with a palette in place of full colours."""
+    with Image.open(io.BytesIO(data)) as image:
+        height = round(image.height * min(1, WIDEST_PIXELS / image.width))
+        width = min(image.width, WIDEST_PIXELS)
+        small = image.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)
+    sink = io.BytesIO()
+    small.quantize(COLOURS, dither=Image.Dither.NONE).save(sink, "PNG", optimize=True)
+    return sink.getvalue()

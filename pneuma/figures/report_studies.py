@@ -33,6 +33,10 @@ LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
 
 
+MOST_ROWS = 1000
+"""Of a summary that is shown whole."""
+
+
 @dataclass(frozen=True)
 class RunRow:
     """One run of a study as it stands."""
@@ -212,7 +216,11 @@ def _summary(part: Part) -> Html:
     """Return the outcomes that matter most, condition by condition, and folded away every statistic."""
     frame = part.summary
     assert frame is not None
-    return join([_headlines(part, frame[[_leads(row) for row in frame.itertuples()]]), _every(part, frame)])
+    first = _headlines(part, frame[[_leads(row) for row in frame.itertuples()]])
+    if len(frame) > MOST_ROWS:
+        told = text(f"All {len(frame):,} statistics: ")
+        return join([first, paragraph(join([told, code(f"pneuma study summary {part.record}")]), "note")])
+    return join([first, _every(part, frame)])
 
 
 def _leads(row: Any) -> bool:
