@@ -128,6 +128,8 @@ def _recorded_part(
     )
     if not any(state in FINISHED for _, state in states):
         return part
+    if not _can_be_written(record):
+        return replace(part, notes=(*part.notes, "A name in it is no text, so nothing is drawn of it."))
     return _with_data(store, part, record)
 
 
@@ -154,8 +156,15 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
         )
     except UserError as error:
         return replace(part, notes=(*part.notes, _anywhere(store, error)))
-    except UnicodeError:
-        return replace(part, notes=(*part.notes, "A name in it is no text, so nothing is drawn of it."))
+
+
+def _can_be_written(record: Mapping[str, Any]) -> bool:
+    """Tell whether all texts of a record, which may be a stranger's, are characters that exist."""
+    try:
+        json.dumps(record, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:

@@ -44,7 +44,9 @@ def test_a_large_svg_stays_where_the_png_is_larger() -> None:
 
 
 def test_a_wide_image_is_made_as_wide_as_a_dense_screen_shows_it() -> None:
-    with Image.open(io.BytesIO(report_pictures._small_image(_png(np.zeros((300, 3200, 3), np.uint8))))) as image:
+    with Image.open(
+        io.BytesIO(report_pictures._small_image(_png(np.zeros((300, 3200, 3), np.uint8))))
+    ) as image:
         assert image.size == (1600, 150)
     with Image.open(io.BytesIO(report_pictures._small_image(PLAIN))) as image:
         assert image.size == (40, 20)
