@@ -6,6 +6,7 @@ The folder may be a stranger's: no study's file that only a record names is load
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,7 +77,8 @@ def _settings(store: Store, study: str, shipped: spec.Study | None) -> list[str]
 def _place(study: str) -> tuple[bool, list[int], str]:
     """Return what sorts studies: by section of the thesis, those without one last."""
     section = spec.load_study(study).section if study in spec.list_studies() else ""
-    numbers = [int(part) for part in section.split(".") if part.isdigit()]
+    first = re.match(r"\d+(\.\d+)*", section)  # of '3.1 and 3.3' the former
+    numbers = [int(part) for part in first[0].split(".")] if first else []
     return (not numbers, numbers, study)
 
 

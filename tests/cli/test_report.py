@@ -168,6 +168,7 @@ def test_studies_of_the_thesis_come_in_its_order_and_others_after_them(
     titles = {spec.load_study(name).section: spec.load_study(name).title for name in spec.list_studies()}
     assert headings[-1] == "Mine"
     assert headings.index(titles["6.1"]) < headings.index(titles["6.2"])
+    assert headings.index(titles["3.1 and 3.3"]) < headings.index(titles["6.1"])
 
 
 # --- Claims ----------------------------------------------------------------------------------------
