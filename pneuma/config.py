@@ -1,18 +1,18 @@
 """Run configuration: the typed values that cross every layer, and the names they may take.
 
 A `Run` is one training, complete and frozen: the environment's settings, the learner's, a budget
-and a seed. Studies resolve to runs, engines train them, the store is keyed by them. This module
-imports nothing of Pneuma but its error and nothing heavy, so that every command can read it.
+and a seed. Studies resolve to runs, engines train them, the store is keyed by them. The environment's
+part is in `env_settings.py`, the algorithms' in `algorithms.py`. Nothing heavy is imported, so that every
+command can read it.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, TypeVar
+from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 from pneuma.algorithms import (
     ALGORITHM_DEFAULTS,
@@ -23,8 +23,35 @@ from pneuma.algorithms import (
     OF_ALGORITHMS,
     TABULAR,
 )
-from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.values import MOST_NAMES, Choice, Flag, Matching, Names, Number, Reader, Several, Text
+from pneuma.env_settings import (
+    ACTION_NAMES,
+    ENVIRONMENT_SETTINGS,
+    ENVIRONMENT_SLOTS,
+    ENVIRONMENTS,
+    OBSERVATIONS,
+    ORDERS,
+    REWARDS,
+    SCALES,
+    SHIPPED_CHARACTERS,
+    SHIPPED_LEVELS,
+    SPELL_NAMES,
+    EnvConfig,
+    make_env_config,
+    read_setting,
+    read_settings,
+    resolve_world,
+    setting,
+)
+from pneuma.errors import UserError
+from pneuma.values import Choice, Flag, Matching, Number, Several
+
+__all__ = [
+    "ACTIVATIONS", "ACTION_NAMES", "BASES", "CLIPPINGS", "ENGINES", "ENGINE_VERSIONS", "ENVIRONMENTS",
+    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_SETTINGS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
+    "OPTIMIZER_SETTINGS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
+    "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_settings", "beyond_engine", "env_config",
+    "make_env_config", "make_run", "read_setting", "read_settings", "settings_read", "stream_seed",
+]  # fmt: skip
 
 RULES_VERSION = 2
 """Raised by hand when the same seed and actions give another world; part of every run id."""
@@ -35,23 +62,13 @@ ENGINE_VERSIONS = {"batched": 2, "sb3": 1, "tabular": 1}
 ENGINES = tuple(ENGINE_VERSIONS)
 """The usual one first."""
 
-SHIPPED_LEVELS = ("thesis",)
-SHIPPED_CHARACTERS = ("pygame",)
-REWARDS = ("thesis", "pygame", "godot", "kills", "distance-sigmoid")
-OBSERVATIONS = ("thesis", "pygame", "godot")
-ORDERS = ("nearest", "fixed")
-SCALES = ("unit", "map", "raw")
 LEARNERS = ("shared", "independent")
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
 """What a fork may begin anew: the optimizer's moments, the players' XP, or the critic's weights."""
 FORK_SETTINGS = ("parent", "fork_step", "fork_reset")
-ACTION_NAMES = ("down", "left", "up", "right", "attack")
-SPELL_NAMES = ("flame", "heal")
-MAX_PLAYERS = MOST_NAMES
 MAX_SLOTS = 1024
-PERCEIVE = "all, nearest:K for the K nearest, or kind:NAME,… for monsters of some kinds"
 
 OPTIMIZER_SETTINGS: dict[str, tuple[str, ...]] = {
     "adam": ("betas", "epsilon"),
@@ -72,119 +89,7 @@ _OPTIMIZER_DEFAULTS: dict[str, Any] = {
 }
 
 
-def setting(default: Any, reader: Reader) -> Any:
-    """Declare a field of a configuration with what its value may be."""
-    return field(default=default, metadata={"reader": reader})
-
-
 # --- The configuration ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class EnvConfig:
-    """The settings of one environment; each is a keyword of `gymnasium.make` and a key of a study.
-
-    The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text; empty texts are
-    filled by `make_env_config`.
-    """
-
-    level: str = setting("thesis", Text())
-    """A shipped level, a folder of CSV layers, a .tmx map, or random:train:N or random:test:N."""
-    random_levels: int = setting(1, Number(1, 10_000, whole=True))
-    """How many random levels, from number N on; each episode draws one."""
-    characters: str = setting("", Text(empty=True))
-    """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
-    players: int = setting(1, Number(1, MAX_PLAYERS, whole=True))
-    classes: tuple[str, ...] = setting(("base",), Names(r"[\w-]+", "a class, or a list of one a player"))
-    weapons: tuple[str, ...] = setting(("own",), Names(r"[\w-]+", "a weapon, or a list of one a player"))
-    magic: bool = setting(False, Flag())
-    """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
-    reward: tuple[str, ...] = setting(
-        ("thesis",),
-        Names(
-            rf"{'|'.join(REWARDS)}|[\w.]+:\w+", f"one of {', '.join(REWARDS)}, or module:function", REWARDS
-        ),
-    )
-    """A formula, or a list of one a player."""
-    observation: str = setting("thesis", Choice(OBSERVATIONS))
-    """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
-    perceive: str = setting("", Matching(r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*", PERCEIVE))
-    order: str = setting("", Choice(("", *ORDERS)))
-    scale: str = setting("", Choice(("", *SCALES)))
-    """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""
-    start: str = setting("random", Choice(("random", "first")))
-    coast: str = setting("wall", Choice(("wall", "deadly")))
-    kill_credit: str = setting("striker", Choice(("striker", "near")))
-    """Who earns a kill's XP and HP: its striker, or all within the dying monster's attack circle."""
-    xp_scope: str = setting("episode", Choice(("episode", "forever")))
-    ending_cost: float = setting(0.0, Number(0, 1000))
-    """XP lost when an episode ends otherwise than at sea."""
-    episode_steps: int = setting(1000, Number(1, 1_000_000, whole=True))
-    """Time limit of an episode in agent steps of 8 ticks."""
-    time_limit: str = setting("truncate", Choice(("truncate", "terminate")))
-    end_on_clear: bool = setting(False, Flag())
-    """Whether the last monster's death ends the episode."""
-
-
-ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
-    "pneuma/Pneuma-v0": {},
-    "pneuma/PneumaGodot-v0": {
-        "reward": "godot",
-        "observation": "godot",
-        "start": "first",
-        "coast": "deadly",
-        "kill_credit": "near",
-        "xp_scope": "forever",
-        "ending_cost": 1.0,
-        "episode_steps": 7500,
-        "time_limit": "terminate",
-        "end_on_clear": True,
-    },
-}
-"""What each environment sets other than the defaults: the published code's quirks for Godot's."""
-
-ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
-
-ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
-"""How many worlds a study collects from side by side, unless it says so itself."""
-
-OBSERVATION_SETTINGS = {
-    "thesis": {"perceive": "all", "order": "nearest", "scale": "unit"},
-    "pygame": {"perceive": "nearest:5", "order": "nearest", "scale": "map"},
-    "godot": {"perceive": "all", "order": "fixed", "scale": "raw"},
-}
-"""What each layout perceives unless told otherwise."""
-
-
-def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
-    """Resolve settings (keys of `EnvConfig`) of an environment to a complete configuration.
-
-    Raises:
-        UserError: for an unknown key, a value out of range, or values that do not go together.
-    """
-    if env not in ENVIRONMENT_SETTINGS:
-        raise unknown_name("environment", env, ENVIRONMENTS)
-    given = read_settings(EnvConfig, {**ENVIRONMENT_SETTINGS[env], **settings})
-    return EnvConfig(**_resolve_world(given))
-
-
-def _resolve_world(values: dict[str, Any]) -> dict[str, Any]:
-    """Fill what a layout of observations implies, and check what must go together."""
-    layout = OBSERVATION_SETTINGS[values.get("observation", "thesis")]
-    values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
-    players = values.get("players", 1)
-    for key in ("classes", "weapons", "reward"):
-        if len(values.get(key, ("",))) not in (1, players):
-            raise UserError(
-                f"{key} has {len(values[key])} names for {players} players: give one, or one each"
-            )
-        if len(set(values.get(key, ()))) == 1:
-            values[key] = values[key][:1]
-    if values.get("random_levels", 1) > 1 and not values.get("level", "").startswith("random:"):
-        raise UserError(
-            f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"
-        )
-    return values
 
 
 _UNIT = Number(0, 1)
@@ -325,38 +230,6 @@ for _base in BASES.values():
         optimizer="adam", epsilon=1e-5, actor=(128,), critic=(256,), slots=1, clip="joint",
     )  # fmt: skip
 
-_Config = TypeVar("_Config", bound=EnvConfig)
-
-
-def read_settings(config: type[_Config], settings: Mapping[str, object]) -> dict[str, Any]:
-    """Check a mapping of key to value and return it with every value in its final type.
-
-    Raises:
-        UserError: naming the key, the value and what is allowed.
-    """
-    return {key: read_setting(config, key, value) for key, value in settings.items()}
-
-
-def read_setting(config: type[_Config], key: str, value: object) -> Any:
-    """Check one key and value of a configuration; see `read_settings`."""
-    readers: dict[str, Reader] = {item.name: item.metadata["reader"] for item in fields(config)}
-    if key not in readers:
-        raise unknown_name("key", key, readers)
-    try:
-        return readers[key].read(value)
-    except (ValueError, TypeError, OverflowError):
-        reader = readers[key]
-        hint = _nearest(value, reader.names) if isinstance(reader, Choice | Names) else ""
-        shown = json.dumps(value, default=str)
-        raise UserError(f"{key} = {shown} is not allowed{hint}: {reader.allowed}") from None
-
-
-def _nearest(value: object, names: tuple[str, ...]) -> str:
-    """Return the suggestion of the nearest name to a wrong one, or to the wrong one in a list."""
-    words = [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
-    hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
-    return next((hint for hint in hints if hint), "")
-
 
 def make_run(settings: Mapping[str, object]) -> Run:
     """Resolve settings (keys of `Run`) to a complete run: checked, rounded, nothing left implicit.
@@ -372,7 +245,7 @@ def make_run(settings: Mapping[str, object]) -> Run:
     left_open = {key for key in _left_to_the_learner() if settings.get(key, ...) is None}
     settings = {**ENVIRONMENT_SETTINGS.get(env, {}), **settings}
     values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
-    values = _resolve_learner(_resolve_world(values))
+    values = _resolve_learner(resolve_world(values))
     values["engine"] = _engine(values)
     run = Run(**values)
     _check_learner(run)

@@ -16,14 +16,15 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
 }
 
-BASE = ("pneuma.config", "pneuma.algorithms", "pneuma.errors", "pneuma.values")
+BASE = ("pneuma.config", "pneuma.env_settings", "pneuma.algorithms", "pneuma.errors", "pneuma.values")
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma": ("pneuma.env",),  # registers the environments
     "pneuma.__main__": ("pneuma.cli",),
     "pneuma.algorithms": (),
-    "pneuma.config": (),
+    "pneuma.config": ("pneuma.env_settings", "pneuma.algorithms", "pneuma.errors", "pneuma.values"),
+    "pneuma.env_settings": ("pneuma.errors", "pneuma.values"),
     "pneuma.errors": (),
     "pneuma.values": (),
     "pneuma.env": (),
@@ -81,7 +82,7 @@ def _allowed(module: str, imported: str) -> bool:
     layer = _layer(module)
     own = "pneuma.study" if _belongs(layer, "pneuma.study") else layer
     if layer in BASE:
-        return layer == "pneuma.config" and imported in BASE
+        return imported in MAY_IMPORT[layer]
     within = layer != "pneuma" and _belongs(imported, own)
     return (
         within or imported in (*BASE, "pneuma") or any(_belongs(imported, name) for name in MAY_IMPORT[layer])
@@ -113,6 +114,8 @@ def test_every_module_belongs_to_a_layer() -> None:
     [
         ("pneuma.config", "pneuma.errors", True),
         ("pneuma.config", "pneuma.env", False),
+        ("pneuma.config", "pneuma.env_settings", True),
+        ("pneuma.env_settings", "pneuma.config", False),
         ("pneuma.env.rules", "pneuma.config", True),
         ("pneuma.env.rules", "pneuma.engines.base", False),
         ("pneuma.engines.sb3", "pneuma.env.sb3", True),
