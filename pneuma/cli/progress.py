@@ -69,7 +69,8 @@ class ProgressDisplay:
         name = progress.cell.run_id
         self._left.update(progress)
         if progress.note and not progress.status:
-            self._print_note(progress)
+            if self._show or not progress.passing:
+                self._print_note(progress)
             return
         if progress.status:
             self._ended[name] = progress.status

@@ -37,12 +37,14 @@ class Progress:
         step: agent steps trained so far; 0 where there is only something to say.
         status: once it has ended, how.
         note: what a person should know, such as that it goes on after a kill.
+        passing: whether the note only tells who watches what is going on.
     """
 
     cell: Cell
     step: int
     status: str = ""
     note: str = ""
+    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def execute(
             ended[event["run_id"]] = event
         told = event.get("step", 0), event.get("status", ""), event.get("text", event.get("reason", ""))
         for cell in cells[event["run_id"]]:
-            on_progress(Progress(cell, *told))
+            on_progress(Progress(cell, *told, passing=event["event"] == "passing"))
 
     local.run_groups(groups(todo, supervision), store, supervision, report)
     return [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]

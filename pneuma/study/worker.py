@@ -3,9 +3,9 @@
     python -m pneuma.study.worker < job
 
 The job is one line of JSON: the results folder, the runs by id, how often to take checkpoints. Events
-go out as lines of JSON: `step` now and then, `note` for people, `busy` where another process holds a
-run, `end` for every run. Standard input stays open: a line `stop` asks for a checkpoint and an end,
-and when it closes, because the parent has gone, the worker goes.
+go out as lines of JSON: `step` now and then, `note` for people, `passing` for those who watch, `busy`
+where another process holds a run, `end` for every run. Standard input stays open: a line `stop` asks for a
+checkpoint and an end, and when it closes, because the parent has gone, the worker goes.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from pneuma.engines.checkpoint import CheckpointError
 from pneuma.engines.team import policy_files
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import table_files
+from pneuma.study.compiling import FirstCompile, programs_folder
 from pneuma.study.identity import run_id
 from pneuma.study.locks import RunLock
 from pneuma.study.provenance import Attempt, finished_provenance
@@ -157,12 +158,17 @@ def _train_once(
     start = resume.latest()
     attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS)
 
+    def tell(text: str) -> None:
+        reporter.send("passing", name, text=text)
+
     def update(progress: Progress) -> bool:
+        compiling.done()
         reporter.step(name, progress.step)
         resume.update(progress, attempt, stop.is_set())
         return not stop.is_set()
 
-    (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
+    with FirstCompile(run, programs_folder(), tell, stop) as compiling:
+        (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
     if result.status != "stopped":
         about = finished_provenance(attempt, resume.history, result.step)
         store.save_run(name, Status(result.status, result.step), result_files(result, name, about))

@@ -45,6 +45,15 @@ def _runs(plan: Plan) -> dict[str, Run]:
     return {cell.run_id: cell.run for cell in plan.cells}
 
 
+@pytest.mark.parametrize(("quiet", "shown"), [(False, 1), (True, 0)])
+def test_what_passes_is_shown_unless_quiet(plan: Plan, quiet: bool, shown: int, capsys: Captured) -> None:
+    with ProgressDisplay(plan, _runs(plan), 1, quiet=quiet) as display:
+        display.update(Progress(plan.cells[0], 0, note="compiling", passing=True))
+        display.update(Progress(plan.cells[0], 0, note="goes on after a kill"))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["tanh seed 0: compiling"] * shown + ["tanh seed 0: goes on after a kill"]
+
+
 def test_a_log_gets_a_line_now_and_then_and_one_for_every_end(
     plan: Plan, clock: _Clock, capsys: Captured
 ) -> None:

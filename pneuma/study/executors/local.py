@@ -85,9 +85,10 @@ def run_groups(
 ) -> None:
     """Train every group of runs by id, some at a time; hand every event of theirs to `on_event`.
 
-    Events are `{"event": "step" | "note" | "end", "run_id", …}`: a step has a `step`, a note a `text`,
-    an end a `status` and `trained`, whether it was trained here. A crashed or killed worker is tried
-    once more. The first Ctrl-C lets every run come to a checkpoint, the second ends all at once.
+    Events are `{"event": "step" | "note" | "passing" | "end", "run_id", …}`: a step has a `step`, a note,
+    passing or not, a `text`, an end a `status` and `trained`, whether it was trained here. A crashed or
+    killed worker is tried once more. The first Ctrl-C lets every run come to a checkpoint, the second ends
+    all at once.
 
     Raises:
         KeyboardInterrupt: after Ctrl-C, when every worker has gone.
