@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.cli import search_promote, search_run
-from pneuma.cli.options import Json, Results, print_json
+from pneuma.cli.options import Json, Results, SettingName, print_json
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import study_record
 from pneuma.figures import FIGURE_FORMATS
@@ -18,6 +18,7 @@ from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
+    from pneuma.search.recorded import Begun
     from pneuma.search.spec import Search
 
 app = typer.Typer(
@@ -48,11 +49,11 @@ def list_(json: Json = False) -> None:
 
 
 @app.command()
-def show(name: search_run.SearchName, json: Json = False) -> None:
+def show(name: search_run.SearchName, setting: SettingName = None, json: Json = False) -> None:
     """Show what a search varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
-    search = load_search(name)
+    search = load_search(name, setting)
     if json:
         return print_json({"schema": 1, **_as_document(search)})
     print(search.title + (f" (thesis section {search.section})" if search.section else ""))
@@ -78,19 +79,28 @@ def show(name: search_run.SearchName, json: Json = False) -> None:
 
 
 @app.command()
-def status(name: search_run.SearchName, results: Results = RESULTS, json: Json = False) -> None:
+def status(
+    name: search_run.SearchName, setting: SettingName = None, results: Results = RESULTS, json: Json = False
+) -> None:
     """Show how far a search is, and the best that it has found."""
-    from pneuma.search.record import read_record
+    from dataclasses import asdict
 
-    record = read_record(Store(results), Path(name).stem)
+    from pneuma.search.record import read_record
+    from pneuma.search.recorded import begun_runs
+
+    store = Store(results)
+    record = read_record(store, search_run.record_name(name, setting))
+    begun = begun_runs(store, record)
     if json:
         kept = ("search", "trials", "best", "storage", "optuna_study", "seeds", "steps", "trials_asked")
-        return print_json({"schema": 1, **{key: record[key] for key in kept}})
+        return print_json({"schema": 1, **{key: record[key] for key in kept}, "begun": asdict(begun)})
     trials = record["trials"]
     print(f"{len(trials)} of {record['trials_asked']} trials, {len(record['seeds'])} seeds each")
+    print(f"Values: {', '.join(map(_told_objective, record['identity']['objectives']))}")
     for trial in trials:
         print(f"  {_told_trial(trial, record['best'])}")
-    _tell_best(record)
+    _tell_begun(begun)
+    _tell_best(record, name)
     print(f"Look closer with: optuna-dashboard {plain(record['storage'])}")
     return None
 
@@ -114,6 +124,7 @@ def plot(
             help="Draw each hyperparameter alone, as trained by `run --sensitivity`.",
         ),
     ] = False,
+    setting: SettingName = None,
     format: Annotated[
         list[str] | None,
         typer.Option(
@@ -131,7 +142,7 @@ def plot(
         check_choice("--format", value, FIGURE_FORMATS)
     for value in what or ():
         check_choice("--what", value, PLOTS)
-    store, stem = Store(results), Path(name).stem
+    store, stem = Store(results), search_run.record_name(name, setting)
     folder = out or store.root / "figures"
     check_folder("--out" if out else "--results", folder)
     if sensitivity:
@@ -213,10 +224,26 @@ def _short(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _tell_best(record: Mapping[str, Any]) -> None:
+def _told_objective(objective: Mapping[str, Any]) -> str:
+    return plain(
+        f"{objective['direction']} the {objective['over_seeds']} over seeds of {objective['outcome']}"
+    )
+
+
+def _tell_begun(begun: Begun) -> None:
+    if begun.runs:
+        told = (
+            f"trials {begun.trials[0]} to {begun.trials[-1]}: {begun.ended} of {begun.runs} runs have ended"
+        )
+        print(f"Now training {told}." if begun.searching else f"Stopped in {told}; `run` goes on.")
+    elif begun.searching:
+        print("A process is searching now.")
+
+
+def _tell_best(record: Mapping[str, Any], name: str) -> None:
     if record["best"] in (None, []):
         print("No trial is complete yet.")
     elif isinstance(record["best"], list):
         print(f"Pareto front (*): trials {', '.join(map(str, record['best']))}.")
     else:
-        print(f"Best (*): trial {record['best']}. Confirm it with: pneuma search promote {record['search']}")
+        print(f"Best (*): trial {record['best']}. Confirm it with: pneuma search promote {plain(name)}")

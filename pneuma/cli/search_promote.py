@@ -14,6 +14,7 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     Seeds,
+    SettingName,
     Workers,
     print_json,
     read_count,
@@ -21,7 +22,7 @@ from pneuma.cli.options import (
     say,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.search_run import RunSteps, SearchName
+from pneuma.cli.search_run import RunSteps, SearchName, record_name
 from pneuma.cli.study_run import train
 from pneuma.study import plan, spec
 from pneuma.study.executors.local import Supervision, available_cores
@@ -40,6 +41,7 @@ def promote(
     trial: Annotated[
         str | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
     ] = None,
+    setting: SettingName = None,
     workers: Workers = None,
     results: Results = Path("results"),
     json: Json = False,
@@ -48,11 +50,14 @@ def promote(
     """Train a search's winner and its baseline on fresh seeds, and say how much of its gain was luck."""
     from pneuma.search import promote as promoting
     from pneuma.search.record import read_record
+    from pneuma.search.recorded import recorded_search
     from pneuma.search.spec import load_search
 
     store = Store(results)
-    record = read_record(store, Path(name).stem)
-    search = load_search(name if name.endswith(".toml") else _source(record, name))
+    record = read_record(store, record_name(name, setting))
+    search = recorded_search(
+        load_search(name if name.endswith(".toml") else _source(record, name), setting), record
+    )
     chosen = promoting.winner(record, None if trial is None else _number(trial))
     fresh = read_seeds_option(seeds or "10")
     promoting.refuse_seen_seeds(fresh, record)
@@ -103,8 +108,9 @@ def _source(record: Mapping[str, Any], name: str) -> str:
     """
     from pneuma.errors import UserError
     from pneuma.search.spec import list_searches
+    from pneuma.study.definition import split_setting
 
-    if name in list_searches():
+    if split_setting(name)[0] in list_searches():
         return name
     raise UserError(f"search {name} is no shipped one: name its file, {plain(str(record.get('path')))}")
 
@@ -127,7 +133,7 @@ def _gains(
     from pneuma.study.execute import selection_record
 
     data = open_study(store, selection_record(planned))
-    base = _baseline_trial(search, record)
+    base = _baseline_trial(planned, record)
     gains = {}
     for place, objective in enumerate(search.objectives):
         won, lost = (outcome_values(data, arm, objective.outcome) for arm in (WINNER, BASELINE))
@@ -141,13 +147,17 @@ def _gains(
     return gains
 
 
-def _baseline_trial(search: Search, record: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the trial that had the base's own settings, if the search began with it."""
-    if search.space.base not in search.start_names:
-        return None
-    number = search.start_names.index(search.space.base)
-    found = next((trial for trial in record["trials"] if trial["number"] == number), None)
-    return found if found and found["state"] == "complete" else None
+def _baseline_trial(planned: plan.Plan, record: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the trial whose runs were the baseline's, if the search had it."""
+    from pneuma.config import as_settings, make_run
+    from pneuma.search.promote import BASELINE
+    from pneuma.study.identity import run_id
+
+    own = next(cell.run for cell in planned.cells if cell.condition == BASELINE)
+    budget = {**as_settings(own), "steps": record["steps"]}
+    names = [run_id(make_run({**budget, "seed": seed})) for seed in record["seeds"]]
+    complete = (trial for trial in record["trials"] if trial["state"] == "complete")
+    return next((trial for trial in complete if trial["run_ids"][-len(names) :] == names), None)
 
 
 def _values(trial: Mapping[str, Any]) -> list[float]:

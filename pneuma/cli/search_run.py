@@ -14,6 +14,7 @@ from pneuma.cli.options import (
     Preset,
     Quiet,
     Results,
+    SettingName,
     Settings,
     Workers,
     print_json,
@@ -24,6 +25,7 @@ from pneuma.cli.options import (
 from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
+from pneuma.study.definition import SETTINGS, TEXT, in_setting
 from pneuma.study.executors.local import Supervision, available_cores
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
@@ -57,6 +59,7 @@ def run(
     steps: RunSteps = None,
     engine: EngineName = None,
     set_: Settings = None,
+    setting: SettingName = None,
     sensitivity: Annotated[
         bool,
         typer.Option(
@@ -82,10 +85,11 @@ def run(
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Task
 
-    search = load_search(name)
-    budget = read_budget(search, preset, trials, seeds, steps)
+    search = load_search(name, setting)
     over = {**read_settings_options(set_), **({"engine": engine} if engine else {})}
-    task = Task(search, budget, _checked(search, over))
+    if over:
+        search = search.with_settings(_checked(over))
+    task = Task(search, read_budget(search, preset, trials, seeds, steps))
     store = Store(results)
     how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
     if sensitivity:
@@ -112,6 +116,13 @@ def read_budget(
     )
 
 
+def record_name(name: str, setting: str | None) -> str:
+    """Return what the record of a search is called."""
+    if setting not in (None, *SETTINGS):
+        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
+    return in_setting(Path(name).stem if name.endswith(".toml") else name, setting or TEXT)
+
+
 def read_search_seeds_option(text: str) -> tuple[int, ...]:
     """Read `--seeds` of a search: a count from 1000 on, or a list."""
     from pneuma.cli.options import read_seeds_option
@@ -121,15 +132,12 @@ def read_search_seeds_option(text: str) -> tuple[int, ...]:
     return seeds if "," in text else tuple(FIRST_SEED + seed for seed in seeds)
 
 
-def _checked(search: Search, over: Mapping[str, Any]) -> dict[str, Any]:
-    """Check what is set over every trial: fields of the run that are not searched."""
+def _checked(over: Mapping[str, Any]) -> dict[str, Any]:
+    """Check what is set over every trial: fields of the run."""
     from pneuma.config import Run, read_setting
     from pneuma.search.spec import SETTABLE
 
-    searched = {parameter.name for parameter in search.space.parameters}
     for key in over:
-        if key in searched:
-            raise UserError(f"--set {key}: is searched by {search.name}; take it out of [space] to fix it")
         if key not in (*SETTABLE, "engine"):
             raise unknown_name("key of --set", key, SETTABLE)
     return {key: read_setting(Run, key, value) for key, value in over.items()}

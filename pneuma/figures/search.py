@@ -20,7 +20,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.search.importance import importances
-from pneuma.search.record import read_space
+from pneuma.search.recorded import read_space
 from pneuma.search.space import Parameter, Range
 
 PAGE_INCHES = 7.0

@@ -6,8 +6,10 @@ left running. What is missing is added; a lost file is written anew from the sto
 
 from __future__ import annotations
 
+import sqlite3
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,28 +40,28 @@ class Database:
 
     def __init__(self, task: Task, url: str | None, store: Store) -> None:
         self._task = task
-        self.url = url or f"sqlite:///{self._own_file(store)}"
+        self._own = None if url else _own_file(store, task.search.name)
+        self.url = url or f"sqlite:///{self._own}"
         self.name = f"{task.search.name}-{task.digest}"
-        self._study = self._open(None if url else self._path)
+        with self._told():
+            self._study = self._load()
 
-    def _own_file(self, store: Store) -> Path:
-        folder = store.root / "searches"
-        folder.mkdir(parents=True, exist_ok=True)
-        self._path = folder / f"{self._task.search.name}.db"
-        if self._path.is_symlink() or not folder.resolve().is_relative_to(store.root.resolve()):
-            raise UserError(f"{self._path}: a link leads out of the results folder; remove it")
-        return self._path.resolve()
+    @property
+    def shown_url(self) -> str:
+        """Return the storage's URL without user and password."""
+        return _without_password(self.url)
 
-    def _open(self, own: Path | None) -> optuna.Study:
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Tell in one line what a database's driver raises."""
         try:
-            return self._load()
+            yield
         except UserError:
             raise
-        except Exception as error:  # whatever a database's driver raises
-            if own is None:
-                raise UserError(f"--storage {_without_password(self.url)}: {_first_line(error)}") from None
-        own.unlink(missing_ok=True)  # damaged: nothing is in it that is not in the stored runs
-        return self._load()
+        except Exception as error:  # each driver has kinds of its own
+            told = _first_line(error).replace(self.url, self.shown_url)
+            where = f"--storage {self.shown_url}" if self._own is None else self._own
+            raise UserError(f"{where}: {told}") from None
 
     def _load(self) -> optuna.Study:
         study = optuna.create_study(
@@ -71,10 +73,10 @@ class Database:
             load_if_exists=True,
         )
         if study.user_attrs.get(OWNER, self._task.digest) != self._task.digest:
-            raise self._foreign()
+            return self._make_anew()
         if OWNER not in study.user_attrs:
             if study.get_trials(deepcopy=False):
-                raise self._foreign()
+                return self._make_anew()
             study.set_user_attr(OWNER, self._task.digest)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -88,13 +90,21 @@ class Database:
             told: all trials of the search so far, in order.
 
         Raises:
-            UserError: where it holds other trials.
+            UserError: where it holds other trials, or does not answer.
         """
-        held = self._study.get_trials(deepcopy=False)
-        for trial, own in zip(held, told, strict=False):
-            if _essence(trial) != _essence(self._frozen(own)):
-                raise self._foreign()
-        self._study.add_trials([self._frozen(own) for own in told[len(held) :]])
+        with self._told():
+            held = self._study.get_trials(deepcopy=False)
+            pairs = zip(held, told, strict=False)
+            if any(_essence(trial) != _essence(self._frozen(own)) for trial, own in pairs):
+                self._study, held = self._make_anew(), []
+            self._study.add_trials([self._frozen(own) for own in told[len(held) :]])
+
+    def _make_anew(self) -> optuna.Study:
+        """Drop what the search's own file holds under its name; refuse to in anybody else's."""
+        if self._own is None:
+            raise self._foreign()
+        optuna.delete_study(study_name=self.name, storage=self.url)
+        return self._load()
 
     def _frozen(self, told: Told) -> FrozenTrial:
         state = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
@@ -110,7 +120,7 @@ class Database:
 
     def _foreign(self) -> UserError:
         return UserError(
-            f"{_without_password(self.url)}: its study {self.name} holds another search; "
+            f"--storage {self.shown_url}: its study {self.name} holds another search; "
             "name another storage with --storage, or another folder with --results"
         )
 
@@ -119,9 +129,41 @@ def _essence(trial: FrozenTrial) -> tuple[Any, ...]:
     return trial.state, trial.params, trial.values
 
 
+def _own_file(store: Store, search: str) -> Path:
+    """Return the search's own SQLite file, a damaged one removed: all that was in it is in the runs.
+
+    Raises:
+        UserError: where something else is in its place.
+    """
+    path = store.root / "searches" / f"{search}.db"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_symlink():
+        raise UserError(f"{path}: is a link; remove it, the search makes a file in its place")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path}: is no file; remove it, the search makes one in its place")
+    if path.exists() and _is_damaged(path):
+        try:
+            path.unlink()
+        except OSError as error:
+            raise UserError(f"{path}: damaged, and cannot be removed ({error.strerror})") from None
+    return path.resolve()
+
+
+def _is_damaged(path: Path) -> bool:
+    """Tell whether a file is no whole SQLite database; not so one that is in use, or may not be read."""
+    try:
+        with closing(sqlite3.connect(path, timeout=1)) as connection:
+            return bool(connection.execute("PRAGMA quick_check").fetchone() != ("ok",))
+    except sqlite3.OperationalError:
+        return False
+    except sqlite3.DatabaseError:
+        return True
+
+
 def _without_password(url: str) -> str:
+    """Return a URL without user, password and options, which may hold one too."""
     scheme, at, rest = url.partition("://")
-    return f"{scheme}{at}{rest.rsplit('@', 1)[-1]}"
+    return f"{scheme}{at}{rest.rsplit('@', 1)[-1].partition('?')[0]}"
 
 
 def _first_line(error: Exception) -> str:

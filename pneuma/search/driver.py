@@ -13,7 +13,7 @@ from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.search.database import Database
-from pneuma.search.record import save_record
+from pneuma.search.record import check_folder, lock_folder, save_record
 from pneuma.search.trials import Task, Told, Train, conduct, make_trial_plan
 from pneuma.study.execute import selection_record
 from pneuma.study.locks import RunLock
@@ -51,16 +51,18 @@ def run_search(
     """
     check_outcomes(task)
     store.check_writable()
+    check_folder(store)
     with _alone(task, store):
         database = Database(task, storage, store)
         outcomes = _Outcomes(task, store)
         told: list[Told] = []
+        save_record(store, task, told, database.shown_url, database.name)
         for generation in conduct(task, train, outcomes.read, outcomes.diverged):
             told += generation
             database.save(told)
-            save_record(store, task, told, database.url, database.name)
+            save_record(store, task, told, database.shown_url, database.name)
             on_generation(generation, told)
-        return Searched(tuple(told), database.url, database.name)
+        return Searched(tuple(told), database.shown_url, database.name)
 
 
 def check_outcomes(task: Task) -> None:
@@ -83,8 +85,7 @@ def check_outcomes(task: Task) -> None:
 @contextmanager
 def _alone(task: Task, store: Store) -> Iterator[None]:
     """Keep a second process from searching here at the same time."""
-    folder = store.root / "searches" / f".{task.search.name}"
-    with RunLock(folder) as mine:
+    with RunLock(lock_folder(store, task.search.name)) as mine:
         if not mine:
             raise UserError(f"search {task.search.name}: another process searches in {store.root} now")
         yield
@@ -93,13 +94,16 @@ def _alone(task: Task, store: Store) -> Iterator[None]:
 class _Outcomes:
     """Outcomes of stored runs, each read once.
 
-    A diverged run cannot play: it counts with the worst that its outcome can be, where there is such a
-    bound, and with its last recorded value where there is none.
+    A diverged run cannot play: it counts with the worst that its outcome can be for what is sought, where
+    there is such a bound, and with its last recorded value where there is none.
     """
 
     def __init__(self, task: Task, store: Store) -> None:
         self._task = task
         self._store = store
+        self._sought = {
+            own.outcome: own.direction for own in task.search.objectives if own.over_seeds != "deviation"
+        }
         self._values: dict[tuple[str, str], float] = {}
 
     def read(self, cell: Cell, name: str) -> float:
@@ -115,7 +119,7 @@ class _Outcomes:
 
     def _measure(self, cell: Cell, name: str) -> float:
         found = find_outcome(name)
-        worst = found.bounds[1 if found.better == "lower" else 0]
+        worst = found.bounds[1 if self._sought.get(name) == "minimize" else 0]
         if self.diverged(cell) and np.isfinite(worst):
             return float(worst)
         record = selection_record(make_trial_plan(self._task, [cell]))

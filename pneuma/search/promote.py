@@ -86,8 +86,7 @@ def refuse_seen_seeds(seeds: Sequence[int], record: Mapping[str, Any]) -> None:
 def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str, Any]) -> str:
     """Return a study file of the winner beside the base, with the winner's lineage as comments."""
     settings = search.space.settings(trial["params"])
-    fixed = {key: value for key, value in search.space.fixed.items()}
-    over = {key: value for key, value in record["identity"]["fixed"].items() if key not in fixed}
+    fixed = search.space.fixed
     own = {key: value for key, value in settings.items() if fixed.get(key, ...) != value}
     values = trial.get("values") or [trial.get("value")]
     lines = [
@@ -103,7 +102,7 @@ def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str
         f'baseline = "{BASELINE}"',
         "",
         "[run]",
-        *(f"{key} = {_toml(value)}" for key, value in {**fixed, **over}.items()),
+        *(f"{key} = {_toml(value)}" for key, value in fixed.items()),
         "",
         f"[conditions.{BASELINE}]",
         "",

@@ -3,23 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.search.space import Choices, Parameter, Range, Space
+from pneuma.search.record_shape import is_record
 from pneuma.search.spec import Search, list_searches
 from pneuma.search.trials import Task, Told
-from pneuma.study.files import read_sealed, seal
+from pneuma.study.files import read_sealed, seal, to_json
 from pneuma.study.store import Store
 
 
 def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, optuna_study: str) -> None:
-    """Write a search's record.
+    """Write a search's record, unless the one that is there goes on from these very trials.
+
+    Args:
+        store: the results folder.
+        task: the search with its budget.
+        told: its trials so far; while a stopped search is replayed, the record already holds more.
+        storage: where optuna-dashboard finds it, without its password.
+        optuna_study: what it is called there.
 
     Raises:
         UserError: when the folder cannot be written.
     """
     search, budget = task.search, task.budget
+    trials = [trial_document(trial, search) for trial in told]
+    held = _held(store, search.name)
+    if held and held["digest"] == task.digest and _goes_on(held["trials"], trials):
+        asked = max(budget.trials, len(held["trials"]))
+        store.write(
+            _path(store, search.name),
+            seal({**held, "trials_asked": asked, "storage": storage, "optuna_study": optuna_study}),
+        )
+        return
     document = {
         "search": search.name,
         "title": search.title,
@@ -32,7 +49,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, op
         "steps": budget.steps,
         "storage": storage,
         "optuna_study": optuna_study,
-        "trials": [trial_document(trial, task.search) for trial in told],
+        "trials": trials,
         "best": best_number(told, task.search),
     }
     store.write(_path(store, search.name), seal(document))
@@ -45,10 +62,10 @@ def read_record(store: Store, name: str) -> dict[str, Any]:
         UserError: where it was never run here, or its record is damaged.
     """
     path = _path(store, name)
-    document = read_sealed(path)
-    if document and isinstance(document.get("trials"), list) and document.get("search") == name:
+    document = _held(store, name)
+    if document:
         return document
-    if path.exists():
+    if path.exists() or path.is_symlink():
         raise UserError(
             f"{path}: damaged; `pneuma search run {name}` writes it anew and trains nothing twice"
         )
@@ -62,7 +79,28 @@ def read_record(store: Store, name: str) -> dict[str, Any]:
 
 def known_searches(store: Store) -> list[str]:
     """Return the names of the searches that were run here."""
-    return sorted(path.stem for path in (store.root / "searches").glob("*.json"))
+    names = (path.stem for path in (store.root / "searches").glob("*.json"))
+    return sorted(name for name in names if not name.startswith("sensitivity-"))
+
+
+def check_folder(store: Store) -> None:
+    """Make the folder of searches if need be.
+
+    Raises:
+        UserError: where it is none, or a link out of the results.
+    """
+    folder = store.root / "searches"
+    if not folder.resolve().is_relative_to(store.root.resolve()):
+        raise UserError(f"{folder}: is a link out of the results folder; link the whole folder instead")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written ({error.strerror})") from None
+
+
+def lock_folder(store: Store, name: str) -> Path:
+    """Return the folder whose lock tells that a search is under way."""
+    return store.root / "searches" / f".{name}"
 
 
 def trial_document(told: Told, search: Search) -> dict[str, Any]:
@@ -96,31 +134,16 @@ def _beats(other: Sequence[float], own: Sequence[float]) -> bool:
     return all(o >= v for o, v in pairs) and any(o > v for o, v in pairs)
 
 
-def _path(store: Store, name: str) -> Any:
+def _path(store: Store, name: str) -> Path:
     return store.root / "searches" / f"{name}.json"
 
 
-def settings_of(trial: Mapping[str, Any], search: Search) -> dict[str, Any]:
-    """Return what of the run a recorded trial's parameters set."""
-    return search.space.settings(trial["params"])
+def _held(store: Store, name: str) -> dict[str, Any] | None:
+    """Return the record that is there; None where there is none, or not as `save_record` writes it."""
+    path = _path(store, name)
+    document = None if path.is_symlink() or path.parent.is_symlink() else read_sealed(path)
+    return document if document and document.get("search") == name and is_record(document) else None
 
 
-def read_space(record: Mapping[str, Any]) -> Space:
-    """Return the space of a recorded search, from what its identity holds of it.
-
-    Raises:
-        UserError: where the record, which may be a stranger's, holds none.
-    """
-    try:
-        identity = record["identity"]
-        parameters = tuple(_read_parameter(own) for own in identity["space"])
-        return Space(parameters, identity["fixed"], identity["base"])
-    except (KeyError, TypeError, AttributeError):
-        raise UserError(
-            f"the record of search {record.get('search')} is damaged: run the search again"
-        ) from None
-
-
-def _read_parameter(own: Mapping[str, Any]) -> Parameter:
-    domain = Choices(**own["domain"]) if "settings_of" in own["domain"] else Range(**own["domain"])
-    return Parameter(own["name"], domain, {name: tuple(values) for name, values in own["when"].items()})
+def _goes_on(held: Sequence[Mapping[str, Any]], trials: Sequence[Mapping[str, Any]]) -> bool:
+    return len(held) >= len(trials) and to_json(held[: len(trials)]) == to_json(trials)

@@ -129,7 +129,7 @@ def _base_params(task: Task) -> dict[str, Any]:
 
 def _run(task: Task, params: Mapping[str, Any]) -> Run:
     space = task.search.space
-    settings = {**space.settings(params), **task.over, "steps": task.budget.steps}
+    settings = {**space.settings(params), "steps": task.budget.steps}
     return make_run(join_settings(space.base, settings))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import Any
 
-from pneuma.config import BASES, as_settings, make_run
+from pneuma.config import ENVIRONMENT_SETTINGS, ENVIRONMENTS, Run, as_settings, make_run, read_settings
 from pneuma.errors import UserError
 from pneuma.study.spec import join_settings
 
@@ -76,6 +76,13 @@ class Parameter:
     name: str
     domain: Range | Choices
     when: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Return the fields of the run that it sets."""
+        if isinstance(self.domain, Range):
+            return (self.name,)
+        return tuple(dict.fromkeys(key for own in self.domain.settings_of.values() for key in own))
 
     def counts(self, known: Mapping[str, Any]) -> bool:
         """Tell whether it counts beside what is known of the others."""
@@ -142,7 +149,7 @@ class Space:
 
     @property
     def _start(self) -> dict[str, Any]:
-        return {**BASES[self.base], **self.fixed}
+        return usual_settings(self.base, self.fixed)
 
     def _corners(self) -> Iterator[dict[str, Any]]:
         singles = [(parameter,) for parameter in self.parameters]
@@ -154,7 +161,7 @@ class Space:
 
     def _usual(self) -> dict[str, Any]:
         """Return a value inside the space for each parameter that hangs on no other: the base's if it can."""
-        base = self.params_of(as_settings(make_run(join_settings(self.base, dict(self.fixed)))))
+        base = self.params_of(self._start)
         return {
             parameter.name: base.get(parameter.name, parameter.domain.extremes[0])
             for parameter in self.parameters
@@ -169,6 +176,13 @@ class Space:
         needed = [item for name in own for item in self.parameter(name).when.items()]
         names = {parameter.name for parameter in self.parameters}
         return {name: values[0] for name, values in needed if name in names}
+
+
+def usual_settings(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return every field of the run as a base and what is fixed have it, not yet checked as one run."""
+    own = join_settings(base, fixed)
+    brought = ENVIRONMENT_SETTINGS.get(own.get("env", ENVIRONMENTS[0]), {})
+    return {**as_settings(Run()), **brought, **read_settings(Run, own)}
 
 
 def _agree(own: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:

@@ -10,16 +10,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import BASES, FORK_SETTINGS, Run, make_run, read_setting
+from pneuma.config import BASES, FORK_SETTINGS, Run, read_setting
 from pneuma.errors import UserError, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.search.options import PRUNERS, SAMPLERS, read_options
-from pneuma.search.space import Choices, Parameter, Range, Space
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, join_settings, read_seeds, studies_folder
+from pneuma.search.space import Choices, Parameter, Range, Space, usual_settings
+from pneuma.study.definition import PUBLISHED_CODE
+from pneuma.study.spec import (
+    GODOT,
+    PRESETS,
+    SEEDS_ALLOWED,
+    SETTINGS,
+    TEXT,
+    in_setting,
+    read_seeds,
+    split_setting,
+    studies_folder,
+)
 from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
 from pneuma.values import Choice, Flag, Number
 
@@ -60,7 +71,7 @@ class Search:
     """A search as its file has it.
 
     Attributes:
-        name, path: of the file.
+        name, path: of the file; in godot's setting the name ends so.
         title, section, about: for people.
         space: what is searched, and what is fixed.
         objectives: one; several for a search of the Pareto front.
@@ -69,6 +80,7 @@ class Search:
         generation: trials that are asked for before any of them is told.
         sampler, pruner: their names and options, all of these given; the pruner's name may be empty.
         presets: by name.
+        setting: of `pneuma.study.spec.SETTINGS`: the text's environment, or the published code's.
     """
 
     name: str
@@ -84,11 +96,40 @@ class Search:
     sampler: Mapping[str, Any]
     pruner: Mapping[str, Any]
     presets: Mapping[str, Budget]
+    setting: str = TEXT
 
-    @property
-    def outcomes(self) -> tuple[str, ...]:
-        """Return the outcomes that its objectives read."""
-        return tuple(dict.fromkeys(objective.outcome for objective in self.objectives))
+    def with_settings(self, over: Mapping[str, Any]) -> Search:
+        """Return the search with more that all trials share, over what its file fixes.
+
+        Raises:
+            UserError: for what is searched, and what does not go with the space.
+        """
+        for parameter in self.space.parameters:
+            for key in {parameter.name, *parameter.keys} & {*over}:
+                raise UserError(f"{key}: is searched by [space.{parameter.name}] of {self.name}")
+        space = replace(self.space, fixed={**self.space.fixed, **over})
+        try:
+            space.check()
+        except UserError as error:
+            told = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
+            raise UserError(f"search {self.name} with {told}: {error}") from None
+        return replace(self, space=space, start=_start_params(self.start_names, space))
+
+    def in_setting(self, setting: str) -> Search:
+        """Return the search in one of `SETTINGS`, with a name of its own there.
+
+        In godot's, all trials share the published code's environment, and its clip range and small actor
+        where the search sets none itself.
+        """
+        if setting not in SETTINGS:
+            raise UserError(f"--setting {setting}: {unknown_name('setting', setting, SETTINGS)}")
+        if setting == self.setting:
+            return self
+        own = {key for parameter in self.space.parameters for key in parameter.keys}
+        own |= {*self.space.fixed} - {"env"}
+        told = self.with_settings({key: value for key, value in PUBLISHED_CODE.items() if key not in own})
+        name = in_setting(self.name, setting)
+        return replace(told, name=name, title=f"{self.title} ({setting})", setting=setting)
 
 
 def searches_folder() -> Path:
@@ -101,8 +142,12 @@ def list_searches() -> list[str]:
     return sorted(path.stem for path in searches_folder().glob("*.toml"))
 
 
-def load_search(name: str) -> Search:
+def load_search(name: str, setting: str | None = None) -> Search:
     """Load a shipped search by its name, or any by the path of its file.
+
+    Args:
+        name: of the search; one that ends in -godot stands for the search in that setting.
+        setting: of `pneuma.study.spec.SETTINGS`; the text's when neither this nor the name says so.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
@@ -111,10 +156,15 @@ def load_search(name: str) -> Search:
         path = Path(name)
         if path.stem in list_searches() and path.resolve() != (searches_folder() / path.name).resolve():
             raise UserError(f"{path}: a shipped search is called {path.stem}; give yours another file name")
-        return read_search(read_toml(path))
-    if name not in list_searches():
+        if split_setting(path.stem)[1] != TEXT:
+            raise UserError(f"{path}: -{GODOT} ends the names of searches in that setting; give another")
+        return read_search(read_toml(path)).in_setting(setting or TEXT)
+    own, told = split_setting(name)
+    if own not in list_searches():
         raise unknown_name("search", name, list_searches())
-    return read_search(read_toml(searches_folder() / f"{name}.toml"))
+    if told != TEXT and setting not in (None, told):
+        raise UserError(f"--setting {setting}: the name {name} stands for the setting {told}")
+    return read_search(read_toml(searches_folder() / f"{own}.toml")).in_setting(setting or told)
 
 
 def read_search(file: TomlFile) -> Search:
@@ -184,7 +234,7 @@ def _read_space(file: TomlFile, base: str) -> Space:
     if not parameters:
         raise file.mistake((), "a search needs at least one parameter", "space")
     for parameter in parameters:
-        for key in _keys(parameter):
+        for key in parameter.keys:
             if key in fixed:
                 raise file.mistake(("run",), f"{key} is searched by [space.{parameter.name}]", key)
     space = Space(tuple(parameters), fixed, base)
@@ -194,12 +244,6 @@ def _read_space(file: TomlFile, base: str) -> Space:
         name = str(error).split(" = ", 1)[0]
         raise file.mistake(("space", name) if name in file.table(("space",)) else (), str(error)) from None
     return space
-
-
-def _keys(parameter: Parameter) -> list[str]:
-    if isinstance(parameter.domain, Range):
-        return [parameter.name]
-    return list(dict.fromkeys(key for own in parameter.domain.settings_of.values() for key in own))
 
 
 def _read_parameter(file: TomlFile, name: str, known: list[str]) -> Parameter:
@@ -301,17 +345,15 @@ def _read_start(file: TomlFile, space: Space) -> tuple[tuple[str, ...], tuple[Ma
     names = file.data.get("start", [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise file.mistake((), f"start = {shown(names)} is not allowed: a list of bases", "start")
-    start = []
     for name in names:
         if name not in BASES:
             raise file.mistake((), f"start: {unknown_name('base', name, BASES)}", "start")
-        start.append(space.params_of(_resolved(name, space.fixed)))
-    return tuple(names), tuple(start)
+    return tuple(names), _start_params(tuple(names), space)
 
 
-def _resolved(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
-    run = make_run(join_settings(base, dict(fixed)))
-    return {f.name: getattr(run, f.name) for f in fields(Run)}
+def _start_params(names: tuple[str, ...], space: Space) -> tuple[Mapping[str, Any], ...]:
+    """Return the trials of bases, as far as the space holds them; the sampler gives the rest."""
+    return tuple(space.params_of(usual_settings(name, space.fixed)) for name in names)
 
 
 def _read_budget(file: TomlFile, name: str) -> Budget:

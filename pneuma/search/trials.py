@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -17,10 +18,11 @@ import numpy as np
 import optuna
 
 from pneuma.analysis.estimates import interquartile_mean
-from pneuma.config import Run, as_settings, make_run
+from pneuma.analysis.outcomes import find_outcome
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_settings, make_run
 from pneuma.errors import UserError
 from pneuma.search.sampling import ask, begin_study
-from pneuma.search.spec import Budget, Search
+from pneuma.search.spec import Budget, Objective, Search
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study, join_settings
@@ -30,6 +32,10 @@ ReadOutcome = Callable[[Cell, str], float]
 
 Train = Callable[[Plan], None]
 """Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
+
+
+Measure = Callable[[Sequence[Cell]], tuple[float, ...]]
+"""Returns the objectives of a trial's runs."""
 
 
 class Unfinished(Exception):
@@ -43,12 +49,10 @@ class Task:
     Attributes:
         search: its file.
         budget: trials, seeds and steps.
-        over: fields of the run set over everything else, the engine among them.
     """
 
     search: Search
     budget: Budget
-    over: Mapping[str, Any]
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -56,7 +60,7 @@ class Task:
         search = self.search
         return {
             "base": search.space.base,
-            "fixed": {**search.space.fixed, **self.over},
+            "fixed": search.space.fixed,
             "space": [asdict(parameter) for parameter in search.space.parameters],
             "objectives": [asdict(objective) for objective in search.objectives],
             "start": search.start,
@@ -66,6 +70,8 @@ class Task:
             "seeds": self.budget.seeds,
             "steps": self.budget.steps,
             "optuna": optuna.__version__,
+            "rules": RULES_VERSION,
+            "engines": ENGINE_VERSIONS,
         }
 
     @property
@@ -144,12 +150,16 @@ def conduct(
     directions = [objective.direction for objective in search.objectives]
     study = begin_study(search.name, directions, search.pruner, len(rungs))
     trained: list[Cell] = []
+
+    def measure(cells: Sequence[Cell]) -> tuple[float, ...]:
+        return tuple(_value(objective, cells, read, diverged) for objective in search.objectives)
+
     for first in range(0, budget.trials, search.generation):
         asked = [_ask(study, task) for _ in range(search.generation)][: budget.trials - first]
         for stage in rungs:
             _train_stage(task, stage, asked, trained, train)
-            _compare(task, stage, rungs, asked, read)
-        yield [_tell(study, task, each, read, diverged) for each in asked]
+            _compare(measure, stage, rungs, asked)
+        yield [_tell(study, each, measure, diverged) for each in asked]
 
 
 def stages(pruner: Mapping[str, Any], budget: Budget) -> tuple[Stage, ...]:
@@ -191,7 +201,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
 def _ask(study: optuna.Study, task: Task) -> _Asked:
     search = task.search
     trial, params = ask(study, search.space, search.sampler, search.name, search.start)
-    settings = {**search.space.settings(params), **task.over}
+    settings = search.space.settings(params)
     try:
         run = make_run({**join_settings(search.space.base, settings), "steps": task.budget.steps})
     except UserError as error:
@@ -210,22 +220,21 @@ def _train_stage(task: Task, stage: Stage, asked: list[_Asked], trained: list[Ce
         own = [
             Cell(name, seed, one, run_id(one)) for seed in stage.seeds for one in [replace(run, seed=seed)]
         ]
+        own = [cell for cell in own if cell not in each.cells]  # two rungs round up to one budget
         each.cells += own
         trained += own
     if trained:
         train(make_trial_plan(task, trained))
 
 
-def _compare(
-    task: Task, stage: Stage, rungs: Sequence[Stage], asked: list[_Asked], read: ReadOutcome
-) -> None:
+def _compare(measure: Measure, stage: Stage, rungs: Sequence[Stage], asked: list[_Asked]) -> None:
     """Report a stage of every trial, in order, and only then give up those that the pruner names."""
     if len(rungs) < 2:
         return
     racing = [each for each in asked if each.run is not None and not each.pruned]
     for each in racing:
         cells = [cell for cell in each.cells if cell.seed in stage.seeds][-len(stage.seeds) :]
-        value = _values(task, cells, read)[0]
+        value = measure(cells)[0]
         each.rungs[stage.key] = value
         if np.isfinite(value):
             each.trial.report(value, stage.key)
@@ -234,14 +243,8 @@ def _compare(
             each.pruned = each.trial.should_prune()
 
 
-def _tell(
-    study: optuna.Study,
-    task: Task,
-    asked: _Asked,
-    read: ReadOutcome,
-    diverged: Callable[[Cell], bool],
-) -> Told:
-    values = _values(task, _last(asked, task), read) if asked.run else ()
+def _tell(study: optuna.Study, asked: _Asked, measure: Measure, diverged: Callable[[Cell], bool]) -> Told:
+    values = measure(_last(asked)) if asked.run else ()
     state = (
         "failed" if not values or not np.isfinite(values).all() else "pruned" if asked.pruned else "complete"
     )
@@ -264,17 +267,23 @@ def _tell(
     )
 
 
-def _last(asked: _Asked, task: Task) -> list[Cell]:
+def _last(asked: _Asked) -> list[Cell]:
     """Return the cells of a trial's longest training."""
     longest = max(cell.run.steps for cell in asked.cells)
     return [cell for cell in asked.cells if cell.run.steps == longest]
 
 
-def _values(task: Task, cells: Sequence[Cell], read: ReadOutcome) -> tuple[float, ...]:
-    return tuple(
-        over_seeds(objective.over_seeds, np.array([read(cell, objective.outcome) for cell in cells]))
-        for objective in task.search.objectives
-    )
+def _value(
+    objective: Objective, cells: Sequence[Cell], read: ReadOutcome, diverged: Callable[[Cell], bool]
+) -> float:
+    """Return what a trial's runs come to in one objective.
+
+    Runs that diverge alike have no spread, which is no merit: theirs is the greatest that there can be.
+    """
+    if objective.over_seeds == "deviation" and any(map(diverged, cells)):
+        low, high = find_outcome(objective.outcome).bounds
+        return (high - low) / 2 * math.sqrt(len(cells) / max(len(cells) - 1, 1))
+    return over_seeds(objective.over_seeds, np.array([read(cell, objective.outcome) for cell in cells]))
 
 
 def over_seeds(name: str, values: np.ndarray) -> float:

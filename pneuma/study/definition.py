@@ -20,7 +20,7 @@ TEXT, GODOT = "text", "godot"
 SETTINGS = (TEXT, GODOT)
 """What a study can be run in: as its file says, which is as the thesis's text, or as the published code."""
 
-_PUBLISHED_CODE: dict[str, Any] = {
+PUBLISHED_CODE: dict[str, Any] = {
     "env": "pneuma/PneumaGodot-v0",
     "clip_range": 0.2,
     "actor": (256,),
@@ -105,7 +105,7 @@ class Study:
         if setting == TEXT or setting == self.setting:
             return self
         set_by_itself = {*self.shared, *(key for own in self.conditions.values() for key in own)} - {"env"}
-        usual = {key: value for key, value in _PUBLISHED_CODE.items() if key not in set_by_itself}
+        usual = {key: value for key, value in PUBLISHED_CODE.items() if key not in set_by_itself}
         return replace(
             self,
             name=in_setting(self.name, setting),

@@ -117,7 +117,10 @@ def test_sensitivity_is_trained_and_drawn(searched: tuple[Path, Path], tmp_path:
     [
         (["run", "pop"], "unknown search 'pop' (did you mean ppo?)"),
         (["run", "ppo", "--trials", "0"], "--trials 0: must be a whole number"),
-        (["run", "ppo", "--set", "learning_rate=1"], "--set learning_rate: is searched by ppo"),
+        (
+            ["run", "ppo", "--set", "learning_rate=1"],
+            "learning_rate: is searched by [space.learning_rate] of ppo",
+        ),
         (["run", "ppo", "--set", "sloths=1"], "unknown key of --set 'sloths' (did you mean slots?)"),
         (["run", "ppo", "--preset", "quik"], "unknown preset of search ppo 'quik' (did you mean quick?)"),
         (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),

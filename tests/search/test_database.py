@@ -63,12 +63,36 @@ def test_another_search_of_the_name_is_refused(
         Database(task, url, store)
 
 
-def test_other_trials_under_its_name_are_refused(make_task: MakeTask, solve: Solve, store: Store) -> None:
+def test_other_trials_under_its_name_are_refused(
+    make_task: MakeTask, solve: Solve, store: Store, tmp_path: Path
+) -> None:
+    task, url = make_task(8), f"sqlite:///{tmp_path / 'shared.db'}"
+    told = flat(solve(task))
+    Database(task, url, store).save(told[:4])
+    with pytest.raises(UserError, match="holds another search"):
+        Database(task, url, store).save(list(reversed(told)))
+
+
+def test_its_own_file_is_put_right(make_task: MakeTask, solve: Solve, store: Store) -> None:
+    """Runs may change beneath a search, as with a level's contents; its own file follows them."""
     task = make_task(8)
     told = flat(solve(task))
-    Database(task, None, store).save(told[:4])
-    with pytest.raises(UserError, match="holds another search"):
-        Database(task, None, store).save(list(reversed(told)))
+    Database(task, None, store).save(list(reversed(told)))
+    database = Database(task, None, store)
+    database.save(told)
+    assert [trial.params for trial in read(database)] == [dict(t.params) for t in told]
+
+
+@pytest.mark.parametrize("make", [lambda p: p.mkdir(), lambda p: p.symlink_to("/nowhere/else.db")])
+def test_what_is_no_file_is_left_alone(
+    make_task: MakeTask, store: Store, make: Callable[[Path], object]
+) -> None:
+    path = store.root / "searches" / "formula.db"
+    path.parent.mkdir(parents=True)
+    make(path)
+    with pytest.raises(UserError, match="remove it, the search makes"):
+        Database(make_task(8), None, store)
+    assert path.is_dir() or path.is_symlink()
 
 
 def test_a_storage_that_nobody_answers_is_told_without_its_password(
@@ -77,3 +101,4 @@ def test_a_storage_that_nobody_answers_is_told_without_its_password(
     with pytest.raises(UserError) as caught:
         Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
     assert "secret" not in str(caught.value)
+    assert str(caught.value).startswith("--storage postgresql://127.0.0.1:1/none: ")

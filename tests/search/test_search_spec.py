@@ -135,6 +135,42 @@ def test_ends_that_go_together_need_not_go_with_the_base(write: Load) -> None:
     assert len(write(GOOD.replace("[presets.quick]", both)).space.parameters) == 7
 
 
+def test_what_is_set_beside_the_file_is_checked_with_the_space(write: Load) -> None:
+    search = write(GOOD)
+    with pytest.raises(UserError, match=r"actor: is searched by \[space.network\] of mine"):
+        search.with_settings({"actor": (8,)})
+    with pytest.raises(UserError, match="search mine with horizon = 32: .*minibatch = 64 is not allowed"):
+        search.with_settings({"horizon": 32})
+    assert search.with_settings({"gamma": 0.9}).space.fixed == {"gradient_limit": 0.5, "gamma": 0.9}
+
+
+def test_what_hangs_on_a_field_counts_with_what_is_set(write: Load) -> None:
+    """Without the choice of optimizer, the momentum counts where the optimizer that is set has one."""
+    without = GOOD.replace('[space.optimizer]\nchoices = ["adam", "sgd"]\n', "")
+    asked = {
+        name: write(without).with_settings({"optimizer": name}).space.ask(lambda p: p.domain.extremes[0])
+        for name in ("adam", "sgd")
+    }
+    assert ["momentum" in asked[name] for name in asked] == [False, True]
+
+
+def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:
+    fixed = GOOD.replace("gradient_limit = 0.5", "gradient_limit = 0.5\nhorizon = 32")
+    space = fixed.replace("[presets.quick]", "[space.minibatch]\nchoices = [16, 32]\n[presets.quick]")
+    assert write(space).start[0]["learning_rate"] == 3e-4
+
+
+def test_a_search_in_the_published_codes_setting(write: Load) -> None:
+    there = write(GOOD).in_setting("godot")
+    assert there.name == "mine-godot"
+    assert there.space.fixed == {  # the search sets the actor itself
+        "gradient_limit": 0.5, "env": "pneuma/PneumaGodot-v0", "clip_range": 0.2,
+    }  # fmt: skip
+    assert load_search("ppo-godot") == load_search("ppo", "godot")
+    with pytest.raises(UserError, match="the name ppo-godot stands for the setting godot"):
+        load_search("ppo-godot", "text")
+
+
 @pytest.mark.parametrize("name", list_searches())
 def test_every_shipped_search_is_sound(name: str) -> None:
     search = load_search(name)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pneuma.search.record import best_number
 from pneuma.search.spec import Budget
-from pneuma.search.trials import Told, over_seeds, stages
+from pneuma.search.trials import Told, conduct, over_seeds, stages
 from pneuma.study.plan import Cell, Plan
 
 from .conftest import MakeTask, Solve, height
@@ -71,6 +73,22 @@ def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask, solve
 
     told = flat(solve(make_task(8), read=blank_for_relu))
     assert {(t.state, t.params["activation"]) for t in told} == {("failed", "relu"), ("complete", "tanh")}
+
+
+def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -> None:
+    """By hand: of two shares, 0 and 1 lie the furthest apart; their deviation is √(2 · 0.5²)."""
+    more = '[objectives.spread]\noutcome = "final-share-killed"\nover_seeds = "deviation"'
+    task = make_task(4, more)
+    diverged = conduct(task, lambda plan: None, lambda cell, name: 0.0, lambda cell: True)
+    assert [t.values for t in flat(diverged)] == [pytest.approx((0.0, math.sqrt(0.5)))] * 4
+
+
+def test_two_rungs_that_round_to_one_budget_are_one_training(make_task: MakeTask, solve: Solve) -> None:
+    """At a horizon of 256, both 100 and 200 steps are 256."""
+    more = '[run]\nhorizon = 256\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 8'
+    task = replace(make_task(4, more), budget=Budget(4, (1000, 1001), 200))
+    told = flat(solve(task))
+    assert all(len(t.run_ids) == len({*t.run_ids}) == 2 for t in told)
 
 
 def test_rungs_of_the_budget() -> None:

@@ -1,0 +1,104 @@
+"""The record of a search: kept while a search is replayed; what is not its shape is not read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.search.record import read_record, save_record
+from pneuma.search.recorded import begun_runs, recorded_search
+from pneuma.search.trials import Task, make_trial_plan
+from pneuma.study.execute import selection_record
+from pneuma.study.files import seal
+from pneuma.study.plan import Plan
+from pneuma.study.store import Store
+
+from .conftest import MakeTask, Solve
+from .test_trials import flat
+
+Change = Callable[[dict[str, Any]], object]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    store.check_writable()
+    return store
+
+
+def save(store: Store, task: Task, told: list[Any]) -> dict[str, Any]:
+    save_record(store, task, told, "sqlite:///x.db", "x")
+    return read_record(store, "formula")
+
+
+def test_a_replay_loses_nothing(make_task: MakeTask, solve: Solve, store: Store) -> None:
+    told = flat(solve(make_task(8)))
+    whole = save(store, make_task(8), told)
+    assert [save(store, make_task(8), told[:count]) for count in (0, 4, 8)] == [whole] * 3
+    assert save(store, make_task(4), told[:4]) == whole
+    assert save(store, make_task(12), told[:4]) == {**whole, "trials_asked": 12}
+
+
+def test_another_search_of_the_name_takes_its_place(make_task: MakeTask, solve: Solve, store: Store) -> None:
+    save(store, make_task(8), flat(solve(make_task(8))))
+    other = make_task(8, '[sampler]\nname = "random"')
+    assert save(store, other, [])["trials"] == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: r.update(trials=[1, 2]),
+        lambda r: r.update(trials={}),
+        lambda r: r["trials"][0].update(value="\x1b[31mhigh"),
+        lambda r: r["trials"][0].update(number=7),
+        lambda r: r["trials"][0].update(run_ids=[[]]),
+        lambda r: r["trials"][0].pop("note"),
+        lambda r: r.update(best=99),
+        lambda r: r.update(best=None),
+        lambda r: r.update(seeds=5),
+        lambda r: r.update(storage=3),
+        lambda r: r["identity"].update(objectives=[]),
+        lambda r: r["identity"]["objectives"][0].update(over_seeds="most"),
+    ],
+)
+def test_a_record_of_another_shape_is_damaged(
+    make_task: MakeTask, solve: Solve, store: Store, change: Change
+) -> None:
+    record = save(store, make_task(8), flat(solve(make_task(8))))
+    change(record)
+    store.write(store.root / "searches" / "formula.json", seal(record))
+    with pytest.raises(UserError, match="damaged; `pneuma search run formula` writes it anew"):
+        read_record(store, "formula")
+
+
+def test_a_file_that_changed_is_not_promoted(make_task: MakeTask, solve: Solve, store: Store) -> None:
+    task = make_task(8)
+    record = save(store, task, flat(solve(task)))
+    assert recorded_search(task.search, record) == task.search
+    with pytest.raises(UserError, match="its space changed since the search was run"):
+        recorded_search(make_task(8, "[space.gamma]\nchoices = [0.9, 0.99]").search, record)
+
+
+def test_what_was_set_beside_the_file_is_promoted(make_task: MakeTask, solve: Solve, store: Store) -> None:
+    task = make_task(8)
+    set_ = Task(task.search.with_settings({"gamma": 0.9}), task.budget)
+    record = save(store, set_, flat(solve(set_)))
+    assert recorded_search(task.search, record).space.fixed == {"gamma": 0.9}
+    record["identity"]["fixed"]["reward"] = ["strangers:code"]
+    with pytest.raises(UserError, match="would run the reward strangers:code"):
+        recorded_search(task.search, record)
+
+
+def test_a_generation_that_is_begun_is_told(make_task: MakeTask, solve: Solve, store: Store) -> None:
+    task, plans = make_task(8), list[Plan]()
+    told = flat(solve(task, plans))
+    record = save(store, task, told[:4])
+    store.save_selection("search-formula", selection_record(make_trial_plan(task, plans[-1].cells)))
+    begun = begun_runs(store, json.loads(json.dumps(record)))
+    assert (begun.searching, begun.trials, begun.runs, begun.ended) == (False, (4, 5, 6, 7), 8, 0)
