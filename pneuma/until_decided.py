@@ -4,7 +4,7 @@
 
 The stages and what each may spend of the error rate are fixed before the first run
 (`pneuma.analysis.sequential`). Every condition is held against the study's baseline, by the mean share
-of monsters killed at the last evaluation. The study's record keeps that its seeds were chosen by
+of monsters killed at the last evaluation, or at the largest step count that all reach. The study's record keeps that its seeds were chosen by
 looking: a claim reads only the seeds that it fixed itself.
 """
 
@@ -18,10 +18,12 @@ import numpy as np
 
 from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sequential import Stage, decide, make_stages
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.verdicts import found
+from pneuma.config import stream_seed
 from pneuma.errors import UserError
 from pneuma.study import execute
 from pneuma.study.plan import Plan, Selection, make_plan
@@ -98,7 +100,7 @@ def compared(planned: Plan) -> tuple[str, ...]:
     """Return the conditions that are held against the baseline; those of its own configuration are not.
 
     Raises:
-        UserError: where there is no baseline or nothing to compare with it.
+        UserError: where there is no baseline, nothing to compare with it, or another engine in it.
     """
     baseline = planned.study.baseline
     if baseline not in planned.conditions:
@@ -109,17 +111,24 @@ def compared(planned: Plan) -> tuple[str, ...]:
         raise UserError(
             f"--until-decided: study {planned.study.name} has no condition to compare with {baseline}"
         )
+    engines = {cell.condition: cell.run.engine for cell in planned.cells}
+    for name in others:
+        if engines[name] != engines[baseline]:
+            raise UserError(
+                f"--until-decided: {name} is trained by {engines[name]}, {baseline} by {engines[baseline]}: "
+                "choose one with --engine"
+            )
     return others
 
 
 def _look(
     data: StudyData, baseline: str, others: tuple[str, ...], stage: Stage, earlier: Mapping[str, str]
 ) -> Look:
-    generator = np.random.default_rng(stage.seeds)  # the same look twice is the same
-    base = outcome_values(data, baseline, OUTCOME)
-    arms = {name: outcome_values(data, name, OUTCOME) for name in others}
+    at_step = common_step(data)
+    base = outcome_values(data, baseline, OUTCOME, at_step)
+    arms = {name: outcome_values(data, name, OUTCOME, at_step) for name in others}
     contrasts = {
-        name: compare("mean", _had(values), _had(base), MARGIN_SHARE, generator)
+        name: compare("mean", _had(values), _had(base), MARGIN_SHARE, _generator(stage, name))
         for name, values in arms.items()
     }
     decided = decide(stage, [contrast.p_any for contrast in contrasts.values()])
@@ -133,6 +142,11 @@ def _look(
         for (name, contrast), now in zip(contrasts.items(), decided, strict=True)
     ]
     return Look(stage, tuple(findings))
+
+
+def _generator(stage: Stage, condition: str) -> np.random.Generator:
+    """Return a contrast's own draws at a look, so that none depends on which others there are."""
+    return np.random.default_rng(stream_seed(f"until-decided/{stage.seeds}", condition))
 
 
 def _had(values: np.ndarray) -> np.ndarray:

@@ -18,12 +18,15 @@ from pneuma.analysis.corrections import holm
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
-from pneuma.config import ENGINES, stream_seed
+from pneuma.config import stream_seed
 from pneuma.errors import UserError
 from pneuma.study.execute import missing, selection_record
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
+
+ENGINES = ("batched", "sb3")
+"""Those that train the same algorithms."""
 
 MARGINS: Mapping[str, float] = {"final-share-killed": 0.5 / 14, "auc-share-killed": 0.5 / 14}
 """What is compared, and half a monster of the fourteen as the difference that counts as none."""

@@ -28,7 +28,12 @@ class Written:
         noise = np.random.default_rng(1)
         self.values = {name: level + 0.05 * noise.normal(size=40) for name, level in levels.items()}
         monkeypatch.setattr(until_decided, "open_study", lambda store, record: len(record["runs"]) // 3)
-        monkeypatch.setattr(until_decided, "outcome_values", lambda n, name, outcome: self.values[name][:n])
+        monkeypatch.setattr(until_decided, "common_step", lambda n: 256)
+        monkeypatch.setattr(until_decided, "outcome_values", self._values)
+
+    def _values(self, runs: int, name: str, outcome: str, at_step: int) -> np.ndarray:
+        assert at_step == 256, "conditions of unlike budgets are compared where all have been"
+        return self.values[name][:runs]
 
     def train(self, planned: Plan) -> bool:
         self.trained.append(len(planned.seeds))
@@ -94,6 +99,19 @@ def test_there_must_be_something_to_compare() -> None:
         compared(make_plan(study, Selection(conditions=(other,))))
     with pytest.raises(UserError, match="no condition to compare"):
         compared(make_plan(study, Selection(conditions=(study.baseline,))))
+
+
+def test_a_contrast_never_mixes_engines(tmp_path: Path) -> None:
+    mixed = tmp_path / "mixed.toml"
+    mixed.write_text(
+        'title = "Mixed"\nbase = "table-6-2"\n'
+        '[conditions.ppo]\n[conditions.a2c]\nalgorithm = "a2c"\n'
+        "[presets.quick]\nseeds = 2\nsteps = 512\n"
+    )
+    study = load_study(str(mixed))
+    with pytest.raises(UserError, match="a2c is trained by sb3, ppo by batched: choose one with --engine"):
+        compared(make_plan(study, Selection()))
+    assert compared(make_plan(study, Selection(engine="sb3"))) == ("a2c",)
 
 
 @pytest.mark.parametrize(
