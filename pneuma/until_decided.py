@@ -4,8 +4,8 @@
 
 The stages and what each may spend of the error rate are fixed before the first run
 (`pneuma.analysis.sequential`). Every condition is held against the study's baseline, by the mean share
-of monsters killed at the last evaluation, or at the largest step count that all reach. The study's record keeps that its seeds were chosen by
-looking: a claim reads only the seeds that it fixed itself.
+of monsters killed at the last evaluation, or at the largest step count that all reach. The study's
+record keeps that its seeds were chosen by looking: a claim reads only the seeds that it fixed itself.
 """
 
 from __future__ import annotations
