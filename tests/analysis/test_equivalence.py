@@ -11,7 +11,8 @@ from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
-from tests.analysis.claim_files import save_run
+
+from .claim_files import save_run
 
 STUDY = """\
 title = "Both"
