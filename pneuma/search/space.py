@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import Any
 
-from pneuma.config import ENVIRONMENT_SETTINGS, ENVIRONMENTS, Run, as_settings, make_run, read_settings
+from pneuma.config import ENVIRONMENTS, Run, as_settings, make_run, read_settings
+from pneuma.env_settings import ENVIRONMENT_SETTINGS
 from pneuma.errors import UserError
 from pneuma.study.spec import join_settings
 
