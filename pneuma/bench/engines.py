@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from pneuma.bench.workers import CASE, bench_workers
 from pneuma.config import BASES, Run, make_run
 from pneuma.study.executors.local import one_thread_environment
 
@@ -30,13 +31,18 @@ CASES: tuple[tuple[str, int, int, int, int], ...] = (
 """Size, runs of the compiled engine, its steps for each, steps of Stable-Baselines3's one run, rounds."""
 
 MATRIX_SIDE = 1024
+UPDATES = {"small": 25, "mid": 3}
+"""How many updates of each size are timed."""
 
 
 def bench_engines() -> dict[str, Any]:
-    """Return what `measure` does, from a process of its own that is pinned to one thread."""
+    """Return what `measure` does, from a process of its own that is pinned to one thread, and two workers."""
     command = [sys.executable, "-m", "pneuma.bench.engines"]
     done = subprocess.run(command, env=one_thread_environment(), stdout=subprocess.PIPE, check=True)
     report: dict[str, Any] = json.loads(done.stdout)
+    workers = bench_workers()
+    report["cases"] += workers["cases"]
+    report["ratios"][CASE] = workers["ratio"]
     return report
 
 
@@ -53,11 +59,11 @@ def measure() -> dict[str, Any]:
         ratios[name] = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
         if runs == 10:
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    share, product = _update_share()
+    shares, product = _update_shares()
     return {
         "cases": cases,
         "ratios": ratios,
-        "update_over_matrix_product": share,
+        "update_over_matrix_product": shares,
         "matrix_product_gflops": product,
         "peak_megabytes_ten_small": peak,
     }
@@ -100,31 +106,44 @@ def _case(name: str, engine: str, runs: int, rates: Sequence[float]) -> dict[str
     return {"case": name, "engine": engine, "runs": runs, "steps_per_second": statistics.median(rates)}
 
 
-def _update_share() -> tuple[float, float]:
+def _update_shares() -> tuple[dict[str, float], float]:
     """Return the update's rate of operations over that of a large float32 product, and the latter in GFLOP/s.
 
-    A gradient step takes a forward and twice as much backward: 6 operations for each weight and sample.
+    By size of the networks; the median over pairs of measurements.
     """
     import jax
     import numpy as np
 
+    square = np.ones((MATRIX_SIDE, MATRIX_SIDE), np.float32)
+    product = jax.jit(lambda a: a @ a)
+    product_rate, shares = [], {}
+    for size in SIZES:
+        update, operations = _update(size)
+        update_rate = []
+        for _ in range(UPDATES[size]):
+            update_rate.append(operations / _seconds(update))
+            product_rate.append(2 * MATRIX_SIDE**3 / _seconds(lambda: product(square).block_until_ready()))
+        own = zip(update_rate, product_rate[-len(update_rate) :], strict=True)
+        shares[size] = statistics.median(a / b for a, b in own)
+    return shares, statistics.median(product_rate) / 1e9
+
+
+def _update(size: str) -> tuple[Callable[[], object], int]:
+    """Return a function that takes an update of one rollout, and its operations.
+
+    A gradient step takes 6 for each weight and sample: 2 forward, 2 for the weight's gradient, 2 for that
+    of the layer's input. The last are not needed where the input is the observation.
+    """
     from pneuma.engines.batched.training import Training
 
-    run = _run("small", "batched", 0, 512)
+    run = _run(size, "batched", 0, 512)
     training = Training(run)
     training.update(0)
     (learner,) = training.learners
     rollout = training.collector.collect([learner.networks["actor"]])
-    weights = sum(weight.size for part in learner.networks.values() for weight, _ in part)
-    operations = 6 * weights * run.steps_per_update * run.epochs
-    square = np.ones((MATRIX_SIDE, MATRIX_SIDE), np.float32)
-    product = jax.jit(lambda a: a @ a)
-    update_rate, product_rate = [], []
-    for _ in range(15):
-        update_rate.append(operations / _seconds(lambda: learner.learn_from(rollout)))
-        product_rate.append(2 * MATRIX_SIDE**3 / _seconds(lambda: product(square).block_until_ready()))
-    best = statistics.median(product_rate)
-    return statistics.median(a / b for a, b in zip(update_rate, product_rate, strict=True)), best / 1e9
+    weights = [[weight.size for weight, _ in part] for part in learner.networks.values()]
+    operations = sum(4 * first + 6 * sum(others) for first, *others in weights)
+    return lambda: learner.learn_from(rollout), operations * run.steps_per_update * run.epochs
 
 
 def _seconds(call: Callable[[], object]) -> float:

@@ -91,6 +91,7 @@ def engines(json: Json = False) -> None:
     """Compare the engines in steps a second on one core; takes about two minutes."""
     from pneuma.bench.engines import bench_engines
     from pneuma.bench.reference import bench_reference
+    from pneuma.bench.workers import CASE
 
     report = {**bench_engines(), "reference_overhead": bench_reference()["ratios"]}
     if json:
@@ -98,11 +99,13 @@ def engines(json: Json = False) -> None:
     for case in report["cases"]:
         print(f"{case['case']:<28} {case['engine']:<20} {case['steps_per_second']:>10,.0f} steps/s")
     for case, ratio in report["ratios"].items():
-        print(f"{case}: batched over sb3, median of rounds: {ratio:.1f}")
+        compared = "" if case == CASE else ": batched over sb3"
+        print(f"{case}{compared}, median of rounds: {ratio:.2f}")
     for case, ratio in report["reference_overhead"].items():
         print(f"{case}: sb3 over Stable-Baselines3 alone, time per step: {ratio:.3f}")
-    share, product = report["update_over_matrix_product"], report["matrix_product_gflops"]
-    print(f"the update runs at {share:.0%} of the core's matrix product of {product:.0f} GFLOP/s")
+    product = report["matrix_product_gflops"]
+    for size, share in report["update_over_matrix_product"].items():
+        print(f"the {size} update runs at {share:.0%} of the core's matrix product of {product:.0f} GFLOP/s")
     print(f"peak memory, ten small runs and Stable-Baselines3: {report['peak_megabytes_ten_small']:.0f} MB")
     return None
 

@@ -15,7 +15,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("pneuma", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "pyarrow")
+PACKAGES = (
+    "pneuma",
+    "torch",
+    "stable-baselines3",
+    "sb3-contrib",
+    "gymnasium",
+    "numpy",
+    "numba",
+    "jax",
+    "jaxlib",
+    "pyarrow",
+)
 
 
 @dataclass(frozen=True)
@@ -77,6 +88,7 @@ def machine(threads: int) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "cpu": _cpu(),
         "cores": os.cpu_count(),
+        "device": _device(),
     }
 
 
@@ -88,7 +100,7 @@ def differences(earlier: Mapping[str, Any]) -> list[str]:
     here = machine(1)
     changed = [
         f"{key} ({earlier.get(key)}, now {here[key]})"
-        for key in ("python", "commit", "system", "cpu")
+        for key in ("python", "commit", "system", "cpu", "device")
         if earlier.get(key) != here[key]
     ]
     told = earlier.get("packages")
@@ -98,6 +110,14 @@ def differences(earlier: Mapping[str, Any]) -> list[str]:
         for name, now in here["packages"].items()
         if before.get(name) != now
     ]
+
+
+def _device() -> str:
+    """Return what JAX computes on in this process; the processor where it was never loaded."""
+    jax = sys.modules.get("jax")
+    if jax is None or jax.default_backend() == "cpu":
+        return "cpu"
+    return f"{jax.default_backend()}: {jax.devices()[0].device_kind}"
 
 
 @cache

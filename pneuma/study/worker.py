@@ -155,6 +155,7 @@ def _train_once(
     store: Store, name: str, run: Run, resume: Resume, reporter: Reporter, stop: threading.Event
 ) -> None:
     """Train a run, from its latest checkpoint where there is one, and store how it ended."""
+    engine = load_engine(run.engine)  # first, because a checkpoint's device is compared with its own
     start = resume.latest()
     attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS)
 
@@ -168,7 +169,7 @@ def _train_once(
         return not stop.is_set()
 
     with FirstCompile(run, programs_folder(), tell, stop) as compiling:
-        (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
+        (result,) = engine.train([run], {0: start} if start else {}, update)
     if result.status != "stopped":
         about = finished_provenance(attempt, resume.history, result.step)
         store.save_run(name, Status(result.status, result.step), result_files(result, name, about))

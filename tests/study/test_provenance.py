@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from datetime import UTC, datetime
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -36,6 +38,17 @@ def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> No
 def test_a_run_without_a_stop_has_one_attempt() -> None:
     about = finished_provenance(attempt(), {"attempts": [], "resumes": []})
     assert [each["started"] for each in about["attempts"]] == [about["started"]]
+
+
+def test_a_gpu_is_told_by_its_name_and_apart_from_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "jax", raising=False)
+    before = machine(1)
+    assert before["device"] == "cpu"
+    gpu = SimpleNamespace(device_kind="Abacus 3000")
+    fake = SimpleNamespace(default_backend=lambda: "gpu", devices=lambda: [gpu])
+    monkeypatch.setitem(sys.modules, "jax", fake)
+    assert machine(1)["device"] == "gpu: Abacus 3000"
+    assert differences(before) == ["device (cpu, now gpu: Abacus 3000)"]
 
 
 @pytest.mark.parametrize("commit", ["b" * 40, "a" * 40 + "-dirty", None])

@@ -72,7 +72,10 @@ def one_thread_environment() -> dict[str, str]:
     path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH", "")]))
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     own = {
-        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "
+        "--xla_gpu_deterministic_ops=true",
+        "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU too, whose default is less
+        "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers share a GPU
         "JAX_COMPILATION_CACHE_DIR": str(Path(cache) / "pneuma" / "jax"),  # compiled once for all workers
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONPATH": path,
