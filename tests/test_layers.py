@@ -38,12 +38,14 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what reads claims and finds the runs that they fixed:
     "pneuma.analysis.claims": (
         "pneuma.analysis",
+        "pneuma.study.claimed",
         "pneuma.study.spec",
         "pneuma.study.files",
         "pneuma.study.toml_file",
     ),
     "pneuma.analysis.claim_runs": (
         "pneuma.analysis",
+        "pneuma.study.claimed",
         "pneuma.study.spec",
         "pneuma.study.store",
         "pneuma.study.plan",

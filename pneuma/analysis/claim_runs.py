@@ -16,6 +16,7 @@ from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
+from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
@@ -56,8 +57,11 @@ class ClaimRuns:
         if len({run.engine for run in runs}) > 1:
             told = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
             return f"engines are mixed: {told}"
-        missing = "; ".join(filter(None, (self._missing(claim, setting, name) for name in names)))
-        return missing or self._machines(claim, setting, names)
+        missing = [*filter(None, (self._missing(claim, setting, name) for name in names))]
+        if not missing:
+            return self._machines(claim, setting, names)
+        command = training_command(self.study(claim.study, setting), self._claims.path)
+        return "; ".join([*missing, *([f"train with: {command}"] if command else [])])
 
     def undefined(self, claim: Claim, setting: str) -> str:
         """Say why a claim is not judged in a setting at all."""

@@ -5,7 +5,7 @@
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
 studies/claims.toml → ClaimList → `judgement.py`. The file's checksum goes into every verdict. docs/claims.md
-tells what each key means.
+tells what each key means. Which runs a claim fixes is read by `pneuma.study.claimed`.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.verdicts import DIRECTIONS
 from pneuma.errors import UserError, unknown_name
+from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
 from pneuma.study.files import checksum
-from pneuma.study.spec import SETTINGS, Study, load_study, read_seeds, studies_folder
+from pneuma.study.spec import Study, load_study, studies_folder
 from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
 
 KINDS = ("mean", "spread", "incidence")
@@ -138,7 +139,7 @@ def load_claims(path: Path | None = None) -> ClaimList:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    file = read_toml(path or studies_folder() / "claims.toml")
+    file = read_toml(path or studies_folder() / CLAIMS_FILE)
     file.refuse_unknown((), file.data, ("defaults", "logs", "claims"))
     file.refuse_unknown(("defaults",), file.table(("defaults",)), ("seeds", "steps"))
     logs = _read_logs(file)
@@ -163,31 +164,29 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
         for key in ("quote", "section", "study", "outcome", "only", "note")
     }
     study = _study(file, where, texts["study"])
-    a, b = (_conditions(file, where, table, key, study) for key in ("a", "b"))
+    fixed = read_fixed_runs(file, where, study)
     _allowed(file, where, "outcome", lambda: find_outcome(texts["outcome"]))
     if texts["only"]:
         _allowed(file, where, "only", lambda: find_outcome(texts["only"]))
     kind = _choice(file, where, table, "kind", KINDS)
     direction = _choice(file, where, table, "direction", DIRECTIONS)
-    settings = _settings(file, where, table, study)
     value = _number(file, where, table, "value")
-    if bool(b) == (value is not None):
+    if bool(fixed.b) == (value is not None):
         raise file.mistake(where, "a claim holds a against either b, conditions, or value, a number")
     if value is not None and kind not in CONSTANT_KINDS:
         raise file.mistake(where, f"value: {', '.join(CONSTANT_KINDS)} can be held against a number", "value")
-    conditions = tuple(dict.fromkeys((*a, *b)))
     return Claim(
         **{"name": name, **texts},
-        a=a,
-        b=b,
+        a=fixed.a,
+        b=fixed.b,
         value=value,
         event=_event(file, where, table, kind),
         kind=kind,
         direction=direction,
         margin=_margin(file, where, table, kind, direction),
-        seeds=_by_condition(file, where, "seeds", conditions, read_seeds),
-        steps=_by_condition(file, where, "steps", conditions, _read_steps),
-        settings=settings,
+        seeds=fixed.seeds,
+        steps=fixed.steps,
+        settings=fixed.settings,
         logs=_log_contrasts(file, where, table, logs),
     )
 
@@ -214,41 +213,10 @@ def _study(file: TomlFile, where: Where, name: str) -> Study:
     return study
 
 
-def _conditions(
-    file: TomlFile, where: Where, table: Mapping[str, Any], key: str, study: Study
-) -> tuple[str, ...]:
-    value = table.get(key, [])
-    names = [value] if isinstance(value, str) else value
-    if not isinstance(names, list) or (key in table and not names) or len({*map(str, names)}) < len(names):
-        raise file.mistake(
-            where, f"{key} = {shown(value)} is not allowed: a condition, or a list of them", key
-        )
-    for name in names:
-        if name not in study.conditions:
-            unknown = unknown_name(f"condition of study {study.name}", str(name), study.conditions)
-            raise file.mistake(where, f"{key}: {unknown}", key)
-    return tuple(names)
-
-
 def _choice(file: TomlFile, where: Where, table: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
     if table[key] not in names:
         raise file.mistake(where, f"{key}: {unknown_name(key, str(table[key]), names)}", key)
     return str(table[key])
-
-
-def _settings(file: TomlFile, where: Where, table: Mapping[str, Any], study: Study) -> tuple[str, ...]:
-    """Return the settings that a claim is about: those of its study, unless it says fewer."""
-    value = table.get("settings", [*study.settings_known])
-    if not isinstance(value, list) or not value or any(name not in SETTINGS for name in value):
-        allowed = f"a list of {', '.join(SETTINGS)}"
-        raise file.mistake(where, f"settings = {shown(value)} is not allowed: {allowed}", "settings")
-    for name in value:
-        if name not in study.settings_known:
-            known = ", ".join(study.settings_known)
-            raise file.mistake(
-                where, f"settings: study {study.name} is run in {known}, not {name}", "settings"
-            )
-    return tuple(name for name in SETTINGS if name in value)
 
 
 def _number(file: TomlFile, where: Where, table: Mapping[str, Any], key: str) -> float | None:
@@ -284,28 +252,6 @@ def _margin(
     if margin is not None and margin <= least:
         raise file.mistake(where, f"margin = {margin:g} is not allowed: above {least} for {kind}", "margin")
     return margin
-
-
-def _by_condition(
-    file: TomlFile, where: Where, key: str, conditions: tuple[str, ...], read: Callable[[object], Any]
-) -> dict[str, Any]:
-    """Read what is one value for all conditions, or a table of one for each; else as in [defaults]."""
-    where = where if key in file.table(where) else ("defaults",)
-    value = file.table(where).get(key)
-    given = value if isinstance(value, dict) else dict.fromkeys(conditions, value)
-    if given.keys() != {*conditions}:
-        raise file.mistake(where, f"{key}: one value, or one for each of {', '.join(conditions)}", key)
-    try:
-        return {name: read(own) for name, own in given.items()}
-    except (ValueError, TypeError, UserError):
-        allowed = "a count, or a list of seeds" if key == "seeds" else "a whole number of at least 1"
-        raise file.mistake(where, f"{key} = {shown(value)} is not allowed: {allowed}", key) from None
-
-
-def _read_steps(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ValueError
-    return value
 
 
 # --- Published logs --------------------------------------------------------------------------------

@@ -139,6 +139,11 @@ def _fall(seen: RunView) -> float:
     return float(values.max() - values[-1]) if len(values) else NAN
 
 
+def _best_score(seen: RunView) -> float:
+    _, values = seen.evaluations("score")
+    return float(values.max()) if len(values) else NAN
+
+
 def _roughness(seen: RunView) -> float:
     """Return how far the curve goes up and down beyond its net change, an evaluation: monotone, 0."""
     _, values = seen.evaluations("share_killed")
@@ -256,6 +261,7 @@ OUTCOMES: dict[str, Outcome] = {
         "monsters killed by the most probable actions", "argmax_share_killed", "higher", SHARE, "share"
     ),
     "normalised-score": _evaluated("score (0 random player, 1 scripted hunter)", "score", "higher", ANYTHING),
+    "best-score": Outcome("best score of any evaluation", "", "higher", ANYTHING, "evaluations", _best_score),
     "evaluated-return": _evaluated("return, last evaluation", "return", "higher", ANYTHING),
     "final-return": _trained("return at the end of training", "return", better="higher"),
     "auc-return": _trained("return, mean over training", "return", _area, "higher"),

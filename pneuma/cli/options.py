@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.errors import UserError
+from pneuma.study.claimed import CLAIMS
 from pneuma.study.plan import Selection
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
 
@@ -30,6 +31,14 @@ Preset = Annotated[
         "--preset",
         metavar="|".join(PRESETS),
         help="How much to run: quick for plan and run, else as last run.",
+    ),
+]
+StudyPreset = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        metavar="|".join((*PRESETS, CLAIMS)),
+        help="How much to run, also joined (paper+claims): quick for plan and run, else as last run.",
     ),
 ]
 Seeds = Annotated[

@@ -13,20 +13,20 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    Preset,
     Results,
     Seeds,
     SettingName,
     Settings,
     Steps,
     StudyName,
+    StudyPreset,
     print_json,
     read_selection,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
 from pneuma.config import as_settings, make_run
-from pneuma.study import plan, spec
+from pneuma.study import claimed, plan, spec
 from pneuma.study.store import Store
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
@@ -99,6 +99,9 @@ def show(
         print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")
         for condition, own in amount.conditions.items():
             print(f"  {'':<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
+    for i, (condition, own) in enumerate(claimed.fixed_amounts(study).items()):
+        head = "" if i else claimed.CLAIMS
+        print(f"  {head:<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
     return None
 
 
@@ -107,7 +110,7 @@ def status(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,

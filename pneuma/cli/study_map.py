@@ -11,13 +11,13 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    Preset,
     Results,
     Seeds,
     SettingName,
     Settings,
     Steps,
     StudyName,
+    StudyPreset,
     print_json,
     read_selection,
     read_settings_options,
@@ -49,7 +49,7 @@ def robustness(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Draw the map, and write the figure there.")
     ] = None,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,

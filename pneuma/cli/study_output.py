@@ -14,13 +14,13 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    Preset,
     Results,
     Seeds,
     SettingName,
     Settings,
     Steps,
     StudyName,
+    StudyPreset,
     print_json,
     read_selection,
     say,
@@ -50,7 +50,7 @@ def export(
             "--format", metavar="|".join(EXPORT_FORMATS), help="Its format (default: by the file's ending)."
         ),
     ] = None,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,
@@ -92,7 +92,7 @@ def export(
 
 def publish(
     name: StudyName,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,

@@ -17,12 +17,12 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    Preset,
     Results,
     Seeds,
     SettingName,
     Settings,
     Steps,
+    StudyPreset,
     print_json,
     read_selection,
 )
@@ -109,7 +109,7 @@ def plot(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
     ] = None,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,

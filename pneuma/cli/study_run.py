@@ -13,7 +13,6 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    Preset,
     Quiet,
     Results,
     Seeds,
@@ -21,6 +20,7 @@ from pneuma.cli.options import (
     Settings,
     Steps,
     StudyName,
+    StudyPreset,
     Workers,
     print_json,
     read_count,
@@ -42,7 +42,7 @@ _STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed
 
 def plan_(
     name: StudyName,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,
@@ -95,7 +95,7 @@ def plan_(
 
 def run(
     name: StudyName,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,

@@ -13,7 +13,6 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    Preset,
     Quiet,
     Results,
     Seeds,
@@ -21,6 +20,7 @@ from pneuma.cli.options import (
     Settings,
     Steps,
     StudyName,
+    StudyPreset,
     Workers,
     print_json,
     read_count,
@@ -48,7 +48,7 @@ FORK_SEEDS = "3"
 
 def summary(
     name: StudyName,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,
@@ -89,7 +89,7 @@ def collapse(
         typer.Option("--out", metavar="DIR", help="Draw the collapses into this folder."),
     ] = None,
     workers: Workers = None,
-    preset: Preset = None,
+    preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
     engine: EngineName = None,

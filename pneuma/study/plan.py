@@ -11,8 +11,9 @@ from typing import Any
 
 from pneuma.config import FORK_SETTINGS, Run, as_settings, beyond_engine, make_run, read_setting
 from pneuma.errors import UserError, unknown_name
+from pneuma.study.claimed import CLAIMS, claims_preset, join_presets
 from pneuma.study.identity import run_id
-from pneuma.study.spec import Study, does_nothing, unread_settings
+from pneuma.study.spec import Preset, Study, does_nothing, unread_settings
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Selection:
     """What of a study to run; None leaves a part to the preset.
 
     Attributes:
-        preset: name of the preset; quick when left out.
+        preset: name of the preset, or several joined by +; quick when left out.
         seeds: the seeds, as numbers.
         steps: agent steps of each run.
         engine: name of the engine.
@@ -92,15 +93,19 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         UserError: for an unknown preset or condition, or settings that do not go together.
     """
     names = _conditions(study, selection.conditions)
-    preset = study.preset(selection.preset or "quick")
-    steps = {name: selection.steps or preset.of(name).steps for name in names}
+    amounts = _amounts(study, selection.preset or "quick")
+    for name in selection.conditions:
+        if name not in amounts:
+            raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
+    names = tuple(name for name in names if name in amounts)
+    steps = {name: selection.steps or amounts[name].steps for name in names}
     over = _settings(selection.settings or {})
     if selection.engine:
         over["engine"] = read_setting(Run, "engine", selection.engine)
     runs = {name: make_run(study.settings(name, {"steps": steps[name], **over})) for name in names}
     for key in unread_settings(runs.values(), selection.settings or {}):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
-    seeds = {name: selection.seeds or preset.of(name).seeds for name in names}
+    seeds = {name: selection.seeds or amounts[name].seeds for name in names}
     cells = tuple(
         _cell(name, replace(runs[name], seed=seed))
         for seed in dict.fromkeys(seed for own in seeds.values() for seed in own)
@@ -128,6 +133,21 @@ def _conditions(study: Study, wanted: Sequence[str]) -> tuple[str, ...]:
         if name not in study.conditions:
             raise unknown_name(f"condition of study {study.name}", name, study.conditions)
     return tuple(name for name in study.conditions if not wanted or name in wanted)
+
+
+def _amounts(study: Study, presets: str) -> dict[str, Preset]:
+    """Return the seeds and steps of every condition that some preset, or several joined by +, has runs of."""
+    found: dict[str, Preset] = {}
+    for name in presets.split("+"):
+        if name == CLAIMS:
+            own = claims_preset(study)
+        elif name in study.presets:
+            own = {condition: study.preset(name).of(condition) for condition in study.conditions}
+        else:
+            raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
+        for condition, amount in own.items():
+            found[condition] = join_presets(presets, condition, found.get(condition), amount)
+    return found
 
 
 def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:

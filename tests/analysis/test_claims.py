@@ -11,6 +11,7 @@ from pneuma.analysis.claims import Claim, Event, LogContrast, load_claims
 from pneuma.analysis.log_contrasts import run_to_run_deviation
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError
+from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study, studies_folder
 
 from .claim_files import CLAIMS, write_files
@@ -135,3 +136,16 @@ def test_the_claims_are_no_study() -> None:
     assert (studies_folder() / "claims.toml").is_file()
     with pytest.raises(UserError, match="unknown study 'claims'"):
         load_study("claims")
+
+
+@pytest.mark.parametrize("setting", ["text", "godot"])
+def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by(setting: str) -> None:
+    fixed: dict[str, set[tuple[str, int]]] = {}
+    for claim in SHIPPED.claims.values():
+        if setting in claim.settings:
+            cells = {(name, seed) for name, seeds in claim.seeds.items() for seed in seeds}
+            fixed[claim.study] = fixed.get(claim.study, set()) | cells
+    for study, cells in fixed.items():
+        plan = make_plan(load_study(study, setting), Selection("claims"))
+        assert {(cell.condition, cell.seed) for cell in plan.cells} == cells
+        assert make_plan(load_study(study, setting), Selection("paper+claims")).cells

@@ -177,7 +177,8 @@ def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
 
 def test_no_runs(store: Store, tmp_path: Path) -> None:
     assert _untestable(store, tmp_path) == (
-        "no runs: high, 8 seeds of 1,024 steps; no runs: low, 8 seeds of 1,024 steps"
+        "no runs: high, 8 seeds of 1,024 steps; no runs: low, 8 seeds of 1,024 steps; "
+        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
     )
 
 

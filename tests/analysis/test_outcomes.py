@@ -114,6 +114,7 @@ def republished(data: StudyData, folder: Path) -> StudyData:
         ("least-entropy", np.float32(0.6)),
         ("max-grad-norm", 50),
         ("final-action-0", 0.25),
+        ("best-score", 1.2),  # twice the share of 0.6
         ("fall-from-best", 0.1),
         ("curve-roughness", (0.4 + 0.2 + 0.1 - 0.3) / 3),
         ("steps-to:0.5", 500),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,30 @@ def test_the_document_has_every_claim_in_every_setting(
     assert (first["seeds"], first["seeds_needed"], first["reason"]) == ([8, 8], None, "")
     assert len(first["run_ids"]) == 16
     assert (missing["effect"], missing["interval"]) == (None, None)
-    assert missing["reason"].startswith("no runs: middle, 8 seeds of 1,024 steps")
+    assert missing["reason"] == (
+        "no runs: middle, 8 seeds of 1,024 steps; "
+        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
+    )
+
+
+def test_what_claims_fix_can_be_published_whatever_was_run_last(
+    command: list[str], tmp_path: Path, capsys: Captured
+) -> None:
+    """Also where a claim's runs are missing: they keep their place in the table."""
+    before = _document(capsys, *command)
+    results = tmp_path / "results"
+    publish = [
+        "study",
+        "publish",
+        str(tmp_path / "mine.toml"),
+        "--preset",
+        "claims",
+        "--results",
+        str(results),
+    ]
+    assert _document(capsys, *publish)["runs"] == 16
+    shutil.rmtree(results / "runs")
+    assert _document(capsys, *command) == before
 
 
 def test_one_claim_in_one_setting_is_judged_like_all(command: list[str], capsys: Captured) -> None:

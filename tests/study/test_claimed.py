@@ -1,0 +1,155 @@
+"""The preset `claims`: exactly the runs that a file of claims fixes, each condition with its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.study.claimed import claims_preset, training_command
+from pneuma.study.definition import Preset, Study
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.spec import load_study
+
+STUDY = """\
+title = "Mine"
+base = "table-6-2"
+
+[conditions.low]
+epochs = 5
+[conditions.middle]
+epochs = 6
+[conditions.high]
+epochs = 7
+[conditions.unclaimed]
+epochs = 8
+
+[presets.quick]
+seeds = 3
+steps = 512
+[presets.paper]
+seeds = 2
+steps = 1024
+"""
+
+CLAIMS = """\
+[defaults]
+seeds = 2
+steps = 1024
+
+[claims.better]
+study = "mine.toml"
+a = "high"
+b = ["low", "middle"]
+
+[claims.steadier]
+study = "mine.toml"
+a = "high"
+b = "low"
+seeds = { high = 4, low = [1, 7] }
+settings = ["text"]
+
+[claims.of-another]
+study = "activation"
+a = "tanh"
+seeds = 9
+"""
+
+
+def _study(folder: Path, claims: str = CLAIMS, setting: str = "text") -> Study:
+    (folder / "mine.toml").write_text(STUDY, encoding="utf-8")
+    (folder / "claims.toml").write_text(claims, encoding="utf-8")
+    return load_study(str(folder / "mine.toml"), setting)
+
+
+def _seeds(plan: Plan) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for cell in plan.cells:
+        found.setdefault(cell.condition, []).append(cell.seed)
+    return found
+
+
+def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
+    assert claims_preset(_study(tmp_path)) == {
+        "low": Preset((0, 1, 7), 1024),
+        "middle": Preset((0, 1), 1024),
+        "high": Preset((0, 1, 2, 3), 1024),
+    }
+
+
+def test_a_setting_has_what_claims_about_it_fix(tmp_path: Path) -> None:
+    there = claims_preset(_study(tmp_path, setting="godot"))
+    assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
+
+
+def test_a_plan_of_claims_holds_their_runs_and_no_others(tmp_path: Path) -> None:
+    plan = make_plan(_study(tmp_path), Selection("claims"))
+    assert _seeds(plan) == {"low": [0, 1, 7], "middle": [0, 1], "high": [0, 1, 2, 3]}
+    assert {cell.run.steps for cell in plan.cells} == {1024}
+
+
+def test_joined_presets_have_the_seeds_of_both(tmp_path: Path) -> None:
+    study = _study(tmp_path)
+    both = make_plan(study, Selection("paper+claims"))
+    assert _seeds(both) == {
+        "low": [0, 1, 7], "middle": [0, 1], "high": [0, 1, 2, 3], "unclaimed": [0, 1],
+    }  # fmt: skip
+    alone = {cell.run_id for name in ("paper", "claims") for cell in make_plan(study, Selection(name)).cells}
+    assert {cell.run_id for cell in both.cells} == alone
+
+
+def test_options_go_over_it_as_over_any_preset(tmp_path: Path) -> None:
+    plan = make_plan(_study(tmp_path), Selection("claims", (3,), 256, conditions=("high", "low")))
+    assert _seeds(plan) == {"low": [3], "high": [3]}
+    assert {cell.run.steps for cell in plan.cells} == {256}
+
+
+@pytest.mark.parametrize(
+    ("selection", "words"),
+    [
+        (Selection("claim"), "unknown preset of study mine 'claim' (did you mean claims?)"),
+        (Selection("paper+"), "unknown preset of study mine ''"),
+        (Selection("quick+claims"), "--preset quick+claims: low would have 512 and 1,024 steps"),
+        (Selection("claims", conditions=("unclaimed",)), "--condition unclaimed: the preset claims has no"),
+    ],
+)
+def test_a_preset_that_makes_no_sense_is_refused(selection: Selection, words: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError) as refused:
+        make_plan(_study(tmp_path), selection)
+    assert words in str(refused.value)
+
+
+def test_claims_that_fix_unlike_budgets_of_a_condition_are_no_preset(tmp_path: Path) -> None:
+    study = _study(tmp_path, CLAIMS.replace("seeds = { high", "steps = 512\nseeds = { high"))
+    with pytest.raises(UserError, match="--preset claims: high would have 1,024 and 512 steps"):
+        claims_preset(study)
+
+
+def test_a_study_without_claims_has_no_such_preset(tmp_path: Path) -> None:
+    study = _study(tmp_path, CLAIMS.replace("mine.toml", "activation").replace('"high"', '"tanh"'))
+    with pytest.raises(UserError, match=r"claims\.toml has no claim on study mine"):
+        claims_preset(study)
+    (tmp_path / "claims.toml").unlink()
+    with pytest.raises(UserError, match=r"claims\.toml has no claim on study mine"):
+        claims_preset(study)
+    with pytest.raises(UserError, match="study mine is no file"):
+        claims_preset(replace(study, path=None))
+
+
+def test_a_mistake_in_a_claim_is_told_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"claims\.toml, line 7: .*did you mean high\?"):
+        claims_preset(_study(tmp_path, CLAIMS.replace('a = "high"\nb = [', 'a = "hihg"\nb = [')))
+
+
+def test_the_command_names_study_and_setting(tmp_path: Path) -> None:
+    shipped = load_study("optimizer", "godot")
+    assert shipped.path is not None
+    claims = shipped.path.parent / "claims.toml"
+    assert training_command(shipped, claims) == ("pneuma study run optimizer --preset claims --setting godot")
+    own = _study(tmp_path)
+    assert training_command(own, tmp_path / "claims.toml") == (
+        f"pneuma study run {tmp_path / 'mine.toml'} --preset claims"
+    )
+    assert training_command(own, claims) == ""  # other claims than those beside it: another preset
