@@ -16,7 +16,6 @@ import pandas as pd
 from pneuma.analysis import EVALUATION_QUANTITIES
 from pneuma.analysis.bands import BANDS, Edges, count_of, mean_of, variance_of
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.analysis.windows import GRID_POINTS, WINDOW_POINTS
 
 
 @dataclass(frozen=True)
@@ -112,19 +111,6 @@ def study_curves(data: StudyData, name: str, window: str | None = None) -> list[
     if name in EVALUATION_QUANTITIES and name in curve_names(data):
         return evaluation_curves(data, name)
     return training_curves(data, name, window)
-
-
-def common_step(data: StudyData) -> int:
-    """Return the largest step count that every condition was to train for: where sizes are compared.
-
-    A diverged run counts as having had its whole budget, for its end is its result.
-    """
-    return min(max(run.budget for run in runs) for runs in _groups(data).values())
-
-
-def has_shorter(data: StudyData) -> bool:
-    """Tell whether some condition trains for less than the others by more than a window of a curve."""
-    return common_step(data) < data.budget * (1 - WINDOW_POINTS / GRID_POINTS)
 
 
 def _groups(data: StudyData) -> dict[str, list[FinishedRun]]:

@@ -7,10 +7,11 @@ clone, the study's published table stands in for them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.imported_logs import ImportedLogs
-from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.published import published_path, published_studies, read_published
 from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import Source, StudyData
 from pneuma.study.store import Store
@@ -37,3 +38,14 @@ def open_study(store: Store, record: Mapping[str, Any]) -> StudyData:
             return StudyData(source, record, str(store.root))
     published = read_published(store, record["study"])
     return StudyData(published, {**record, "budget": published.record["budget"]}, str(store.root))
+
+
+def open_published(results: Path) -> list[StudyData]:
+    """Return every study that has a published table in a results folder, by the tables alone.
+
+    Raises:
+        UserError: when one is damaged.
+    """
+    store = Store(results)
+    tables = [read_published(store, name) for name in published_studies(store)]
+    return [StudyData(table, table.record, str(results)) for table in tables]

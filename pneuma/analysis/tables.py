@@ -7,7 +7,8 @@ published table. `StudyData` is what all further steps read; it asks one `Source
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -301,3 +302,11 @@ class StudyData:
             raise UserError(
                 f"study {self.study}: {self.source.what} holds no {quantity}; its curves are: {held}"
             )
+
+
+def tell_figures_apart(studies: Sequence[StudyData]) -> None:
+    """Give studies whose figures would be files of one name the study's as well."""
+    stems = Counter(data.figure for data in studies)
+    for data in studies:
+        if stems[data.figure] > 1:
+            data.figure += f"-{data.study}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -30,7 +29,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_choice, check_folder, tell_left_out
 from pneuma.cli.study_records import known_studies, study_record
 from pneuma.errors import UserError
-from pneuma.figures import FIGURE_FORMATS, FIGURE_LAYOUTS, FIGURE_SIZES
+from pneuma.figures import FIGURE_FORMATS, FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
 from pneuma.study.plan import Selection
 from pneuma.study.store import Store, write_whole
 
@@ -46,6 +45,7 @@ ACTIONS = "actions"
 class _Looks:
     """How figures are asked to look."""
 
+    kind: str
     quantities: tuple[str, ...]
     band: str | None
     window: str | None
@@ -55,6 +55,7 @@ class _Looks:
 
     def check(self) -> None:
         """Refuse what no figure can look like."""
+        check_choice("--figure", self.kind, FIGURE_KINDS)
         for quantity in self.quantities:
             check_choice("--quantity", quantity, (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY))
         check_choice("--layout", self.layout, FIGURE_LAYOUTS)
@@ -65,12 +66,24 @@ class _Looks:
             check_choice("--window", self.window, WINDOWS)
         for form in self.formats:
             check_choice("--format", form, FIGURE_FORMATS)
+        of_curves = {"--quantity": self.quantities, "--band": self.band, "--window": self.window}
+        given = [option for option, value in of_curves.items() if value]
+        if self.kind == "summary" and (given or self.layout != "pneuma"):
+            raise UserError(f"{(given or ['--layout'])[0]}: is of --figure curves; a summary has one look")
 
 
 def plot(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
     ] = None,
+    figure: Annotated[
+        str,
+        typer.Option(
+            "--figure",
+            metavar="|".join(FIGURE_KINDS),
+            help="Curves over steps, or a summary: every run's end with intervals, profiles, improvement.",
+        ),
+    ] = "curves",
     quantity: Annotated[
         list[str] | None,
         typer.Option(
@@ -119,8 +132,8 @@ def plot(
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
-    """Draw a study's curves: the mean over seeds with a band, share of monsters killed and return."""
-    looks = _Looks(tuple(quantity or ()), band, window, layout, size, tuple(format or ("png", "svg")))
+    """Draw a study: curves over its steps, or what its runs came to."""
+    looks = _Looks(figure, tuple(quantity or ()), band, window, layout, size, tuple(format or ("png", "svg")))
     looks.check()
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     chosen = _chosen(
@@ -151,16 +164,14 @@ def _studies_to_draw(
 ) -> list[tuple[str, StudyData]]:
     """Return studies by the names that a person gave, each with a figure's name of its own."""
     from pneuma.analysis.sources import open_study
+    from pneuma.analysis.tables import tell_figures_apart
 
     if not names:
         raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
     studies = [(name, open_study(store, study_record(store, name, selection, setting))) for name in names]
     for _, data in studies:
         data.checked_window(window)
-    stems = Counter(data.figure for _, data in studies)
-    for _, data in studies:
-        if stems[data.figure] > 1:
-            data.figure += f"-{data.study}"
+    tell_figures_apart([data for _, data in studies])
     return studies
 
 
@@ -168,23 +179,40 @@ def _draw(
     studies: Sequence[tuple[str, StudyData]], folder: Path, looks: _Looks, chosen: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Draw studies into a folder; return what its index is to tell of them."""
-    from pneuma.figures.curves import draw_study, settle
     from pneuma.figures.index import index_entries
 
+    draw = {"curves": _draw_curves, "summary": _draw_summary}[looks.kind]
     entries = []
     for name, data in studies:
-        quantities = _quantities(data, looks.quantities)
-        drawing = settle(
-            data, looks.band, looks.window, quantities=quantities, layout=looks.layout, size=looks.size
-        )
-        paths = draw_study(data, folder, formats=looks.formats, **asdict(drawing))
-        options = ["--layout", drawing.layout, "--size", drawing.size, "--band", drawing.band]
-        options += ["--window", drawing.window]
-        options += [part for quantity in drawing.quantities for part in ("--quantity", quantity)]
+        paths, drawn = draw(data, folder, looks)
+        singles = {
+            option: drawn[option]
+            for option in ("figure", "layout", "size", "band", "window")
+            if option in drawn
+        }
+        options = [part for option, value in singles.items() for part in (f"--{option}", value)]
+        options += [part for quantity in drawn.get("quantities", ()) for part in ("--quantity", quantity)]
         options += [part for form in looks.formats for part in ("--format", form)]
         command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
-        entries += index_entries(paths, command, data, asdict(drawing))
+        entries += index_entries(paths, command, data, drawn)
     return entries
+
+
+def _draw_curves(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:
+    from pneuma.figures.curves import draw_study, settle
+
+    quantities = _quantities(data, looks.quantities)
+    drawing = asdict(
+        settle(data, looks.band, looks.window, quantities=quantities, layout=looks.layout, size=looks.size)
+    )
+    return draw_study(data, folder, formats=looks.formats, **drawing), {"figure": "curves", **drawing}
+
+
+def _draw_summary(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:
+    from pneuma.figures.summary import draw_summary, shown_outcome
+
+    drawn = {"figure": "summary", "size": looks.size, "outcome": shown_outcome(data)}
+    return draw_summary(data, folder, looks.formats, size=looks.size), drawn
 
 
 def _quantities(data: StudyData, names: Sequence[str]) -> list[str]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from pneuma.analysis import EPISODE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
-from pneuma.analysis.curves import Curve, common_step, has_shorter
+from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels, shared_levels
+from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.panel import is_log, shows_runs
 from pneuma.figures.quantities import look_of
@@ -85,9 +86,9 @@ def _marks(
                 words.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
     if any(curve.stops for curve in drawn):
         words.append("×: a run diverged, and its curve ends there.")
-    if has_shorter(data):
-        step = common_step(data)
-        words.append(f"Upright line: {step:,} steps, the most that all conditions train for: compare there.")
+    step = common_step(data)
+    if step is not None:
+        words.append(f"Upright line: {step:,} steps, the most that all runs were to reach: compare there.")
     if any(reference_levels(data, name) and not shared_levels(data, name) for name in curves):
         words.append("Random player and scripted hunter differ between conditions, and are not drawn.")
     logs = [curve for name, group in curves.items() if is_log(look_of(name), group) for curve in group]

@@ -14,8 +14,9 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.analysis.curves import Curve, common_step, curve_names, has_shorter, study_curves
+from pneuma.analysis.curves import Curve, curve_names, study_curves
 from pneuma.analysis.references import PLAYERS, shared_levels
+from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import caption_of, headline_of, legend_title_of
 from pneuma.figures.multiples import draw_multiples
@@ -151,8 +152,7 @@ def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], 
         place = data.conditions.index(curve.condition)
         draw_curve(axes, curve, band, place, label_of(data, curve, band), 0.16 if len(curves) < 5 else 0.09)
     draw_references(axes, shared_levels(data, name))
-    if has_shorter(data):
-        draw_common_step(axes, common_step(data))
+    draw_common_step(axes, common_step(data))
     axes.set(title=look.title, ylabel=look.label)
     set_axes(axes, look, data.budget, curves)
 

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from pneuma.analysis.curves import Curve, common_step, has_shorter
+from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels
+from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes
 from pneuma.figures.quantities import look_of
@@ -96,8 +97,7 @@ def _draw_block(
         _draw_others(axes, curves, curve, data.record.get("baseline"))
         draw_curve(axes, curve, band, 0)
         draw_references(axes, levels.get(curve.condition, {}))
-        if has_shorter(data):
-            draw_common_step(axes, common_step(data))
+        draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
         _name(axes, label_of(data, curve, band), size, block.columns)
     _align(panels, block.columns, look.log)

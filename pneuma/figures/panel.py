@@ -76,9 +76,10 @@ def draw_references(axes: Axes, levels: Mapping[str, float]) -> None:
         )
 
 
-def draw_common_step(axes: Axes, step: float) -> None:
-    """Draw the step at which conditions of different budgets are compared."""
-    axes.axvline(step, color="#666666", linewidth=0.9, zorder=1.2)
+def draw_common_step(axes: Axes, step: float | None) -> None:
+    """Draw the step at which conditions of different budgets are compared; nothing where all are the same."""
+    if step is not None:
+        axes.axvline(step, color="#666666", linewidth=0.9, zorder=1.2)
 
 
 def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> None:
@@ -91,7 +92,7 @@ def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> No
         axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
     elif look.percent:
         axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
-        axes.yaxis.set_major_formatter(FuncFormatter(_per_cent))
+        axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
     elif np.ptp(axes.get_ylim()) > 5000:
         axes.yaxis.set_major_formatter(EngFormatter(sep=""))
 
@@ -114,7 +115,8 @@ def _power_of_ten(value: float, _: Any) -> str:
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def _per_cent(share: float, _: Any) -> str:
+def per_cent(share: float, _: Any) -> str:
+    """Return a share in per cent without idle decimals, for an axis."""
     return f"{100 * share:.3g} %"
 
 

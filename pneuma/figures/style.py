@@ -96,9 +96,24 @@ def save_figure(
 ) -> list[Path]:
     """Write a figure in every format; the same figure gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
+    _fix_places(figure)
     paths = []
     for name in formats:
         path = folder / f"{stem}.{name}"
         figure.savefig(path, format=name, metadata=_NO_DATES[name], dpi=dots_per_inch or "figure")
         paths.append(path)
     return paths
+
+
+def _fix_places(figure: Figure) -> None:
+    """Lay a figure out once, for all formats, and round where its panels came to lie.
+
+    What the layout's solver gives differs in its last bits from call to call, and names of clip paths in
+    an SVG are hashes of these places.
+    """
+    if figure.get_layout_engine() is None:
+        return
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        axes.set_position([round(float(value), 5) for value in axes.get_position().bounds])  # type: ignore[arg-type]

@@ -12,10 +12,8 @@ from pneuma.analysis import BAND_NAMES, WINDOWS
 from pneuma.analysis.bands import BANDS, coverage
 from pneuma.analysis.curves import (
     Curve,
-    common_step,
     curves_table,
     evaluation_curves,
-    has_shorter,
     training_curves,
 )
 from pneuma.analysis.run_records import RunRecords
@@ -315,14 +313,6 @@ def test_a_diverged_runs_curve_stops_at_its_last_value() -> None:
     runs = np.array([[1.0, 2.0, NAN], [3.0, 4.0, 5.0], [NAN, NAN, NAN]])
     curve = Curve("a", np.array([10.0, 20.0, 30.0]), runs, (True, False, True))
     assert curve.stops == [(20.0, 2.0)]  # the last one has no value at all
-
-
-def test_conditions_are_compared_at_the_largest_step_that_all_train_for() -> None:
-    runs = [("small", "r1", 200, 1), ("small", "r2", 160, 1), ("big", "r3", 100, 1)]
-    data = _data(runs)
-    assert (common_step(data), has_shorter(data)) == (100, True)
-    close = _data([("a", "r1", 200, 1), ("b", "r2", 192, 1)])  # within a window of the other's end
-    assert (common_step(close), has_shorter(close)) == (192, False)
 
 
 def test_the_table_of_curves_has_a_row_for_each_point() -> None:

@@ -89,6 +89,7 @@ def test_the_index_leads_from_a_figure_to_its_runs_and_looks(results: Path) -> N
     "options",
     [
         ("--quantity", "entropy", "--quantity", "actions", "--format", "svg"),
+        ("--figure", "summary", "--size", "column", "--format", "svg"),
         ("--layout", "thesis", "--size", "column", "--condition", "tanh", "--seeds", "1", "--format", "svg"),
     ],
 )
@@ -129,6 +130,8 @@ def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path
         (("--size", "pagee"), "--size pagee: unknown value 'pagee' (did you mean page?)"),
         (("--layout", "tesis"), "--layout tesis: unknown value 'tesis' (did you mean thesis?)"),
         (("--quantity", "entropi"), "--quantity entropi: unknown value 'entropi' (did you mean entropy?)"),
+        (("--figure", "summary", "--band", "ci"), "--band: is of --figure curves"),
+        (("--figure", "summery"), "--figure summery: unknown value 'summery' (did you mean summary?)"),
         (("--quantity", "all", "--size", "slide"), "rows of panels do not fit a height of 5.625 inches"),
     ],
 )

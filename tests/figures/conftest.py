@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.figures import curves, style
+from pneuma.figures import curves, style, summary
 
 from .hand_made import HandMade
 
@@ -23,6 +23,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         return style.save_figure(figure, *arguments)
 
     monkeypatch.setattr(curves, "save_figure", save)
+    monkeypatch.setattr(summary, "save_figure", save)
     return figures
 
 

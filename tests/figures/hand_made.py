@@ -61,6 +61,7 @@ class HandMade:
                 [_evaluation(k, share, hunter) for k, share in enumerate(evaluations)], EVALUATION_COLUMNS
             ),
         }
+        files["provenance.json"] = b"{}"
         files["metrics.parquet"] = to_parquet([_update(k, seed) for k in range(20)], METRIC_COLUMNS)
         self.store.save_run(run_id, Status(status, steps), files)
 

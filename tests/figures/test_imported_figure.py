@@ -59,7 +59,8 @@ def test_the_legend_counts_the_runs_that_reached_the_end(figure: Figure) -> None
 
 
 def test_the_line_is_what_was_logged_and_faint_where_a_run_had_ended(figure: Figure) -> None:
-    whole, faint = figure.axes[0].get_lines()
+    whole, faint, common = figure.axes[0].get_lines()
+    assert np.asarray(common.get_xdata(), float).tolist() == [500, 500]  # where the shorter log ends
     at = {int(step): place for place, step in enumerate(np.asarray(whole.get_xdata(), float))}
     places = [at[step] for step in (95, 100, 195, 500, 505)]
     np.testing.assert_array_equal(np.asarray(whole.get_ydata(), float)[places], [np.nan, 1, 1, 5, np.nan])

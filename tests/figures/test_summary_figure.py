@@ -1,0 +1,114 @@
+"""The figure of what runs came to, and all that `make figures` draws of published studies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pneuma.analysis.published import encode_study, published_path
+from pneuma.analysis.sources import open_study
+from pneuma.figures import paper
+from pneuma.figures.sizes import SIZES
+from pneuma.figures.summary import draw_summary
+
+from .hand_made import HandMade, words
+
+
+def _points(axes: Axes, marker: str) -> list[float]:
+    """Return where on the horizontal axis markers of a kind are."""
+    lines = [line for line in axes.get_lines() if line.get_marker() == marker]
+    return [float(x) for line in lines for x in np.asarray(line.get_xdata(), float)]
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> HandMade:
+    """Of three runs each: tanh ends with 0.2, 0.3 and 0.7 killed, relu with 0.1, 0.2 and 0.3."""
+    study = HandMade(tmp_path)
+    study.record["baseline"] = "relu"
+    for seed, (tanh, relu) in enumerate([(0.2, 0.1), (0.3, 0.2), (0.7, 0.3)]):
+        study.add("tanh", seed, evaluations=(0.0, tanh))
+        study.add("relu", seed, evaluations=(0.0, relu))
+    return study
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
+    three: HandMade, tmp_path: Path, drawn: list[Figure], size: str
+) -> None:
+    draw_summary(open_study(three.store, three.record), tmp_path, ("svg",), size=size)
+    runs, improvement, profile = drawn[0].axes
+    assert _points(runs, "o") == pytest.approx([0.2, 0.3, 0.7, 0.1, 0.2, 0.3])
+    assert _points(runs, "D") == pytest.approx([0.4, 0.2])
+    assert [label.get_text() for label in runs.get_yticklabels()] == ["tanh (n = 3)", "relu (n = 3)"]
+    # tanh is better than relu in 1, 1/2 and 0 of 0.2's pairs, in 2 1/2 of 0.3's and in 3 of 0.7's: 7 of 9
+    assert _points(improvement, "o") == pytest.approx([7 / 9])
+    levels, above = (np.asarray(part, float) for part in profile.get_lines()[0].get_data())
+    assert [above[np.searchsorted(levels, level)] for level in (0.1, 0.25, 0.5)] == pytest.approx(
+        [1, 2 / 3, 1 / 3]
+    )
+    assert "better than one of relu, the baseline" in words(drawn[0]).replace("\n", " ")
+
+
+def test_few_runs_have_no_interval_and_it_is_said(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    study.add("tanh", 0)
+    draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
+    assert len(drawn[0].axes) == 2  # nothing to be better than
+    assert "of one none at all" in words(drawn[0]).replace("\n", " ")
+
+
+def test_many_conditions_are_rows_without_profiles(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    for number in range(9):
+        study.add(f"condition-{number}", 0)
+    draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
+    (runs,) = drawn[0].axes
+    assert len(runs.get_yticklabels()) == 9
+    assert "no profiles are drawn" in words(drawn[0]).replace("\n", " ")
+
+
+@pytest.fixture
+def no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the environment's own figures, which tests of theirs draw."""
+    monkeypatch.setattr(paper, "_environment", lambda folder: [])
+
+
+@pytest.mark.usefixtures("no_environment")
+def test_make_figures_draws_published_studies_without_their_runs(three: HandMade, tmp_path: Path) -> None:
+    data = open_study(three.store, three.record)
+    fresh = tmp_path / "fresh"
+    for name in ("mine", "mine-godot"):
+        data.study = name
+        path = published_path(three.store, name).relative_to(three.store.root)
+        (fresh / path).parent.mkdir(parents=True, exist_ok=True)
+        (fresh / path).write_bytes(encode_study(data))
+    written = {path.relative_to(tmp_path / "paper") for path in paper.draw_all(tmp_path / "paper", fresh)}
+    stems = [stem + own for stem in ("fig-mine", "fig-mine-godot") for own in ("", "-thesis", "-summary")]
+    figures = {Path(f"{stem}.{form}") for stem in stems for form in ("png", "svg")}
+    tables = {
+        Path("tables") / f"{name}.{form}" for name in ("mine", "mine-godot") for form in ("tex", "md", "csv")
+    }
+    assert written == figures | tables | {Path("index.json")}
+    index = json.loads((tmp_path / "paper" / "index.json").read_bytes())["figures"]
+    assert {entry["file"] for entry in index} == {str(path) for path in figures | tables}
+    assert {entry["command"] for entry in index} == {"make figures"}
+    assert {len(entry["runs"]["tanh"]) for entry in index} == {3}
+    again = paper.draw_all(tmp_path / "again", fresh)
+    assert all(
+        path.read_bytes() == (tmp_path / "paper" / path.relative_to(tmp_path / "again")).read_bytes()
+        for path in again
+    )
+
+
+@pytest.mark.usefixtures("no_environment")
+def test_make_figures_says_where_nothing_is_published(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "paper").mkdir()
+    paper.main(tmp_path / "paper", tmp_path / "results")
+    assert "no study is published in" in capsys.readouterr().out
