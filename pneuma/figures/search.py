@@ -16,8 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.search.importance import importances
 from pneuma.search.recorded import read_space
@@ -56,6 +57,12 @@ class _Seen:
     def complete(self) -> list[Mapping[str, Any]]:
         """The trials that were trained to their end."""
         return [trial for trial in self.trials if trial["state"] == "complete"]
+
+    def numbers(self, place: int = 0) -> Formatter:
+        """Return how an objective's values are written: a share in per cent."""
+        if find_outcome(self.objectives[place]["outcome"]).unit == "share":
+            return PercentFormatter(xmax=1)
+        return FuncFormatter(lambda value, _: f"{value:g}")
 
     def label(self, place: int = 0) -> str:
         """Return what an objective is, for an axis."""
@@ -113,6 +120,7 @@ def _history(seen: _Seen) -> Figure:
         )
         axes.step(numbers, best(values), where="post", color=COLOURS[1], label="best so far")
     axes.set(title="Trials in the order of asking", xlabel="Trial", ylabel=seen.label())
+    axes.yaxis.set_major_formatter(seen.numbers())
     axes.legend(loc="best")
     return figure
 
@@ -124,7 +132,8 @@ def _importances(seen: _Seen) -> Figure | None:
     names = [parameter.name for parameter in seen.parameters if parameter.name in seen.weights][::-1]
     figure, axes = _panel(1.2 + 0.26 * len(names))
     axes.barh(names, [seen.weights[name] for name in names], color=COLOURS[0], height=0.6)
-    axes.set(title="Importance of each hyperparameter (PED-ANOVA)", xlabel="Share", xlim=(0, None))
+    axes.set(title="Importance of each hyperparameter (PED-ANOVA)", xlim=(0, None))
+    axes.xaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
     axes.grid(visible=False, axis="y")
     return figure
 
@@ -135,7 +144,7 @@ def _slices(seen: _Seen) -> Figure:
     figure = Figure(figsize=(PAGE_INCHES, 0.9 + 1.9 * rows), layout="constrained")
     panels = figure.subplots(rows, SLICE_COLUMNS, sharey=True, squeeze=False).ravel()
     values = seen.values()
-    panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panels[0].yaxis.set_major_formatter(seen.numbers())
     for axes, parameter in zip(panels, seen.parameters, strict=False):
         held = [parameter.name in trial["params"] for trial in seen.complete]
         at = _positions(parameter, [trial for trial, has in zip(seen.complete, held, strict=True) if has])
@@ -163,9 +172,11 @@ def _parallel(seen: _Seen) -> Figure:
         for share, text in _ends(parameter):
             axes.text(place, share, f" {text}", fontsize=6, va="center", bbox=_BEHIND)
     axes.set_xticks(places, [parameter.name.replace("_", "\n") for parameter in parameters])
-    axes.set(title="Trials over the most important hyperparameters", yticks=[], ylim=(-0.06, 1.06))
+    few = "most important" if seen.weights else "first"
+    which = f"{len(parameters)} {few} " if len(parameters) < len(seen.parameters) else ""
+    axes.set(title=f"Trials over the {which}hyperparameters", yticks=[], ylim=(-0.06, 1.06))
     axes.grid(visible=False)
-    figure.colorbar(colours, ax=axes, label=seen.label())
+    figure.colorbar(colours, ax=axes, label=seen.label(), format=seen.numbers())
     return figure
 
 
@@ -195,7 +206,7 @@ def _contour(seen: _Seen) -> Figure | None:
         ylabel=ranges[1].name, xlim=(0, 1), ylim=(0, 1),
     )  # fmt: skip
     axes.grid(visible=False)
-    figure.colorbar(ScalarMappable(levels, COLOUR_MAP), ax=axes, label=seen.label())
+    figure.colorbar(ScalarMappable(levels, COLOUR_MAP), ax=axes, label=seen.label(), format=seen.numbers())
     return figure
 
 
@@ -215,6 +226,8 @@ def _front(seen: _Seen) -> Figure | None:
                 str(trial["number"]), (own_x, own_y), (4, 4), textcoords="offset points", fontsize=6.5
             )
     axes.set(title="Pareto front (numbers of trials)", xlabel=seen.label(0), ylabel=seen.label(1))
+    axes.xaxis.set_major_formatter(seen.numbers(0))
+    axes.yaxis.set_major_formatter(seen.numbers(1))
     axes.legend(loc="best")
     return figure
 

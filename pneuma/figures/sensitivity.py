@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values
@@ -43,7 +43,10 @@ def draw_sensitivity(
             _draw_parameter(axes, data, document, name, points)
         for axes in places[len(panels) :]:
             axes.set_visible(False)
-        figure.supylabel(find_outcome(document["outcome"]).words, fontsize=8.5)
+        outcome = find_outcome(document["outcome"])
+        if outcome.unit == "share":
+            places[0].yaxis.set_major_formatter(PercentFormatter(xmax=1))
+        figure.supylabel(outcome.words, fontsize=8.5)
         _add_words(figure, data, document)
         return save_figure(figure, folder, data.figure, formats)
 
