@@ -218,13 +218,14 @@ def _front(seen: _Seen) -> Figure | None:
     x, y = seen.values(0), seen.values(1)
     best = np.isin([trial["number"] for trial in seen.complete], seen.record["best"])
     axes.scatter(x[~best], y[~best], s=16, color="#999999", label="trial")
-    order = np.argsort(x[best])
-    axes.plot(x[best][order], y[best][order], "o-", color=COLOURS[1], markersize=5, label="Pareto front")
-    for trial, own_x, own_y in zip(seen.complete, x, y, strict=True):
+    axes.plot(x[best], y[best], "o", color=COLOURS[1], markersize=5, label="Pareto front")
+    shared: dict[tuple[float, float], list[str]] = {}
+    for trial, at in zip(seen.complete, zip(x, y, strict=True), strict=True):
         if trial["number"] in seen.record["best"]:
-            axes.annotate(
-                str(trial["number"]), (own_x, own_y), (4, 4), textcoords="offset points", fontsize=6.5
-            )
+            shared.setdefault(at, []).append(str(trial["number"]))
+    for at, numbers in shared.items():
+        told = ", ".join(numbers)
+        axes.annotate(told, at, (4, 4), textcoords="offset points", fontsize=6.5)
     axes.set(title="Pareto front (numbers of trials)", xlabel=seen.label(0), ylabel=seen.label(1))
     axes.xaxis.set_major_formatter(seen.numbers(0))
     axes.yaxis.set_major_formatter(seen.numbers(1))
