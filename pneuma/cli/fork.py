@@ -14,6 +14,7 @@ from pneuma.cli.options import (
     Results,
     Seeds,
     Settings,
+    Trust,
     Workers,
     read_count,
     read_seeds_option,
@@ -41,12 +42,7 @@ def fork(
     ] = "",
     seeds: Seeds = "3",
     workers: Workers = None,
-    trust: Annotated[
-        bool,
-        typer.Option(
-            "--trust", help="Run the reward and read the level and characters files that the run names."
-        ),
-    ] = False,
+    trust: Trust = False,
     results: Results = Path("results"),
     json: Json = False,
     quiet: Quiet = False,

@@ -62,6 +62,12 @@ EngineName = Annotated[
 Workers = Annotated[
     str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
 ]
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust", help="Run the reward and read the level and characters files that the run names."
+    ),
+]
 Conditions = Annotated[
     list[str] | None,
     typer.Option("--condition", metavar="NAME", help="Only this condition (may be repeated)."),

@@ -21,6 +21,7 @@ from pneuma.cli.options import (
     Steps,
     StudyName,
     StudyPreset,
+    Trust,
     Workers,
     print_json,
     read_count,
@@ -89,6 +90,7 @@ def collapse(
         typer.Option("--out", metavar="DIR", help="Draw the collapses into this folder."),
     ] = None,
     workers: Workers = None,
+    trust: Trust = False,
     preset: StudyPreset = None,
     seeds: Seeds = None,
     steps: Steps = None,
@@ -109,7 +111,7 @@ def collapse(
     found = diagnoses(data)
     if fork:
         parents = _parents(data, found, run or ())
-        plan = plan_cause_forks(store, data.study, parents, read_seeds_option(fork_seeds))
+        plan = plan_cause_forks(store, data.study, parents, read_seeds_option(fork_seeds), trust=trust)
         plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
         how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

@@ -91,8 +91,13 @@ def evaluation_updates(run: Run) -> set[int]:
 
 
 def checkpoint_steps(run: Run, count: int) -> set[int]:
-    """Return the agent steps at which `count` checkpoints of a run are to be kept, the last at its end."""
-    return {update * run.steps_per_update for update in _spread(run.updates, count)}
+    """Return the agent steps at which checkpoints of a run are to be kept: none where `count` is 0.
+
+    That is after `count` updates, evenly spread, the last at its end; and after the first, so that a run
+    can be forked however early it collapses.
+    """
+    first = {1} if count else set()
+    return {update * run.steps_per_update for update in first | _spread(run.updates, count)}
 
 
 def _spread(updates: int, count: int) -> set[int]:

@@ -60,7 +60,7 @@ class Study:
         shared: settings of every condition on top of the base.
         conditions: what each condition sets on top.
         presets: by name.
-        keep_checkpoints: of each run, evenly spread, for `pneuma run fork`.
+        keep_checkpoints: of each run, evenly spread, beside that of its first update, for `pneuma run fork`.
         levels: of each condition of a crossed study, the value's name of every factor.
         setting: one of `SETTINGS`.
         settings_known: those of `SETTINGS` that it can be run in.

@@ -131,7 +131,8 @@ def disk_bytes(run: Run, keep_checkpoints: int = 0) -> int:
         layers = [64, *hidden, 5]
         weights += sum(a * b for a, b in zip(layers, layers[1:], strict=False))
     records = BYTES_PER_STEP * run.steps * (1 + keep_checkpoints / 2)  # a checkpoint has those up to its step
-    return int(4 * weights * (1 + 3 * keep_checkpoints) + records)
+    checkpoints = keep_checkpoints + bool(keep_checkpoints)  # and that of the first update
+    return int(4 * weights * (1 + 3 * checkpoints) + records)
 
 
 # --- Time left -----------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ def save_run(
     shares: np.ndarray,
     end: int = BUDGET,
     returns: np.ndarray | None = None,
+    configuration: bytes | None = None,
 ) -> None:
     """Store a run.
 
@@ -37,6 +38,7 @@ def save_run(
         shares: (20,) monsters killed at the evaluations.
         end: where it diverged.
         returns: (100,) of the episodes, one an update.
+        configuration: its run.json.
     """
     metrics = [
         {
@@ -71,6 +73,8 @@ def save_run(
         "evaluations.parquet": to_parquet(evaluations, EVALUATION_COLUMNS),
         "provenance.json": to_json({"wall_seconds": 8.0, "python": "3.11"}),
     }
+    if configuration is not None:
+        files["run.json"] = configuration
     store.save_run(run_id, Status("done" if end == BUDGET else "diverged", end), files)
 
 

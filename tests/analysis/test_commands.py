@@ -8,17 +8,19 @@ from pathlib import Path
 import pytest
 
 from pneuma.cli import main
-from pneuma.study.store import Store
+from pneuma.config import make_run
+from pneuma.study.identity import run_id
+from pneuma.study.store import Store, run_document
 
-from .collapse_records import healthy, learning, one_action, save_run, study_record
+from .collapse_records import BUDGET, HORIZON, healthy, learning, one_action, save_run, study_record
 
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
     store = Store(tmp_path / "results")
     cells = {("relu", 0): "a0" * 8, ("relu", 1): "a1" * 8, ("tanh", 0): "b0" * 8, ("tanh", 1): "b1" * 8}
-    for run_id in cells.values():
-        save_run(store, run_id, healthy(), learning())
+    for own in cells.values():
+        save_run(store, own, healthy(), learning())
     save_run(store, "a1" * 8, one_action(61), learning())
     store.save_selection("mine", study_record(cells))
     return store.root
@@ -74,6 +76,24 @@ def test_what_cannot_be_forked_is_said_in_one_line(
     assert call("study", "collapse", "mine", *arguments, "--results", results) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
+
+
+def test_a_collapsed_run_with_a_reward_of_its_owners_is_forked_if_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own_reward.py").write_text("def gain(events, players, stats): return events['xp_gained']\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    store = Store(tmp_path / "results")
+    run = make_run({"reward": "own_reward:gain", "horizon": HORIZON, "steps": BUDGET})
+    name = run_id(run)
+    save_run(store, name, one_action(61), learning(), configuration=run_document(run, name))
+    store.save_selection("mine", study_record({("own", 0): name}))
+    fork = ("study", "collapse", "mine", "--fork", "--results", store.root)
+    assert call(*fork) == 2
+    assert "would run the reward own_reward:gain; --trust allows it" in capsys.readouterr().err
+    assert call(*fork, "--trust") == 2
+    assert "kept no checkpoints" in capsys.readouterr().err  # which is the next thing looked at
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "latex", "markdown"])

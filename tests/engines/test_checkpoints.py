@@ -181,8 +181,9 @@ def test_a_file_that_is_not_what_its_name_says_is_not_read(tmp_path: Path, damag
     assert read_checkpoint(file) is None
 
 
-def test_checkpoints_to_keep_are_spread_over_the_run() -> None:
+def test_checkpoints_to_keep_are_spread_over_the_run_from_its_first_update() -> None:
     run = make_run({**SMALL, "steps": 640})  # 10 updates of 64
-    assert checkpoint_steps(run, 4) == {192, 320, 512, 640}  # updates 3, 5, 8 and 10
+    assert checkpoint_steps(run, 4) == {64, 192, 320, 512, 640}  # updates 1, 3, 5, 8 and 10
+    assert checkpoint_steps(run, 1) == {64, 640}
     assert checkpoint_steps(run, 0) == set()
     assert checkpoint_steps(run, 100) == {64 * update for update in range(1, 11)}
