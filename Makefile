@@ -6,9 +6,10 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 
 .PHONY: help install study figures test storm test-all lint clean
+.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow
 
 help:            ## Say what each target does
-	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 16
+	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
 
 install: $(INSTALLED)  ## Build .venv with everything
 
@@ -24,6 +25,58 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 
 figures: install  ## Draw everything in paper_figures/
 	$(BIN)/python -m pneuma.figures.paper paper_figures
+
+# --- The reproduction ---------------------------------------------------------------------------
+#
+# Stopped at any moment, each target goes on where it was. In place of `run`, DO takes any command on a
+# study's runs: `make reproduction DO=plan` tells how long it takes, DO=status how far it is, DO=publish writes the tables
+# to commit. SEEDS=2 STEPS=4096 is a quick look, and STUDIES="activation clip-range" some of a target's studies.
+
+DO ?= run
+RESULTS ?= results
+PNEUMA = $(BIN)/pneuma study $(DO)
+BEGUN := $(shell date +%s)
+
+SETTINGS = text godot
+SETTINGS_tabular = text
+SETTINGS_magic = text
+SETTINGS_classes = text
+SETTINGS_independent = text
+
+PRESET = paper+claims
+PRESET_perception = paper
+PRESET_independent = paper
+PRESET_collapse = paper
+PRESET_robustness = paper
+
+# A study in a setting; a run that crashed stops no other study, Ctrl-C and mistakes stop all.
+define one
+$(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
+  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) --results $(RESULTS) \
+  || { code=$$?; [ $$code = 1 ] || exit $$code; failed="$$failed $(1) ($(2))"; };
+endef
+
+define each
+@failed=; $(foreach study,$(or $(STUDIES),$(1)),\
+$(foreach setting,$(or $(SETTINGS_$(study)),$(SETTINGS)),$(call one,$(study),$(setting)))) \
+took=$$(( $$(date +%s) - $(BEGUN) )); \
+echo "$@: $$(( took / 3600 )) h $$(( took / 60 % 60 )) min $$(( took % 60 )) s."; \
+[ -z "$$failed" ] || { echo "Runs failed of:$$failed. The same command tries them once more."; exit 1; }
+endef
+
+reproduction: PRESET = paper
+reproduction: CONDITIONS_actor-size = --condition smallest --condition small --condition small-critic
+reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, both settings
+	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)
+
+reproduction-rest: install  ## Train chapters 3 to 5, and the 50 seeds of claims on spread and incidence
+	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer)
+
+reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
+	$(call each,collapse robustness)
+
+reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
+	$(call each,architecture actor-size algorithms)
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'

@@ -1,0 +1,78 @@
+"""The targets that reproduce the thesis: they train every shipped study, and all that claims fix."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from pneuma.config import Run
+from pneuma.study.claimed import fixed_amounts
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import list_studies, load_study
+
+ROOT = Path(__file__).parents[1]
+TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
+COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --setting (\S+) (.*?)--results results")
+
+pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
+
+
+@cache
+def _commands(target: str) -> list[tuple[str, str, Selection]]:
+    """Return what a target would run: study, setting and selection."""
+    told = subprocess.run(
+        ["make", "--dry-run", "--assume-old=install", target],
+        cwd=ROOT, capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin"},
+    ).stdout  # fmt: skip
+    return [
+        (study, setting, Selection(preset, conditions=tuple(re.findall(r"--condition (\S+)", options))))
+        for study, preset, setting, options in COMMAND.findall(told)
+    ]
+
+
+def _seeds(target: str) -> dict[tuple[str, str, str], set[int]]:
+    """Return the seeds that a target trains, by study, setting and condition; all commands are sound."""
+    found: dict[tuple[str, str, str], set[int]] = {}
+    for study, setting, selection in _commands(target):
+        for cell in make_plan(load_study(study, setting), selection).cells:
+            found.setdefault((study, setting, cell.condition), set()).add(cell.seed)
+    return found
+
+
+def _small(run: Run) -> bool:
+    return max(*run.actor, *run.critic) <= 256
+
+
+def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
+    commands = _commands("reproduction")
+    assert {(study, setting) for study, setting, _ in commands} == {
+        (study, setting)
+        for study in (
+            "activation", "actor-size", "clip-range", "gradient-limits", "hyperparameters", "optimizer",
+        )
+        for setting in ("text", "godot")
+    }  # fmt: skip
+    for study, setting, selection in commands:
+        plan = make_plan(load_study(study, setting), selection)
+        assert plan.seeds == tuple(range(10))
+        assert all(_small(cell.run) and cell.run.steps >= 1_000_000 for cell in plan.cells)
+
+
+@pytest.mark.slow
+def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
+    trained: dict[tuple[str, str, str], set[int]] = {}
+    for target in TARGETS:
+        for cell, seeds in _seeds(target).items():
+            trained.setdefault(cell, set()).update(seeds)
+    for name in list_studies():
+        for setting in load_study(name).settings_known:
+            study = load_study(name, setting)
+            paper = {condition: study.preset("paper").of(condition) for condition in study.conditions}
+            for amounts in (paper, fixed_amounts(study)):
+                for condition, amount in amounts.items():
+                    assert {*amount.seeds} <= trained[name, setting, condition]
