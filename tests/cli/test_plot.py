@@ -101,6 +101,7 @@ def test_the_command_of_the_index_draws_the_same_bytes(
     command, *again = shlex.split(entry["command"])
     assert command == "pneuma"
     assert _call(*again, "--results", results, "--out", tmp_path / "again")[0] == 0
+    assert {path.name for path in (tmp_path / "again").iterdir()} == {name, "index.json"}
     assert (tmp_path / "again" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
 
