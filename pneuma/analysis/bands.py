@@ -15,14 +15,7 @@ from scipy import special
 Edges = tuple[np.ndarray, np.ndarray]
 
 CONFIDENCE = 0.95
-LEAST_COVERAGE = 0.9
-"""A band about the mean that covers it less often than this is drawn with the runs themselves."""
-
 _RESAMPLES = 2000
-_COVERED: dict[str, dict[int, float]] = {
-    "ci": {2: 0.95, 3: 0.95},
-    "bootstrap": {3: 0.75, 5: 0.82, 10: 0.89, 20: 0.92},
-}
 
 
 @dataclass(frozen=True)
@@ -32,8 +25,8 @@ class Band:
     Attributes:
         label: its words.
         edges: its lower and upper edge; None where the runs themselves are drawn in its place.
-        about_mean: whether it says where the mean of all runs that there could be lies; other bands
-            say how far runs lie apart.
+        about_mean: whether it says where the mean of all runs that there could be lies, and how often it
+            does is in `pneuma.analysis.coverage`; other bands say how far runs lie apart.
     """
 
     label: str
@@ -58,18 +51,6 @@ def variance_of(runs: np.ndarray) -> np.ndarray:
     count = count_of(runs)
     squares = np.where(np.isfinite(runs), (runs - mean_of(runs)) ** 2, 0.0).sum(axis=0)
     return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
-
-
-def coverage(name: str, count: int) -> float | None:
-    """Return how often a band about the mean covers it, of `count` normal runs; None for other bands.
-
-    From simulations of 1,500 samples; between two counts, what the lower one covers.
-    """
-    if not BANDS[name].about_mean:
-        return None
-    if name == "se":  # within one standard error, exactly
-        return float(2 * special.stdtr(count - 1, 1) - 1) if count > 1 else 0.0
-    return max((covered for least, covered in _COVERED[name].items() if least <= count), default=0.0)
 
 
 # --- Edges -----------------------------------------------------------------------------------------

@@ -8,32 +8,15 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from pneuma.analysis import intervals
+from pneuma.analysis import bands, intervals
 from pneuma.analysis.estimates import mean
 from pneuma.bench.claim_lists import DISTRIBUTIONS, EVENT_SHARE, SEEDS
 
-Edges = tuple[np.ndarray, np.ndarray]
+FEWER = 20
+"""What takes a while is drawn so many times more rarely."""
 
-BOOTSTRAPPED = 20
-"""Bands are drawn so many times as often as what is worked out one sample at a time."""
-
-
-def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], Edges]:
-    return lambda runs: (runs.mean(axis=1) - half(runs), runs.mean(axis=1) + half(runs))
-
-
-def _error(runs: np.ndarray) -> np.ndarray:
-    return runs.std(axis=1, ddof=1) / np.sqrt(runs.shape[1])
-
-
-BANDS: dict[str, Callable[[np.ndarray], Edges]] = {
-    "ci": _around(lambda runs: _error(runs) * special.stdtrit(runs.shape[1] - 1, 0.975)),
-    "se": _around(_error),
-    "std": _around(lambda runs: runs.std(axis=1, ddof=1)),
-    "minmax": lambda runs: (runs.min(axis=1), runs.max(axis=1)),
-    "iqr": lambda runs: (np.quantile(runs, 0.25, axis=1), np.quantile(runs, 0.75, axis=1)),
-}
-"""The bands of a curve that have the mean's unit, from (samples, runs) to both edges, each (samples,)."""
+BANDS = tuple(name for name, band in bands.BANDS.items() if band.edges and name != "variance")
+"""The bands of a figure that have the mean's unit."""
 
 
 def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
@@ -43,19 +26,27 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
         samples: how many times a band is drawn; a twentieth as often where each takes a while.
         generator: draws the runs.
     """
-    fewer = max(1, samples // BOOTSTRAPPED)
+    fewer = max(1, samples // FEWER)
     for name, draw in DISTRIBUTIONS.items():
         for seeds in SEEDS:
             runs = draw(generator, (samples, seeds))
-            for band, edges in BANDS.items():
-                low, high = edges(runs)
-                yield _row(band, name, seeds, float(((low <= 0) & (high >= 0)).mean()))
+            for band in BANDS:
+                drawn = runs[:fewer] if band == "bootstrap" else runs
+                yield _row(band, name, seeds, band_coverage(band, drawn))
             for method, interval, truth in _one_by_one(generator):
                 made = [interval(own) for own in runs[:fewer]]
                 covered = [own.low <= truth <= own.high for own in made if own.exists]
                 yield _row(method, name, seeds, float(np.mean(covered)) if covered else float("nan"))
     for seeds in SEEDS:
         yield _row("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, _share_coverage(seeds))
+
+
+def band_coverage(band: str, runs: np.ndarray) -> float:
+    """Return how often a figure's band covers the mean 0 of what (samples, runs) were drawn from."""
+    edges = bands.BANDS[band].edges
+    assert edges
+    low, high = edges(runs.T)
+    return float(((low <= 0) & (high >= 0)).mean())
 
 
 def _one_by_one(

@@ -56,7 +56,7 @@ def _lines(drawn: Sequence[Curve], band: str) -> list[str]:
         bare = ", and without a band," if BANDS[band].about_mean else ""
         words.append(f"Lines are faint{bare} where not all n runs have a value.")
     if BANDS[band].edges is not None and any(shows_runs(curve, band) for curve in drawn):
-        words.append("Of so few runs the band covers the mean less often than 90 %: thin lines are runs.")
+        words.append("Of so few runs the band may cover the mean less often than 90 %: thin lines are runs.")
     if band == "variance":
         words.append(
             "A variance is in the square of the axis's unit: how wide this band looks means nothing."

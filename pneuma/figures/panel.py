@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter, FuncFormatter
 
-from pneuma.analysis.bands import BANDS, LEAST_COVERAGE, coverage
+from pneuma.analysis.bands import BANDS
+from pneuma.analysis.coverage import coverage, is_trusted
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.quantities import Look
@@ -52,8 +53,7 @@ def draw_curve(axes: Axes, curve: Curve, band: str, place: int, label: str = "",
 
 def shows_runs(curve: Curve, band: str) -> bool:
     """Tell whether every run is drawn: where that is the band, or it covers the mean too rarely."""
-    covered = coverage(band, len(curve.runs)) if len(curve.runs) > 1 else None
-    return BANDS[band].edges is None or (covered is not None and covered < LEAST_COVERAGE)
+    return BANDS[band].edges is None or (len(curve.runs) > 1 and not is_trusted(band, len(curve.runs)))
 
 
 def label_of(data: StudyData, curve: Curve, band: str) -> str:
@@ -62,10 +62,14 @@ def label_of(data: StudyData, curve: Curve, band: str) -> str:
     longest = max(run.budget for run in runs)  # other conditions may go further
     at_end = sum(run.status == "done" and run.end >= longest for run in runs)
     fewer = f", {at_end} at the end" if at_end < len(runs) else ""
-    covered = coverage(band, len(runs))
-    rarely = covered is not None and len(runs) > 1 and covered < LEAST_COVERAGE
-    worth = f"; band covers {100 * covered:.0f} %" if covered is not None and rarely else ""
-    return f"{curve.condition} (n = {len(runs)}{fewer}{worth})"
+    return f"{curve.condition} (n = {len(runs)}{fewer}{_worth(band, len(runs))})"
+
+
+def _worth(band: str, runs: int) -> str:
+    if runs < 2 or is_trusted(band, runs):
+        return ""
+    covered = coverage(band, runs)
+    return f"; band covers {covered:.0%} at worst".replace("%", " %") if covered else "; too few for a band"
 
 
 def draw_references(axes: Axes, levels: Mapping[str, float]) -> None:

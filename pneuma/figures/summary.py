@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from pneuma.analysis.bands import LEAST_COVERAGE, coverage
+from pneuma.analysis.coverage import is_trusted
 from pneuma.analysis.estimates import performance_profile
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.run_view import common_step
@@ -195,7 +195,7 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], profi
     counts = [len(known) for known in values.values()]
     if any(0 < count < 3 for count in counts):
         words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
-    if any(count >= 3 and (coverage("bootstrap", count) or 1) < LEAST_COVERAGE for count in counts):
+    if any(count >= 3 and not is_trusted("bootstrap", count) for count in counts):
         words.append("Of so few runs bootstrap intervals cover less often than they say.")
     if not profiled:
         words.append(f"Of more than {MOST_PROFILES} conditions no profiles are drawn.")

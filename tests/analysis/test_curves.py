@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from pneuma.analysis import BAND_NAMES, WINDOWS
-from pneuma.analysis.bands import BANDS, coverage
+from pneuma.analysis.bands import BANDS
 from pneuma.analysis.curves import (
     Curve,
     curves_table,
@@ -244,29 +244,6 @@ def test_a_band_has_its_edges_and_none_for_a_single_run(
 def test_every_band_has_a_name_and_says_what_it_is() -> None:
     assert tuple(BANDS) == BAND_NAMES
     assert len({band.label for band in BANDS.values()}) == len(BANDS)
-
-
-@pytest.mark.parametrize(("count", "covered"), [(1, 0.0), (2, 0.5), (3, 3**-0.5), (10**6, 0.6826894)])
-def test_a_standard_error_covers_what_student_says(count: int, covered: float) -> None:
-    """Within 1: half of a Cauchy distribution, 1 / sqrt(3) of t with 2 degrees, and at last of a normal."""
-    assert coverage("se", count) == pytest.approx(covered, abs=1e-6)
-
-
-def test_bands_about_runs_claim_nothing_about_the_mean() -> None:
-    assert [name for name in BANDS if coverage(name, 10) is None] == [
-        "std",
-        "variance",
-        "minmax",
-        "iqr",
-        "runs",
-    ]
-
-
-@pytest.mark.parametrize("name", ["ci", "bootstrap", "se"])
-def test_a_bands_coverage_is_what_a_simulation_gives(name: str) -> None:
-    """Of 4,000 samples of ten normal runs, each a point; four standard errors are 0.03."""
-    low, high = Curve("a", np.arange(4000.0), np.random.default_rng(0).normal(size=(10, 4000))).band(name)
-    assert np.mean((low <= 0) & (high >= 0)) == pytest.approx(coverage(name, 10), abs=0.03)
 
 
 @pytest.mark.parametrize("band", BANDS)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from pneuma.analysis import coverage as table
+from pneuma.analysis.bands import BANDS
 from pneuma.analysis.two_arms import PValues
 from pneuma.bench import claim_lists
-from pneuma.bench.coverage import BANDS
+from pneuma.bench.coverage import band_coverage
 from pneuma.cli import main
 
 
@@ -20,26 +21,32 @@ def test_the_committed_coverages_are_those_that_are_drawn() -> None:
     generator = np.random.default_rng(1)
     for i, seeds in enumerate(table.SEEDS):
         for band, least in table.LEAST_COVERAGE.items():
-            drawn = []
-            for draw in claim_lists.DISTRIBUTIONS.values():
-                low, high = BANDS[band](draw(generator, (3_000, seeds)))
-                drawn.append(((low <= 0) & (high >= 0)).mean())
-            assert min(drawn) == pytest.approx(least[i], abs=0.03), (band, seeds)
+            samples, near = (1_000, 0.05) if band == "bootstrap" else (3_000, 0.03)
+            drawn = [
+                band_coverage(band, draw(generator, (samples, seeds)))
+                for draw in claim_lists.DISTRIBUTIONS.values()
+            ]
+            assert min(drawn) == pytest.approx(least[i], abs=near), (band, seeds)
 
 
 def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
     runs = np.random.default_rng(2).normal(size=(20_000, 3))
-    low, high = BANDS["ci"](runs)
-    assert ((low <= 0) & (high >= 0)).mean() == pytest.approx(0.95, abs=0.006)
-    low, high = BANDS["minmax"](runs)
-    assert ((low <= 0) & (high >= 0)).mean() == pytest.approx(1 - 2 / 8, abs=0.011)  # not all on one side
+    assert band_coverage("ci", runs) == pytest.approx(0.95, abs=0.006)
+    assert band_coverage("se", runs) == pytest.approx(3**-0.5, abs=0.014)  # of t with 2 degrees, within 1
+    assert band_coverage("minmax", runs) == pytest.approx(1 - 2 / 8, abs=0.011)  # not all on one side
 
 
 def test_between_the_numbers_of_runs_the_fewer_count() -> None:
     assert table.coverage("ci", 4) == table.coverage("ci", 3)
-    assert table.coverage("ci", 19) == table.coverage("ci", 10) < table.ENOUGH
-    assert table.is_trusted("ci", 20) and not table.is_trusted("se", 50)
-    assert table.coverage("ci", 2) == 0 == table.coverage("variance", 50)
+    assert table.coverage("ci", 19) == table.coverage("ci", 10) == 0.886
+    assert table.is_trusted("ci", 20) and not table.is_trusted("ci", 19)
+    assert not table.is_trusted("se", 50)
+    assert table.coverage("ci", 2) == 0
+
+
+def test_only_bands_about_the_mean_claim_to_cover_it() -> None:
+    assert {name for name, band in BANDS.items() if band.about_mean} == {*table.LEAST_COVERAGE}
+    assert table.coverage("variance", 50) is None and table.is_trusted("minmax", 3)
 
 
 def test_distributions_have_mean_0_and_deviation_1() -> None:

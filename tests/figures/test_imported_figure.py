@@ -37,7 +37,7 @@ def figure(tmp_path: Path, write_events: WriteEvents, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(curves, "save_figure", save)
     data = open_study(store, store.selection("logs") or {})
-    draw_study(data, tmp_path / "figures", formats=("svg",))
+    draw_study(data, tmp_path / "figures", band="std", formats=("svg",))
     with pytest.raises(UserError, match="window budget-5% cannot be had"):
         draw_study(data, tmp_path / "other", window="budget-5%")
     assert not (tmp_path / "other").exists()
@@ -48,7 +48,7 @@ def test_there_is_one_panel_whose_axis_says_what_was_averaged(figure: Figure) ->
     (axes,) = figure.axes
     assert axes.get_title(loc="left") == "Return in training"
     assert axes.get_ylabel() == "Return, mean of 100 episodes"
-    words = " ".join(text.get_text() for text in figure.texts)
+    words = " ".join(" ".join(text.get_text() for text in figure.texts).split())  # wrapped anywhere
     assert "already averaged over its last 100 episodes by Stable-Baselines3" in words
     assert "last 5 %" not in words
 

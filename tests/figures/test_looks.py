@@ -79,7 +79,7 @@ def test_shares_are_in_per_cent_without_idle_decimals(
 def test_random_player_and_hunter_are_lines_of_their_own(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    study.draw(tmp_path, formats=("svg",))
+    study.draw(tmp_path, band="std", formats=("svg",))
     assert legend(drawn[0])[-2:] == ["random player", "scripted hunter"]
     levels = [float(np.asarray(line.get_ydata(), float)[0]) for line in drawn[0].axes[0].get_lines()[-2:]]
     assert levels == pytest.approx([0.04, 0.5])
@@ -188,10 +188,10 @@ def test_a_band_that_covers_too_rarely_is_drawn_with_its_runs_and_marked(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.draw(tmp_path, band="se", formats=("svg",))
-    assert legend(drawn[0])[0] == "tanh (n = 2; band covers 50 %)"
+    assert legend(drawn[0])[0] == "tanh (n = 2; too few for a band)"
     assert "thin lines are runs" in _caption(drawn[0])
     assert _thin_lines(drawn[0].axes[1]) == 4
-    study.draw(tmp_path, band="ci", formats=("svg",))
+    study.draw(tmp_path, band="std", formats=("svg",))
     assert legend(drawn[1])[0] == "tanh (n = 2)"
     assert _thin_lines(drawn[1].axes[1]) == 0
 
@@ -216,7 +216,7 @@ def test_a_run_without_a_finite_return_is_counted_and_told(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.add("tanh", 2, returns=NAN)
-    study.draw(tmp_path, formats=("svg",))
+    study.draw(tmp_path, band="std", formats=("svg",))
     assert "1 of 3 runs of tanh have no return, and count in no mean of it" in _caption(drawn[0])
     faint = np.asarray(drawn[0].axes[1].get_lines()[1].get_ydata(), float)
     assert faint[199] == 19.5  # episode 19 of seeds 0 and 1
@@ -228,7 +228,7 @@ def test_equal_values_are_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
         study.add("tanh", seed, evaluations=(0.0,) * 4, returns=0.0)
     study.draw(tmp_path, formats=("svg",))
     assert drawn[0].axes[0].get_ylim()[0] == 0
-    assert legend(drawn[0])[0] == "tanh (n = 3)"
+    assert legend(drawn[0])[0] == "tanh (n = 3; band covers 82 % at worst)"
 
 
 def test_different_budgets_are_compared_where_all_were(

@@ -55,7 +55,10 @@ def test_other_numbers_give_other_bytes(study: HandMade, tmp_path: Path) -> None
 def test_the_legend_says_of_how_many_runs(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("tanh", 2)
     study.draw(tmp_path)
-    assert legend(drawn[0])[:2] == ["tanh (n = 3)", "relu (n = 2)"]
+    assert legend(drawn[0])[:2] == [
+        "tanh (n = 3; band covers 82 % at worst)",
+        "relu (n = 2; too few for a band)",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,7 @@ def test_an_a_a_comparison_is_noted_in_theheadline(
     study.record["same"] = [["tanh", "again"]]
     study.add("again", 0, run_id=make_id("tanh", 0))
     study.add("again", 1, run_id=make_id("tanh", 1))
-    study.draw(tmp_path)
+    study.draw(tmp_path, band="std")
     assert "A/A" in headline(drawn[0])
     assert "tanh = again" in headline(drawn[0])
     assert {"tanh (n = 2)", "again (n = 2)"} <= set(legend(drawn[0]))
@@ -144,7 +147,7 @@ def test_a_diverged_run_of_few_episodes_is_drawn_as_far_as_it_went(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.add("tanh", 2, episodes=2, evaluations=(0.1,), status="diverged")
-    study.draw(tmp_path)
+    study.draw(tmp_path, band="std")
     assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
     line = np.asarray(drawn[0].axes[1].get_lines()[0].get_ydata(), float)
     assert line[9] == 1.0  # at step 50: of seeds 0, 1 and 2
@@ -160,7 +163,7 @@ def test_a_diverged_run_that_was_never_evaluated_is_still_counted(
     """Design section 4: a diverged run stays in every statistic."""
     study.add("tanh", 2, episodes=episodes, evaluations=(), status="diverged")
     study.draw(tmp_path)
-    assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
+    assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end; band covers 82 % at worst)"
 
 
 def test_a_condition_whose_runs_all_diverged_at_once_stays_in_thelegend(
