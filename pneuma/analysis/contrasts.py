@@ -182,8 +182,11 @@ def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Con
     interval = Interval(own.low - value, own.high - value, own.level, own.method)
     equivalent = 1.0
     if margin is not None:
-        low, high = max(0.0, value - margin), min(1.0, value + margin)
-        equivalent = max(above(count, runs.size, low), below(count, runs.size, high))
+        low, high = value - margin, value + margin  # beyond an end of the scale no share can be
+        equivalent = max(
+            above(count, runs.size, low) if low >= 0 else 0.0,
+            below(count, runs.size, high) if high <= 1 else 0.0,
+        )
     one_sided = (above(count, runs.size, value), below(count, runs.size, value), equivalent)
     found = PValues(*(np.array([p]) for p in one_sided))
     smallest = min(above(runs.size, runs.size, value), below(0, runs.size, value))

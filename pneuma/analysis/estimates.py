@@ -79,18 +79,6 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
     return float(((difference > 0) + 0.5 * (difference == 0)).mean())
 
 
-def at_bound(values: ArrayLike, low: float, high: float, share: float = 0.5) -> str | None:
-    """Say whether runs are pressed against an end of their scale, where differences cannot show.
-
-    Returns:
-        "floor" or "ceiling" where more than that share of the runs is exactly there, else None.
-    """
-    runs = finite(values)
-    if mean((runs <= low).astype(float)) > share:
-        return "floor"
-    return "ceiling" if mean((runs >= high).astype(float)) > share else None
-
-
 def _nothing(runs: np.ndarray) -> np.ndarray:
     return np.full(runs.shape[:-1], np.nan)[()]
 

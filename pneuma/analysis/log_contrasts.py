@@ -2,7 +2,8 @@
 
 Some pairs of the published runs stand for one configuration by accident. Their differences give
 the standard deviation from run to run, with as many degrees of freedom as there are pairs, and against it a
-difference of two single runs is tested.
+difference of two single runs is tested. Where those runs are in the pairs themselves, a great difference
+makes the deviation great as well: the test errs on the strict side.
 """
 
 from __future__ import annotations

@@ -125,6 +125,13 @@ def test_one_arms_share_is_tested_as_scipys_binomial() -> None:
     assert own.effect == pytest.approx(0.6)
 
 
+def test_a_margin_that_reaches_past_an_end_of_the_scale_binds_on_the_other_side_alone() -> None:
+    """None of 50 with the event: at a true share of 0.05 + 0.1 that has a chance of 0.85 ** 50."""
+    never, always = [0.0] * 50, [1.0] * 50
+    assert compare_with("incidence", never, 0.05, 0.1, rng()).p_equivalent == pytest.approx(0.85**50)
+    assert compare_with("incidence", always, 0.95, 0.1, rng()).p_equivalent == pytest.approx(0.85**50)
+
+
 @pytest.mark.parametrize("shape", ["normal", "bimodal"])
 def test_spread_is_not_found_where_there_is_none(shape: str) -> None:
     """At the 0.2 % that a list of claims asks for; set off from means it is found in 6 % of bimodal runs."""

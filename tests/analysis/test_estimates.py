@@ -50,9 +50,3 @@ def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
 def test_no_runs_and_one_run_give_no_made_up_number() -> None:
     assert math.isnan(estimates.mean([])) and math.isnan(estimates.median([]))
     assert math.isnan(estimates.interquartile_mean([])) and math.isnan(estimates.deviation([4.0]))
-
-
-def test_runs_pressed_against_an_end_are_told() -> None:
-    assert estimates.at_bound([0, 0, 0.2], 0, 1) == "floor"
-    assert estimates.at_bound([1, 0.3, 1], 0, 1) == "ceiling"
-    assert estimates.at_bound([0, 1, 0, 1], 0, 1) is None
