@@ -151,7 +151,7 @@ def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], 
     for curve in curves:
         place = data.conditions.index(curve.condition)
         draw_curve(axes, curve, band, place, label_of(data, curve, band), 0.16 if len(curves) < 5 else 0.09)
-    draw_references(axes, shared_levels(data, name))
+    draw_references(axes, shared_levels(data, name), look.percent)
     draw_common_step(axes, common_step(data))
     axes.set(title=look.title, ylabel=look.label)
     set_axes(axes, look, data.budget, curves)

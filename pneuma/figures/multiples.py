@@ -96,7 +96,7 @@ def _draw_block(
     for axes, curve in zip(panels, curves, strict=True):
         _draw_others(axes, curves, curve, data.record.get("baseline"))
         draw_curve(axes, curve, band, 0)
-        draw_references(axes, levels.get(curve.condition, {}))
+        draw_references(axes, levels.get(curve.condition, {}), look.percent)
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
         _name(axes, label_of(data, curve, band), size, block.columns)

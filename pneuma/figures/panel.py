@@ -19,6 +19,8 @@ from pneuma.figures.style import condition_look
 
 MARKED_POINTS = 8
 """About so many markers a line, so that lines are told apart in grey."""
+FAR = 3.0
+"""How many times as high as the highest point a level is for its line to be left out."""
 REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -72,9 +74,20 @@ def _worth(band: str, runs: int) -> str:
     return f"; band covers {covered:.0%} at worst".replace("%", " %") if covered else "; too few for a band"
 
 
-def draw_references(axes: Axes, levels: Mapping[str, float]) -> None:
-    """Draw the levels of players of known skill as grey lines."""
+def draw_references(axes: Axes, levels: Mapping[str, float], percent: bool = False) -> None:
+    """Draw the levels of players of known skill as grey lines.
+
+    One that is so far above all that is drawn that its line would flatten it is named in the corner.
+    """
+    top = axes.dataLim.y1
     for name, level in levels.items():
+        if np.isfinite(top) and level > FAR * max(top, 0.01):
+            told = f"{level:.0%}".replace("%", " %") if percent else f"{level:g}"
+            axes.text(
+                0.99, 0.98, f"{name}: {told}, above", transform=axes.transAxes, ha="right", va="top",
+                fontsize="small", color="#666666",
+            )  # fmt: skip
+            continue
         axes.axhline(
             level, color="#666666", linestyle=REFERENCE_DASHES[name], linewidth=0.9, label=name, zorder=1.2
         )

@@ -15,6 +15,7 @@ from pneuma.analysis.curves import curve_names
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import settle
+from pneuma.figures.panel import draw_references
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, condition_look
 
@@ -84,6 +85,15 @@ def test_random_player_and_hunter_are_lines_of_their_own(
     levels = [float(np.asarray(line.get_ydata(), float)[0]) for line in drawn[0].axes[0].get_lines()[-2:]]
     assert levels == pytest.approx([0.04, 0.5])
     assert len(drawn[0].axes[1].get_lines()) == 4  # of returns there is no record
+
+
+def test_a_level_far_above_all_curves_is_named_and_flattens_nothing() -> None:
+    axes = Figure().subplots()
+    axes.plot([0, 1], [0.0, 0.1])
+    draw_references(axes, {"random player": 0.29, "scripted hunter": 0.31}, percent=True)
+    assert [text.get_text() for text in axes.texts] == ["scripted hunter: 31 %, above"]
+    assert axes.get_ylim()[1] < 0.31
+    assert axes.get_legend_handles_labels()[1] == ["random player"]
 
 
 def test_levels_that_differ_between_conditions_are_not_drawn_as_one(
