@@ -26,12 +26,14 @@ class Effect:
 
     Attributes:
         factors: the factors that it joins; one is a main effect.
+        degrees: of freedom: its own, and those that the model leaves to the errors.
         statistic: its F.
         p_value: by permutation; NaN where the design cannot tell it from others.
         share: of the variance that the model leaves without it, what it takes away (partial R²).
     """
 
     factors: tuple[str, ...]
+    degrees: tuple[int, int]
     statistic: float
     p_value: float
     share: float
@@ -80,18 +82,21 @@ def _effect(
     others = np.hstack([constant, *(own for term, own in columns.items() if term != names)])
     reduced, full = _basis(others), _basis(np.hstack([others, columns[names]]))
     gained, left = full.shape[1] - reduced.shape[1], runs.size - full.shape[1]
+    degrees = columns[names].shape[1], left
     if gained < columns[names].shape[1] or gained == 0 or left < 1:
-        return Effect(names, float("nan"), float("nan"), float("nan"))
-    fitted = reduced @ (reduced.T @ runs)
-    residuals = runs - fitted
+        return Effect(names, degrees, float("nan"), float("nan"), float("nan"))
+    residuals = runs - reduced @ (reduced.T @ runs)
     if np.abs(residuals).max() <= 1e-12 * max(1.0, np.abs(runs).max()):
-        return Effect(names, float("nan"), 1.0, float("nan"))
-    samples = np.vstack([residuals, residuals[shuffles]]) + fitted  # (1 + draws, runs)
+        return Effect(names, degrees, float("nan"), 1.0, float("nan"))
+    # What is fitted lies in both models, and so takes no part in what either leaves.
+    samples = np.vstack([residuals, residuals[shuffles]])  # (1 + draws, runs)
+    tiny = 1e-12 * (residuals**2).sum()
     before = (samples**2).sum(axis=1) - ((samples @ reduced) ** 2).sum(axis=1)
-    after = np.maximum((samples**2).sum(axis=1) - ((samples @ full) ** 2).sum(axis=1), 1e-12 * before)
-    statistic = (before - after) / gained / (after / left)
+    after = np.maximum((samples**2).sum(axis=1) - ((samples @ full) ** 2).sum(axis=1), tiny)
+    taken = np.where(before - after > tiny, before - after, 0.0)  # rounding is no effect
+    statistic = taken / gained / (after / left)
     p_value = float((statistic >= statistic[0] * (1 - 1e-9)).mean())
-    return Effect(names, float(statistic[0]), p_value, float(1 - after[0] / before[0]))
+    return Effect(names, degrees, float(statistic[0]), p_value, float(taken[0] / before[0]))
 
 
 def _basis(columns: np.ndarray) -> np.ndarray:

@@ -8,7 +8,15 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import study_map, study_output, study_plot, study_run, study_summary, study_verify
+from pneuma.cli import (
+    study_effects,
+    study_map,
+    study_output,
+    study_plot,
+    study_run,
+    study_summary,
+    study_verify,
+)
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -41,6 +49,7 @@ app.command()(study_output.publish)
 app.command()(study_summary.summary)
 app.command()(study_summary.collapse)
 app.command()(study_map.robustness)
+app.command()(study_effects.effects)
 app.command()(study_verify.verify)
 
 
