@@ -97,9 +97,18 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
 
 
 def curve_names(data: StudyData) -> list[str]:
-    """Return the names of all curves that a study's data has."""
-    columns = data.run_table(data.runs[0], "evaluations").columns if "evaluations" in data.tables else ()
-    return [*(name for name in EVALUATION_QUANTITIES if name in columns), *data.quantities]
+    """Return the names of all curves that a study's data has.
+
+    Of evaluations those that some run has a value of: the mailman kills nobody.
+    """
+    names = EVALUATION_QUANTITIES if "evaluations" in data.tables else ()
+    held = [name for name in names if any(_has_value(data, run, name) for run in data.runs)]
+    return [*held, *data.quantities]
+
+
+def _has_value(data: StudyData, run: FinishedRun, column: str) -> bool:
+    table = data.run_table(run, "evaluations")
+    return column in table and bool(table[column].notna().any())
 
 
 def study_curves(data: StudyData, name: str, window: str | None = None) -> list[Curve]:

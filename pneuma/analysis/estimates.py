@@ -53,9 +53,14 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
 
 
 def deviation(values: ArrayLike) -> np.ndarray:
-    """Return the sample standard deviation over the last axis, NaN of fewer than two runs."""
+    """Return the sample standard deviation over the last axis, NaN of fewer than two runs.
+
+    Of equal runs it is 0, which the mean's last bit would hide.
+    """
     runs = finite(values)
-    return runs.std(axis=-1, ddof=1) if runs.shape[-1] > 1 else _nothing(runs)
+    if runs.shape[-1] < 2:
+        return _nothing(runs)
+    return np.where(np.ptp(runs, axis=-1) > 0, runs.std(axis=-1, ddof=1), 0.0)
 
 
 def performance_profile(values: ArrayLike, thresholds: ArrayLike) -> np.ndarray:

@@ -176,6 +176,7 @@ def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
     from pneuma.analysis.outcomes import find_outcome
     from pneuma.analysis.rounding import shown_with_interval
 
+    width = _width(data)
     for outcome, rows in table.groupby("outcome", sort=False):
         if outcome in ("runs", "diverged", "collapsed"):
             continue
@@ -186,7 +187,9 @@ def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
                 f"{shown_with_interval(row['value'], row['low'], row['high'])}"
                 for row in own.to_dict("records")
             ]
-            lines.append(f"  {plain(str(condition)):<18} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")
+            lines.append(
+                f"  {plain(str(condition)):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}"
+            )
         yield "\n".join(lines)
     yield "\n".join(_failures(data, table))
 
@@ -194,9 +197,15 @@ def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
 _WORDS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baseline)", "median": "median"}
 
 
+def _width(data: StudyData) -> int:
+    """Return how wide the column of conditions is."""
+    return max(len(plain(condition)) for condition in data.conditions) + 1
+
+
 def _failures(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
     from pneuma.analysis.rounding import shown_with_interval
 
+    width = _width(data)
     yield "share of runs that diverged, and that collapsed (pneuma study collapse)"
     for condition in data.conditions:
         own = table[(table["condition"] == condition) & (table["statistic"] == "share")]
@@ -204,19 +213,22 @@ def _failures(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
             f"{row['outcome']} {shown_with_interval(row['value'], row['low'], row['high'])}"
             for row in own.to_dict("records")
         ]
-        yield f"  {plain(condition):<18} {'  '.join(cells)}"
+        yield f"  {plain(condition):<{width}} {'  '.join(cells)}"
 
 
 def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame) -> None:
+    width = _width(data)
     for row in found[found["collapsed"]].to_dict("records"):
         update = "" if _missing(row["onset_update"]) else f"update {row['onset_update']:,}, "
         after = "" if _missing(row["recovered_step"]) else f"; recovered at step {row['recovered_step']:,}"
         again = " and relearned" if row["relearned"] is True else ""
-        told = f"{plain(row['condition']):<18} seed {row['seed']:<6} {row['run_id']}"
+        told = f"{plain(row['condition']):<{width}} seed {row['seed']:<6} {row['run_id']}"
         print(f"{told}  {update}step {row['onset_step']:,}: {row['signs']}{after}{again}")
     for row in shares.to_dict("records"):
         interval = f", 95 % interval {row['low']:.0%} to {row['high']:.0%}" if row["runs"] else ""
-        print(f"{plain(row['condition']):<18} {row['collapsed']} of {row['runs']} runs collapsed{interval}")
+        print(
+            f"{plain(row['condition']):<{width}} {row['collapsed']} of {row['runs']} runs collapsed{interval}"
+        )
     if found["collapsed"].any():
         print(f"To show the cause: pneuma study collapse {plain(data.study)} --fork")
 

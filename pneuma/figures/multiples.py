@@ -5,7 +5,6 @@ They are placed by hand: a layout engine would take longer over fifty of them th
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -21,11 +20,11 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes
+from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes, worth_of
 from pneuma.figures.quantities import look_of
 from pneuma.figures.sizes import Size
 from pneuma.figures.style import condition_look
-from pneuma.figures.words import Words
+from pneuma.figures.words import Words, wrap_label
 
 OTHERS_COLOUR = "#C4C4C4"
 BASELINE_COLOUR = "#222222"
@@ -55,7 +54,7 @@ def draw_multiples(
     count = max(len(group) for group in curves.values())
     columns = min(size.small_columns, count)
     rows = -(-count // columns)
-    entries = _entries(data, curves)
+    entries = _entries(data, curves, band)
     wanted = rows * size.small_height + 4 * size.line_inches  # the block's title, ticks and label
     low, high = words.put(figure, size, len(curves) * wanted, entries)
     size.check_room(len(curves) * rows, high - low - 4 * size.line_inches * len(curves))
@@ -66,11 +65,13 @@ def draw_multiples(
     return figure
 
 
-def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]]) -> dict[str, Artist]:
+def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str) -> dict[str, Artist]:
     """Return what the legend holds: the lines that every panel has."""
     look = condition_look(0)
+    fewest = min(len(curve.runs) for group in curves.values() for curve in group)
+    worth = worth_of(band, fewest)
     entries = {
-        "the panel's condition": Line2D([], [], **look),
+        f"the panel's condition{f' ({worth})' if worth else ''}": Line2D([], [], **look),
         "the others": Line2D([], [], color=OTHERS_COLOUR),
     }
     if data.record.get("baseline") in data.conditions:
@@ -99,7 +100,7 @@ def _draw_block(
         draw_references(axes, levels.get(curve.condition, {}), look.percent)
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
-        _name(axes, label_of(data, curve, band), size, block.columns)
+        _name(axes, label_of(data, curve), size, block.columns)
     _align(panels, block.columns, look.log)
     bottom = (block.top - block.height) / height
     figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
@@ -144,7 +145,7 @@ def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str 
 def _name(axes: Axes, label: str, size: Size, columns: int) -> None:
     points = size.small_points
     characters = int(size.width * 72 / columns * 0.85 / (0.56 * points))
-    lines = textwrap.wrap(label, characters)
+    lines = wrap_label(label, characters)
     axes.set_title("\n".join(lines), fontsize=points, weight="normal", pad=2, linespacing=1.05)
     axes.tick_params(labelsize=points, length=2, pad=1.5)
 

@@ -58,20 +58,22 @@ def shows_runs(curve: Curve, band: str) -> bool:
     return BANDS[band].edges is None or (len(curve.runs) > 1 and not is_trusted(band, len(curve.runs)))
 
 
-def label_of(data: StudyData, curve: Curve, band: str) -> str:
-    """Return a condition's words in the legend: its name, of how many runs, and what its band is worth."""
+def label_of(data: StudyData, curve: Curve, band: str = "") -> str:
+    """Return a condition's words in the legend: its name, of how many runs, and what a band is worth."""
     runs = data.of_condition(curve.condition)
     longest = max(run.budget for run in runs)  # other conditions may go further
     at_end = sum(run.status == "done" and run.end >= longest for run in runs)
     fewer = f", {at_end} at the end" if at_end < len(runs) else ""
-    return f"{curve.condition} (n = {len(runs)}{fewer}{_worth(band, len(runs))})"
+    worth = worth_of(band, len(runs)) if band else ""
+    return f"{curve.condition} (n = {len(runs)}{fewer}{f'; {worth}' if worth else ''})"
 
 
-def _worth(band: str, runs: int) -> str:
+def worth_of(band: str, runs: int) -> str:
+    """Return how often a band of so many runs covers the mean, where that is too rarely."""
     if runs < 2 or is_trusted(band, runs):
         return ""
     covered = coverage(band, runs)
-    return f"; band covers {covered:.0%} at worst".replace("%", " %") if covered else "; too few for a band"
+    return f"band covers {covered:.0%} at worst".replace("%", " %") if covered else "too few for a band"
 
 
 def draw_references(axes: Axes, levels: Mapping[str, float], percent: bool = False) -> None:

@@ -27,9 +27,11 @@ DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 TYPE_POINTS = 8.0
+HOUSE_FONT = "DejaVu Sans"
+"""It comes with matplotlib, so that words are as wide everywhere."""
 
 _RC: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib
+    "font.family": HOUSE_FONT,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.spines.top": False,

@@ -1,6 +1,7 @@
 """The figure of what a study's runs came to: every run, means with intervals, profiles, improvement.
 
-It shows the share of monsters killed at the end, or the return of logs that hold no evaluations.
+It shows the share of monsters killed at the end, or the return where nobody could be killed or no
+evaluations are held.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.coverage import is_trusted
+from pneuma.analysis.curves import curve_names
 from pneuma.analysis.estimates import performance_profile
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.run_view import common_step
@@ -60,7 +62,7 @@ def draw_summary(
 
 def shown_outcome(data: StudyData) -> str:
     """Return the outcome that is drawn."""
-    return PRIMARY if "evaluations" in data.tables else WITHOUT_EVALUATIONS
+    return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
 
 
 def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> Figure:

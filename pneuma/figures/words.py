@@ -11,11 +11,14 @@ from dataclasses import dataclass
 
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 
 from pneuma.figures.sizes import Size
+from pneuma.figures.style import HOUSE_FONT
 
-_HANDLE_CHARACTERS = 8
-"""Width of a legend entry beside its text."""
+_HANDLE, _HANDLE_GAP, _COLUMN_GAP = 3.2, 0.8, 1.4
+"""Widths of a legend's entry beside its text, in sizes of type."""
 _HEADLINE, _CAPTION = 1.25, 0.78
 """Sizes of type, in that of the figure."""
 
@@ -49,9 +52,10 @@ class Words:
             From where to where the panels may reach, in inches from below; a constrained layout knows.
         """
         points, line = size.type_points, size.line_inches
+        entries = {_wrapped(label, size): artist for label, artist in entries.items()}
         heading = textwrap.wrap(self.headline, size.characters(_HEADLINE * points)) or [""]
         columns = legend_columns(size, list(entries))
-        rows = -(-len(entries) // columns) + bool(self.legend_title and entries)
+        rows = _rows(list(entries), columns) + bool(self.legend_title and entries)
         above = line * (_HEADLINE * len(heading) + 1.02 * rows) + 0.06
         lines = textwrap.wrap(" ".join(self.caption), size.characters(_CAPTION * points))
         below = len(lines) * _CAPTION * points * 1.4 / 72 + 0.1
@@ -85,20 +89,52 @@ class Words:
             ncols=columns,
             title=self.legend_title or None,
             alignment="left",
-            handlelength=3.2,
-            columnspacing=1.4,
+            handlelength=_HANDLE,
+            handletextpad=_HANDLE_GAP,
+            columnspacing=_COLUMN_GAP,
             labelspacing=0.3,
             borderpad=0.1,
             borderaxespad=0.3,
         )
 
 
+def wrap_label(label: str, characters: int) -> list[str]:
+    """Break a condition's label into lines; "n = 3" stays whole."""
+    unbroken = label.replace(" = ", "\u00a0=\u00a0")
+    return [line.replace("\u00a0", " ") for line in textwrap.wrap(unbroken, characters)]
+
+
 def legend_columns(size: Size, labels: Sequence[str]) -> int:
     """Return the number of columns that need fewest rows, each as wide as its longest label."""
-    room = size.characters(size.type_points)
     for rows in range(1, len(labels) + 1):
         columns = -(-len(labels) // rows)
         filled = [labels[first : first + rows] for first in range(0, len(labels), rows)]
-        if sum(max(map(len, column)) + _HANDLE_CHARACTERS for column in filled) <= room:
+        widths = [max(_entry_points(label, size) for label in column) for column in filled]
+        if len(filled) == columns and sum(widths) <= _room_points(size):
             return columns
     return 1
+
+
+def _rows(labels: Sequence[str], columns: int) -> int:
+    """Return the lines that a legend takes; only where it has one column are there labels of several."""
+    return sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
+
+
+def _wrapped(label: str, size: Size) -> str:
+    """Return a legend's label, broken into lines where it is wider than the figure."""
+    for characters in range(len(label), 9, -1):
+        lines = "\n".join(wrap_label(label, characters))
+        if _entry_points(lines, size) <= _room_points(size):
+            return lines
+    return label
+
+
+def _room_points(size: Size) -> float:
+    return (size.width - 0.1) * 72
+
+
+def _entry_points(label: str, size: Size) -> float:
+    """Return how wide an entry of a legend is, with the gap to the next."""
+    font = FontProperties(family=HOUSE_FONT, size=size.type_points)
+    widths = [text_to_path.get_text_width_height_descent(line, font, False)[0] for line in label.split("\n")]
+    return float(max(widths)) + (_HANDLE + _HANDLE_GAP + _COLUMN_GAP) * size.type_points

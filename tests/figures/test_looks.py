@@ -206,6 +206,27 @@ def test_a_band_that_covers_too_rarely_is_drawn_with_its_runs_and_marked(
     assert _thin_lines(drawn[1].axes[1]) == 0
 
 
+def test_what_no_run_has_a_value_of_is_not_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
+    mail = HandMade(tmp_path)
+    mail.add("rate-1", 0, evaluations=(NAN,) * 4)
+    mail.draw(tmp_path, formats=("svg",))
+    assert [axes.get_title(loc="left") for axes in drawn[0].axes] == ["Return in training"]
+    with pytest.raises(UserError, match="holds no share_killed; its curves are: "):
+        mail.draw(tmp_path, quantities=("share_killed",))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_long_names_fit_into_the_legend(tmp_path: Path, drawn: list[Figure], size: str) -> None:
+    study = HandMade(tmp_path)
+    for rate in ("1e-4", "3e-4", "1e-3"):
+        study.add(f"learning_rate={rate}, reward=thesis, scale=unit, stationary", 0)
+    study.draw(tmp_path, size=size, formats=("png",))
+    (legend,) = drawn[0].legends
+    box, room = legend.get_window_extent(), drawn[0].bbox
+    assert box.x0 >= 0 and box.x1 <= room.width
+    assert box.y0 >= max(axes.get_tightbbox().y1 for axes in drawn[0].axes)  # type: ignore[union-attr]
+
+
 def test_every_run_can_be_drawn_in_place_of_a_band(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
