@@ -55,5 +55,5 @@ def test_no_runs_and_one_run_give_no_made_up_number() -> None:
 def test_equal_runs_have_no_deviation_at_all() -> None:
     """Ten times 0.3 have a mean of 0.29999999999999993, from which NumPy's deviation is 6e-17."""
     assert np.std(np.full(10, 0.3), ddof=1) > 0
-    assert deviation(np.full(10, 0.3)) == 0
-    np.testing.assert_array_equal(deviation([[0.3] * 10, [0.0, 2.0] * 5])[0], 0)
+    assert estimates.deviation(np.full(10, 0.3)) == 0
+    np.testing.assert_array_equal(estimates.deviation([[0.3] * 10, [0.0, 2.0] * 5])[0], 0)
