@@ -17,11 +17,10 @@ from safetensors.numpy import save
 
 import pneuma
 from pneuma.analysis.tables import StudyData
-from pneuma.cli import main
+from pneuma.cli import main, study_plot
 from pneuma.config import as_settings, make_run
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
-from pneuma.figures import curves
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.files import checksum, seal
 from pneuma.study.plan import Selection
@@ -293,11 +292,11 @@ def test_a_figure_replaces_a_link_and_leaves_what_it_leads_to(
     (store.root / "figures" / "mine.png").symlink_to(precious)
     store.save_selection("mine", {**RECORD, "runs": [CELL]})
 
-    def draw(data: StudyData, folder: Path, *_: object) -> list[Path]:
+    def draw(data: StudyData, folder: Path, *_: object) -> tuple[list[Path], dict[str, str]]:
         (folder / "mine.png").write_bytes(b"drawn")
-        return [folder / "mine.png"]
+        return [folder / "mine.png"], {"figure": "curves"}
 
-    monkeypatch.setattr(curves, "draw_study", draw)
+    monkeypatch.setattr(study_plot, "_draw_curves", draw)
     assert called("study", "plot", "mine", "--results", store.root)[0] == 0
     assert precious.read_bytes() == b"mine"
     assert (store.root / "figures" / "mine.png").read_bytes() == b"drawn"
