@@ -21,6 +21,9 @@ from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 
+RISEN = 0.1
+"""The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -30,11 +33,13 @@ class Arm:
         values: (seeds,) the outcome of each run that counts, in the order of the seeds.
         run_ids: of the same runs.
         blank: why a run has no value; empty where all have one.
+        idle: that the arm never rose above the random player, where the outcome supposes that; else empty.
     """
 
     values: np.ndarray
     run_ids: tuple[str, ...]
     blank: str = ""
+    idle: str = ""
 
 
 class ClaimRuns:
@@ -189,7 +194,12 @@ class ClaimRuns:
             if not np.isfinite(value) and not blank:
                 why = reason(data, run, claim.outcome, at_step) or f"its {claim.outcome} is {value}"
                 blank = f"{condition} seed {run.seed}: {why}"
-        return Arm(values, tuple(run.run_id for run in runs), blank)
+        idle = ""
+        if find_outcome(claim.outcome).supposes_rise:
+            best = np.array([outcome(data, run, "best-score", at_step) for run in runs], float)
+            if (best > RISEN).mean() <= 0.5:
+                idle = f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"
+        return Arm(values, tuple(run.run_id for run in runs), blank, idle)
 
 
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:

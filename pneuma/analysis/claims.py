@@ -18,7 +18,7 @@ from typing import Any
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.verdicts import DIRECTIONS
+from pneuma.analysis.verdicts import DIRECTIONS, NEEDS
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
 from pneuma.study.files import checksum
@@ -31,7 +31,7 @@ FIGURES = ("start", "best", "end", "length", "hours", "steps_per_second")
 
 _KEYS = (
     "quote", "section", "study", "a", "b", "value", "outcome", "above", "below", "kind", "direction",
-    "only", "margin", "seeds", "steps", "settings", "logs", "note",
+    "only", "margin", "need", "untestable", "seeds", "steps", "settings", "logs", "note",
 )  # fmt: skip
 _NEEDED = ("quote", "section", "study", "a", "outcome", "kind", "direction")
 
@@ -67,7 +67,7 @@ class Claim:
         quote: the words that it is, or a part of them.
         section: of the thesis.
         study: what tests it.
-        a, b: conditions; every one of a is held against every one of b, and all must be as claimed.
+        a, b: conditions; every one of a is held against every one of b.
         value: a constant that a is held against in place of b.
         outcome: a name of `pneuma.analysis.outcomes`.
         event: what is counted, for an incidence.
@@ -75,6 +75,8 @@ class Claim:
         kind: one of `KINDS`.
         direction: of `DIRECTIONS`: what a is beside b.
         margin: within what a difference counts as none; see `contrasts.compare`.
+        need: of `NEEDS`: whether all contrasts must be as claimed, or any.
+        untestable: why no runs of ours can tell; empty where they can.
         seeds, steps: of each condition, fixed beforehand.
         settings: those of `SETTINGS` that it is about.
         logs: what the published logs have on it.
@@ -94,6 +96,8 @@ class Claim:
     kind: str
     direction: str
     margin: float | None
+    need: str
+    untestable: str
     seeds: Mapping[str, tuple[int, ...]]
     steps: Mapping[str, int]
     settings: tuple[str, ...]
@@ -161,7 +165,7 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
             raise file.mistake(where, f"the key {key!r} is missing")
     texts = {
         key: _text(file, where, table, key)
-        for key in ("quote", "section", "study", "outcome", "only", "note")
+        for key in ("quote", "section", "study", "outcome", "only", "untestable", "note")
     }
     study = _study(file, where, texts["study"])
     fixed = read_fixed_runs(file, where, study)
@@ -184,6 +188,7 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
         kind=kind,
         direction=direction,
         margin=_margin(file, where, table, kind, direction),
+        need=_choice(file, where, {"need": "all", **table}, "need", NEEDS),
         seeds=fixed.seeds,
         steps=fixed.steps,
         settings=fixed.settings,
@@ -246,7 +251,7 @@ def _margin(
     file: TomlFile, where: Where, table: Mapping[str, Any], kind: str, direction: str
 ) -> float | None:
     margin = _number(file, where, table, "margin")
-    if margin is None and direction == "equal":
+    if margin is None and direction in ("equal", "not-less"):
         raise file.mistake(where, "the key 'margin' is missing: within it, a difference counts as none")
     least = 1 if kind == "spread" else 0
     if margin is not None and margin <= least:

@@ -41,7 +41,7 @@ class Contrast:
         p_equivalent: that it is within the margin on both sides; 1 where there is no margin.
         seeds: runs of a and of b; 0 for a constant.
         reason: what hinders a conclusion, in words; empty where nothing does.
-        smallest_p: the smallest one-sided p-value that so many runs can give.
+        smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
     """
 
     kind: str
@@ -52,7 +52,8 @@ class Contrast:
     p_equivalent: float
     seeds: tuple[int, int]
     reason: str = ""
-    smallest_p: float = 0.0
+    smallest_greater: float = 0.0
+    smallest_less: float = 0.0
 
     @property
     def p_different(self) -> float:
@@ -153,8 +154,9 @@ def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None) -> Contrast:
     found = two_arms.incidence_p_values(counts_a, a.size, counts_b, b.size, margin)
     interval = intervals.incidence_difference_interval(counts_a[0], a.size, counts_b[0], b.size)
     most = two_arms.incidence_p_values(np.array([a.size]), a.size, np.array([0]), b.size, None)
-    seeds, smallest = (a.size, b.size), float(most.greater[0])
-    return _contrast("incidence", _effect("incidence", a, b), interval, found, seeds, smallest)
+    least = two_arms.incidence_p_values(np.array([0]), a.size, np.array([b.size]), b.size, None)
+    seeds, smallest = (a.size, b.size), (float(most.greater[0]), float(least.less[0]))
+    return _contrast("incidence", _effect("incidence", a, b), interval, found, seeds, *smallest)
 
 
 def _one_sample(
@@ -189,16 +191,23 @@ def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Con
         )
     one_sided = (above(count, runs.size, value), below(count, runs.size, value), equivalent)
     found = PValues(*(np.array([p]) for p in one_sided))
-    smallest = min(above(runs.size, runs.size, value), below(0, runs.size, value))
-    return _contrast("incidence", float(runs.mean() - value), interval, found, (runs.size, 0), smallest)
+    smallest = (above(runs.size, runs.size, value), below(0, runs.size, value))
+    return _contrast("incidence", float(runs.mean() - value), interval, found, (runs.size, 0), *smallest)
 
 
 def _contrast(
-    kind: str, effect: float, interval: Interval, found: PValues, seeds: tuple[int, int], smallest: float
+    kind: str,
+    effect: float,
+    interval: Interval,
+    found: PValues,
+    seeds: tuple[int, int],
+    smallest_greater: float,
+    smallest_less: float | None = None,
 ) -> Contrast:
-    """Return the contrast of one sample."""
+    """Return the contrast of one sample; both directions have the same smallest p unless it is given."""
     one_sided = (float(found.greater[0]), float(found.less[0]), float(found.equivalent[0]))
-    return Contrast(kind, effect, interval, *one_sided, seeds, _reason(smallest), smallest)
+    smallest = (smallest_greater, smallest_greater if smallest_less is None else smallest_less)
+    return Contrast(kind, effect, interval, *one_sided, seeds, _reason(min(smallest)), *smallest)
 
 
 def _count(runs: np.ndarray) -> int:
@@ -219,7 +228,7 @@ def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _undecided(kind: str, effect: float, seeds: tuple[int, int], reason: str) -> Contrast:
-    return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0)
+    return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
 
 
 def _too_few(seeds: tuple[int, ...], fewest: int) -> str:

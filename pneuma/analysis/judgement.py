@@ -10,7 +10,7 @@ whatever is asked for and whatever has been run, the chance of any false verdict
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.log_contrasts import compare_logs
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.power import seeds_needed
-from pneuma.analysis.verdicts import INCONCLUSIVE, REFUTED, SUPPORTED, judge_list
+from pneuma.analysis.verdicts import INCONCLUSIVE, REFUTED, SUPPORTED, judge_list, smallest_p, together
 from pneuma.config import stream_seed
 from pneuma.study.spec import SETTINGS
 from pneuma.study.store import Store
@@ -78,16 +78,18 @@ class Judged:
 
     @property
     def told(self) -> Pair | None:
-        """The contrast that decides: the first with the claim's verdict, the least sure where all have it."""
+        """The contrast that decides: the surest where one is enough for the verdict, else the least sure."""
         deciding = [pair for pair in self.pairs if pair.verdict == self.verdict] or [*self.pairs]
-        return max(deciding, key=lambda pair: pair.p) if deciding else None
+        one_is_enough = self.verdict == (REFUTED if self.claim.need == "all" else SUPPORTED)
+        return (min if one_is_enough else max)(deciding, key=lambda pair: pair.p, default=None)
 
     @property
     def seeds_needed(self) -> int | None:
-        """Seeds per arm that all its open contrasts need, where that is known of each."""
+        """Seeds per arm that its open contrasts need, all or any as the claim does, where known of each."""
         needed = [pair.seeds_needed for pair in self.pairs if pair.verdict == INCONCLUSIVE]
         known = [count for count in needed if count is not None]
-        return max(known) if known and len(known) == len(needed) else None
+        most = max if self.claim.need == "all" else min
+        return most(known) if known and len(known) == len(needed) else None
 
     @property
     def run_ids(self) -> list[str]:
@@ -143,12 +145,12 @@ def _contrasts(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> 
 def _pair(claim: Claim, setting: str, runs: ClaimRuns, a: str, b: str | None) -> Pair:
     """Return a claim's contrast of two arms, or of one with a number."""
     told = f"{claim.value:g}" if b is None else b
-    reason = runs.hindrance(claim, setting, a, b)
+    reason = claim.untestable or runs.hindrance(claim, setting, a, b)
     if reason:
         return Pair(a, told, _none(claim, reason), runs.known_ids(claim, setting, a, b))
     arms = [runs.arm(claim, setting, name) for name in (a, b) if name is not None]
     run_ids = tuple(run_id for arm in arms for run_id in arm.run_ids)
-    reason = _blank(arms) or _at_an_end(claim, arms)
+    reason = _first(arm.blank or arm.idle for arm in arms) or _at_an_end(claim, arms)
     if reason:
         seeds = arms[0].values.size, arms[1].values.size if len(arms) > 1 else 0
         return Pair(a, told, replace(_none(claim, reason), seeds=seeds), run_ids)
@@ -170,8 +172,8 @@ def _counted(claim: Claim, values: np.ndarray) -> np.ndarray:
     return over.astype(float)
 
 
-def _blank(arms: Sequence[Arm]) -> str:
-    return next((arm.blank for arm in arms if arm.blank), "")
+def _first(reasons: Iterable[str]) -> str:
+    return next(filter(None, reasons), "")
 
 
 def _at_an_end(claim: Claim, arms: Sequence[Arm]) -> str:
@@ -192,23 +194,26 @@ def _at_an_end(claim: Claim, arms: Sequence[Arm]) -> str:
 
 
 def _none(claim: Claim, reason: str) -> Contrast:
-    return Contrast(claim.kind, float("nan"), no_interval(), 1.0, 1.0, 1.0, (0, 0), reason, 1.0)
+    return Contrast(claim.kind, float("nan"), no_interval(), 1.0, 1.0, 1.0, (0, 0), reason, 1.0, 1.0)
 
 
 # --- Verdicts ------------------------------------------------------------------------------------
 
 
 def _decided(pair: Pair, claim: Claim, left: int) -> Pair:
-    """Call a contrast untestable that has a reason, or that no p-value of so few runs could have decided.
+    """Call a contrast untestable that has a reason, or that no p-value of so few runs could have supported.
 
     Args:
         pair: with the verdict of the list.
         claim: whose it is.
         left: contrasts of the list that are not decided: by their number Holm multiplies the next p-value.
     """
-    smallest = pair.contrast.smallest_p * (1 if claim.margin else 2)  # of equivalence, or of two sides
+    smallest = smallest_p(pair.contrast, claim.direction)
     if pair.verdict == INCONCLUSIVE and not pair.contrast.reason and smallest * left > ALPHA:
-        told = f"too few seeds: the smallest p possible is {smallest:.2g}, and {left} contrasts are open"
+        told = (
+            f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}, "
+            f"and {left} contrasts are open"
+        )
         return replace(pair, verdict=UNTESTABLE, contrast=replace(pair.contrast, reason=told))
     return replace(pair, verdict=UNTESTABLE) if pair.contrast.reason else pair
 
@@ -228,14 +233,9 @@ def _planned(
 
 
 def _judged(claim: Claim, place: str, pairs: tuple[Pair, ...]) -> Judged:
-    """Return a claim's verdict: refuted by one contrast, supported by all, and else not decided."""
+    """Return a claim's verdict by those on its contrasts; without one, untestable if a contrast is."""
     verdicts = [pair.verdict for pair in pairs]
-    if REFUTED in verdicts:
-        verdict = REFUTED
-    elif UNTESTABLE in verdicts:
-        verdict = UNTESTABLE
-    else:
-        verdict = SUPPORTED if all(own == SUPPORTED for own in verdicts) else INCONCLUSIVE
+    verdict = together(verdicts, claim.need) or (UNTESTABLE if UNTESTABLE in verdicts else INCONCLUSIVE)
     reasons = dict.fromkeys(pair.contrast.reason for pair in pairs if pair.contrast.reason)
     reason = "; ".join(reasons) if verdict == UNTESTABLE else ""
     return Judged(claim, place, verdict, reason, pairs)

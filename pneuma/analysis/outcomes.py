@@ -40,6 +40,7 @@ class Outcome:
         bounds: least and greatest value that it can take, for a look at floor and ceiling.
         source: what it is taken from: a table, a quantity, 'signs' of collapse, or 'times'.
         measure: gives the number.
+        supposes_rise: whether it is 0 of a run that never learned anything, and tells of others alone.
     """
 
     words: str
@@ -48,6 +49,7 @@ class Outcome:
     bounds: tuple[float, float]
     source: str
     measure: Callable[[RunView], float]
+    supposes_rise: bool = False
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
@@ -238,6 +240,11 @@ def _from_share(
     return Outcome(words, "share", better, bounds, "evaluations", measure)
 
 
+def _of_risen(words: str, measure: Callable[[RunView], float]) -> Outcome:
+    """Return an outcome that is 0 of a run that never learned anything."""
+    return Outcome(words, "share", "lower", SHARE, "evaluations", measure, supposes_rise=True)
+
+
 def _trained(
     words: str,
     quantity: str,
@@ -295,9 +302,9 @@ OUTCOMES: dict[str, Outcome] = {
     "relearned": Outcome(
         "a collapsed run played as before again (1) or not (0)", "", "higher", SHARE, "signs", _relearned
     ),
-    "fall-from-best": _from_share("best evaluation less the last, in monsters killed", _fall, "lower"),
-    "curve-roughness": _from_share(
-        "ups and downs of monsters killed beyond the net change, per evaluation", _roughness, "lower"
+    "fall-from-best": _of_risen("best evaluation less the last, in monsters killed", _fall),
+    "curve-roughness": _of_risen(
+        "ups and downs of monsters killed beyond the net change, per evaluation", _roughness
     ),
     "wall-seconds": Outcome("time that training took", "s", "lower", POSITIVE, "times", _wall_seconds),
     "steps-per-second": Outcome(

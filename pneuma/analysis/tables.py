@@ -104,8 +104,11 @@ class Source(Protocol):
 
 
 def told_seconds(provenance: Mapping[str, Any]) -> float | None:
-    """Return how long a run trained, as its provenance, which may be a stranger's, tells."""
-    seconds = provenance.get("wall_seconds")
+    """Return how long a run trained, as its provenance, which may be a stranger's, tells.
+
+    Without loading and compiling, where that is told apart.
+    """
+    seconds = provenance.get("training_seconds", provenance.get("wall_seconds"))
     return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
 
 

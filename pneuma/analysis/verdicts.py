@@ -6,6 +6,12 @@ whatever the truth. With no difference only the two-sided test can err. With one
 the wrong direction can, at half that rate. At the margin or beyond it, equivalence errs, and so does
 the wrong direction, but where that one is significant the test against the near margin is too: both
 errors lie within that one test's.
+
+A claim on several contrasts speaks of all of them, or of any. With all, it is supported where every
+contrast is, and refuted where one is; with any, the other way round. A claim's verdict is false only where
+that on one of its contrasts is: in a true claim on all, none can be refuted truly; in a false one, some
+contrast is not as claimed, and can be supported only falsely. For any, the same with both words exchanged.
+Every contrast keeps its own place in Holm's family, so the bound on false verdicts holds for claims too.
 """
 
 from __future__ import annotations
@@ -16,7 +22,12 @@ from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.corrections import holm
 
 SUPPORTED, REFUTED, INCONCLUSIVE = "supported", "refuted", "inconclusive"
-DIRECTIONS = ("greater", "less", "different", "equal")
+DIRECTIONS = ("greater", "less", "different", "equal", "not-less")
+_SUPPORTED_BY = {"different": ("greater", "less"), "not-less": ("greater", "equal")}
+"""What a contrast must show, where that is not the direction itself."""
+
+NEEDS = ("all", "any")
+"""Of how many of its contrasts a claim speaks."""
 
 
 def judge_list(contrasts: Sequence[tuple[Contrast, str]], alpha: float = 0.05) -> list[str]:
@@ -44,11 +55,37 @@ def found(contrast: Contrast) -> str:
     return "greater" if contrast.p_greater < contrast.p_less else "less"
 
 
-def _verdict(shown: str | None, claimed: str) -> str:
+def together(verdicts: Sequence[str], need: str) -> str:
+    """Return the verdict on a claim by those on its contrasts; empty where some of them is neither.
+
+    Args:
+        verdicts: of each contrast, at least one.
+        need: one of `NEEDS`.
+    """
+    by_one, by_all = (REFUTED, SUPPORTED) if need == "all" else (SUPPORTED, REFUTED)
+    if by_one in verdicts:
+        return by_one
+    return by_all if all(own == by_all for own in verdicts) else ""
+
+
+def smallest_p(contrast: Contrast, claimed: str) -> float:
+    """Return the smallest p-value by which so many runs can support a claimed direction.
+
+    For equivalence it is a lower bound.
+    """
+    one_sided = {"greater": contrast.smallest_greater, "less": contrast.smallest_less}
+    least = min(one_sided.values())
+    return min(2 * one_sided[way] if way in one_sided else least for way in _supporting(claimed))
+
+
+def _supporting(claimed: str) -> tuple[str, ...]:
     if claimed not in DIRECTIONS:
         raise ValueError(f"a claimed direction of {claimed!r}; there are " + ", ".join(DIRECTIONS))
+    return _SUPPORTED_BY.get(claimed, (claimed,))
+
+
+def _verdict(shown: str | None, claimed: str) -> str:
+    supporting = _supporting(claimed)
     if shown is None:
         return INCONCLUSIVE
-    if shown == claimed or (claimed == "different" and shown != "equal"):
-        return SUPPORTED
-    return REFUTED
+    return SUPPORTED if shown in supporting else REFUTED

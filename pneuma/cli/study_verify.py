@@ -82,6 +82,7 @@ def _document(one: Judged) -> dict[str, Any]:
         "kind": claim.kind,
         "direction": claim.direction,
         "margin": claim.margin,
+        "need": claim.need,
         "contrasts": [_contrast(own) for own in one.pairs],
         "run_ids": one.run_ids,
     }

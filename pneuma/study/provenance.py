@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -37,20 +37,38 @@ class Attempt:
         started: when.
         clock: `time.perf_counter` then.
         threads: of each worker.
+        start: the step that it went on from.
+        first: `time.perf_counter` and the step after its first update, before which programs are loaded and
+            compiled; None until then.
     """
 
     started: datetime
     clock: float
     threads: int
+    start: int = 0
+    first: tuple[float, int] | None = None
+
+    def updated(self, step: int) -> Attempt:
+        """Return the attempt after an update, the first of which is noted."""
+        return self if self.first else replace(self, first=(time.perf_counter(), step))
 
     def so_far(self, step: int | None) -> dict[str, Any]:
         """Return what is to be told of this attempt at a step, None where that stands elsewhere."""
         return {
             "started": self.started.astimezone(UTC).isoformat(timespec="seconds"),
             "wall_seconds": round(time.perf_counter() - self.clock, 3),
+            "training_seconds": round(self._training_seconds(step), 3),
             "step": step,
             "machine": machine(self.threads),
         }
+
+    def _training_seconds(self, step: int | None) -> float:
+        """Return the time without start-up: of all updates at the pace that those after the first had."""
+        now = time.perf_counter()
+        if self.first is None or step is None or step <= self.first[1]:
+            return now - self.clock
+        clock, first = self.first
+        return (now - clock) * (step - self.start) / (step - first)
 
     @staticmethod
     def now() -> str:
@@ -72,10 +90,17 @@ def finished_provenance(
     return {
         "started": attempts[0]["started"],
         "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
+        "training_seconds": round(sum(map(_training_seconds, attempts)), 3),
         **attempts[-1]["machine"],
         "resumes": history["resumes"],
         "attempts": attempts,
     }
+
+
+def _training_seconds(attempt: Mapping[str, Any]) -> float:
+    """Return what an attempt tells, which may be an older version's that timed all together."""
+    told = attempt.get("training_seconds")
+    return float(told if isinstance(told, int | float) else attempt["wall_seconds"])
 
 
 def machine(threads: int) -> dict[str, Any]:

@@ -157,13 +157,15 @@ def _train_once(
     """Train a run, from its latest checkpoint where there is one, and store how it ended."""
     engine = load_engine(run.engine)  # first, because a checkpoint's device is compared with its own
     start = resume.latest()
-    attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS)
+    attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS, start.step if start else 0)
 
     def tell(text: str) -> None:
         reporter.send("passing", name, text=text)
 
     def update(progress: Progress) -> bool:
+        nonlocal attempt
         compiling.done()
+        attempt = attempt.updated(progress.step)
         reporter.step(name, progress.step)
         resume.update(progress, attempt, stop.is_set())
         return not stop.is_set()

@@ -78,12 +78,12 @@ def write_files(folder: Path, claims: str = CLAIMS, study: str = STUDY) -> Path:
 def save_runs(
     store: Store,
     folder: Path,
-    shares: Mapping[str, Sequence[float]],
+    shares: Mapping[str, Sequence[float | Sequence[float]]],
     steps: int = STEPS,
     setting: str = "text",
     **provenance: object,
 ) -> list[str]:
-    """Store a run for each share killed at its last evaluation, seed by seed; return the runs' ids."""
+    """Store a run for each share killed, as `save_run` takes it, seed by seed; return the runs' ids."""
     study = load_study(str(folder / "mine.toml"), setting)
     ids = []
     for condition, values in shares.items():
@@ -94,14 +94,22 @@ def save_runs(
     return ids
 
 
-def save_run(store: Store, run_id: str, share: float, steps: int, **provenance: object) -> None:
-    """Store a run of one evaluation."""
-    evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "step": steps, "episodes": 50, "argmax_starts": 1}
+def save_run(
+    store: Store, run_id: str, shares: float | Sequence[float], steps: int, **provenance: object
+) -> None:
+    """Store a run of one evaluation, or of several at even steps, whose score is what they kill."""
+    curve = shares if isinstance(shares, Sequence) else [shares]
+    share = curve[-1]
+    evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "episodes": 50, "argmax_starts": 1}
+    evaluations = [
+        {**evaluation, "step": steps * k // len(curve), "share_killed": own, "score": own}
+        for k, own in enumerate(curve, start=1)
+    ]
     episode = {"slot": 0, "episode": 0, "step": steps, "length": 9, "kills": 1, "hp": 1.0, "ending": "killed"}
     tables = {
         "episodes": to_parquet([{**episode, "return": share}], EPISODE_COLUMNS),
         "metrics": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 1.0), "step": steps}], METRIC_COLUMNS),
-        "evaluations": to_parquet([{**evaluation, "share_killed": share}], EVALUATION_COLUMNS),
+        "evaluations": to_parquet(evaluations, EVALUATION_COLUMNS),
     }
     files = {f"{name}.parquet": data for name, data in tables.items()}
     files["provenance.json"] = to_json({"wall_seconds": 1 + share, "cpu": "a", "threads": 1, **provenance})

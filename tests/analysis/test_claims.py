@@ -5,11 +5,15 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pneuma.analysis.claims import Claim, Event, LogContrast, load_claims
+from pneuma.analysis.contrasts import compare, compare_with
+from pneuma.analysis.judgement import ALPHA
 from pneuma.analysis.log_contrasts import run_to_run_deviation
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.verdicts import smallest_p
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study, studies_folder
@@ -17,6 +21,7 @@ from pneuma.study.spec import load_study, studies_folder
 from .claim_files import CLAIMS, write_files
 
 SHIPPED = load_claims()
+FAMILY = sum(len(own.settings) * len(own.pairs) + len(own.logs) for own in SHIPPED.claims.values())
 SECTIONS = ("3.1", "3.2", "3.3", "4", "4.2", "4.3", "4.4", "5.2", "5.3", "5.5", "6", "6.1", "6.2", "6.3")
 
 
@@ -60,6 +65,8 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "margin out of range": ("margin = 0.04", "margin = 0", 23, ("margin = 0", "above 0")),
     "margin of a ratio": ('"mean"', '"spread"', 23, ("margin = 0.04", "above 1 for spread")),
     "margin of a wrong type": ("margin = 0.04", 'margin = "0.04"', 23, ('margin = "0.04"', "a number")),
+    "unknown need": ("margin = 0.04", 'margin = 0.04\nneed = "one"', 24, ("need", "all, any")),
+    "not less without margin": ('"greater"\nmargin = 0.04', '"not-less"', 14, ("'margin'", "missing")),
     "unknown setting": ('["text"]', '["txet"]', 24, ("settings", "text, godot")),
     "no quote": ('quote = "a quote"\n', "", 14, ("'quote'", "missing")),
     "an empty quote": ('"a quote"', '""', 15, ("quote", "a text")),
@@ -116,6 +123,20 @@ def test_no_shipped_claim_compares_what_is_the_same(claim: Claim) -> None:
         study = load_study(claim.study, setting)
         for a, b in claim.pairs:
             assert b is None or study.settings(a) != study.settings(b)
+
+
+@pytest.mark.parametrize("claim", SHIPPED.claims.values(), ids=SHIPPED.claims.keys())
+def test_the_fixed_runs_of_a_shipped_claim_could_support_it(claim: Claim) -> None:
+    """Were every other contrast of the list still open, the best runs there can be would be enough."""
+    generator = np.random.default_rng(1)
+    for a, b in claim.pairs:
+        runs = [generator.permutation(len(claim.seeds[name])) % 2 for name in (a, b) if name is not None]
+        if b is None:
+            found = compare_with(claim.kind, runs[0], claim.value or 0.0, claim.margin, generator)
+        else:
+            found = compare(claim.kind, runs[0], runs[1], claim.margin, generator)
+        assert found.reason == ""
+        assert smallest_p(found, claim.direction) * FAMILY <= ALPHA
 
 
 def test_margins_are_half_a_monster_and_a_ratio_of_one_and_a_half() -> None:

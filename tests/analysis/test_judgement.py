@@ -228,6 +228,30 @@ def test_arms_at_the_floor_or_ceiling(share: float, end: str, store: Store, tmp_
     assert f"both arms are at the {end}" in _untestable(store, tmp_path, ('"greater"', '"equal"'))
 
 
+def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: Path) -> None:
+    """Those that learn go up and down; of the flat ones half rise above the random player, then one more."""
+    write_files(tmp_path)
+    changes = ('"final-share-killed"', '"curve-roughness"'), ('"greater"', '"less"')
+    rough = [[0.2, 0.6, share] for share in LOW]
+    flat = [[0.0, 0.0, 0.0]] * 4
+    save_runs(store, tmp_path, {"high": [*flat, *[[0.1, 0.2, 0.3]] * 4], "low": rough})
+    reason = _untestable(store, tmp_path, *changes)
+    assert reason == "arm at floor: half the runs of high or more never score above 0.1"
+    risen = Store(tmp_path / "risen")
+    save_runs(risen, tmp_path, {"high": [*flat[1:], *[[0.1, 0.2, 0.3]] * 5], "low": rough})
+    assert _one(risen, tmp_path, _changed(*changes)).verdict == "supported"
+
+
+def test_what_a_claim_says_that_no_run_can_tell(store: Store, tmp_path: Path) -> None:
+    """However clear the runs are; and it keeps its place in the list."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    reason = "confounded: two things differ"
+    assert (
+        _untestable(store, tmp_path, ("margin = 0.04", f'margin = 0.04\nuntestable = "{reason}"')) == reason
+    )
+
+
 def test_runs_without_a_value(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": [*HIGH[:7], float("nan")], "low": LOW})
@@ -287,14 +311,72 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH[:5], "low": LOW[:5]})
     six, seven = (_judge_among(count, store, tmp_path) for count in (6, 7))
-    assert (six.verdict, seven.verdict) == ("supported", "inconclusive")
+    assert (six.verdict, seven.verdict) == ("supported", "untestable")
     assert six.told is not None and six.told.p == pytest.approx(6 * 2 / 252)  # 0.048
     assert seven.told is not None and seven.told.p == pytest.approx(7 * 2 / 252)  # 0.056
 
 
 def test_seeds_may_be_too_few_for_a_list_alone(store: Store, tmp_path: Path) -> None:
-    """The smallest p of equivalence of 5 over 5 runs is 1 in 252: 12 times that is below 0.05."""
+    """The smallest two-sided p of 5 over 5 runs is 2 in 252: 6 times that is below 0.05."""
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": WIDE[:5], "low": WIDE[:5][::-1]})
-    reasons = [_judge_among(count, store, tmp_path).reason for count in (12, 13)]
-    assert reasons == ["", "too few seeds: the smallest p possible is 0.004, and 13 contrasts are open"]
+    reasons = [_judge_among(count, store, tmp_path).reason for count in (6, 7)]
+    told = "too few seeds: the smallest p possible of greater is 0.0079, and 7 contrasts are open"
+    assert reasons == ["", told]
+
+
+def test_seeds_may_be_too_few_in_the_claimed_direction_alone(store: Store, tmp_path: Path) -> None:
+    """No event in 8 runs against a tenth: 2 (0.9^8) = 0.86; 8 of 8 would have been 2 (0.1^8)."""
+    changes = ('"mean"', '"incidence"\nabove = 0.6'), ("margin = 0.04\n", "")
+    counted = _changed(('b = "low"', "value = 0.1"), *changes)
+    write_files(tmp_path, counted)
+    save_runs(store, tmp_path, {"high": LOW})
+    one = _one(store, tmp_path, counted.replace('"greater"', '"less"'))
+    assert one.verdict == "untestable"
+    assert one.reason == "too few seeds: the smallest p possible of less is 0.86, and 1 contrasts are open"
+    assert _one(store, tmp_path, counted).verdict == "inconclusive"
+
+
+# --- Of how many contrasts a claim speaks ------------------------------------------------------------
+
+TOP = [share + 0.7 for share in LOW]
+HOW_MANY = {
+    # name: (need, runs of middle, verdict); high is as claimed, unlike low
+    "all, and both are": ("all", LOW[::-1], "supported"),
+    "all, and one is not": ("all", TOP, "refuted"),
+    "all, and one is open": ("all", WIDE, "inconclusive"),
+    "any, and both are": ("any", LOW[::-1], "supported"),
+    "any, and one is": ("any", TOP, "supported"),
+    "any, and one is open": ("any", WIDE, "supported"),
+}
+
+
+@pytest.mark.parametrize("case", HOW_MANY)
+def test_a_claim_speaks_of_all_its_contrasts_or_of_any(case: str, store: Store, tmp_path: Path) -> None:
+    need, middle, verdict = HOW_MANY[case]
+    claims = _changed(('b = "low"', f'b = ["low", "middle"]\nneed = "{need}"'))
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": middle})
+    assert _one(store, tmp_path, claims).verdict == verdict
+
+
+def test_a_claim_of_any_is_refuted_by_all_alone(store: Store, tmp_path: Path) -> None:
+    claims = _changed(('b = "low"', 'b = ["low", "middle"]\nneed = "any"'), ('"greater"', '"different"'))
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
+    assert _one(store, tmp_path, claims).verdict == "untestable"  # middle has no runs
+    save_runs(store, tmp_path, {"middle": WIDE})
+    assert _one(store, tmp_path, claims).verdict == "inconclusive"
+    equal = Store(tmp_path / "equal")
+    save_runs(equal, tmp_path, {"high": NEAR, "low": LOW, "middle": LOW[::-1]})
+    assert _one(equal, tmp_path, claims).verdict == "refuted"
+
+
+def test_the_contrast_that_is_told_is_the_one_that_decides(store: Store, tmp_path: Path) -> None:
+    """Low lies far off and middle overlaps: where any is enough the surest tells, and else the least sure."""
+    text = ('b = "low"', 'b = ["middle", "low"]\nneed = "any"')
+    write_files(tmp_path)
+    overlapping = [share - 0.03 for share in HIGH]
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": overlapping})
+    one = _one(store, tmp_path, _changed(text))
+    assert one.verdict == "supported" and one.told is not None and one.told.b == "low"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.corrections import holm
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.permutation import relabel
-from pneuma.analysis.verdicts import judge_list
+from pneuma.analysis.verdicts import DIRECTIONS, NEEDS, judge_list, smallest_p, together
 
 
 def contrast(greater: float, less: float, equivalent: float) -> Contrast:
@@ -47,6 +49,31 @@ def test_one_claim(
         ("greater", "less", "different", "equal"), (greater, less, different, equal), strict=True
     ):
         assert judge_list([(contrast(*p), direction)]) == [verdict]
+
+
+def test_not_less_is_greater_or_equal() -> None:
+    shown = {"supported": [(0.02, 0.98, 0.9), (0.4, 0.6, 0.04)], "refuted": [(0.98, 0.02, 0.9)]}
+    for verdict, found in shown.items():
+        for p in found:
+            assert judge_list([(contrast(*p), "not-less")]) == [verdict]
+
+
+def test_the_smallest_p_is_of_the_claimed_direction() -> None:
+    few = Contrast("mean", 0.0, no_interval(), 1, 1, 1, (4, 4), smallest_greater=0.01, smallest_less=0.3)
+    told = {way: smallest_p(few, way) for way in DIRECTIONS}
+    assert told == {"greater": 0.02, "less": 0.6, "different": 0.02, "equal": 0.01, "not-less": 0.01}
+
+
+@pytest.mark.parametrize("truth", [*product((True, False), repeat=3)])
+@pytest.mark.parametrize("need", NEEDS)
+def test_a_claims_verdict_is_false_only_where_a_contrasts_is(truth: tuple[bool, ...], need: str) -> None:
+    """Every combination of three contrasts' truths and verdicts."""
+    is_so = all(truth) if need == "all" else any(truth)
+    for verdicts in product(("supported", "refuted", "inconclusive", "untestable"), repeat=3):
+        verdict = together(verdicts, need)
+        false = verdict == ("refuted" if is_so else "supported")
+        false_ones = ["refuted" if so else "supported" for so in truth]
+        assert not false or any(own == wrong for own, wrong in zip(verdicts, false_ones, strict=True))
 
 
 def test_the_list_is_corrected_as_one() -> None:

@@ -35,6 +35,22 @@ def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> No
     assert (last["started"], last["step"], last["machine"]) == ("2026-01-02T00:00:00+00:00", 1024, machine(1))
 
 
+def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytest.MonkeyPatch) -> None:
+    """20 s of compiling and 2 s of the first 100 steps, then 6 s of 300: 2 s each, so 8 s."""
+    clock = [1000.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+    own = Attempt(datetime(2026, 1, 2, tzinfo=UTC), clock[0], 1, start=600)
+    clock[0] += 22
+    own = own.updated(700)
+    assert own.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
+    clock[0] += 6
+    told = own.updated(1000).so_far(1000)
+    assert (told["wall_seconds"], told["training_seconds"]) == (28, 8)
+    older = {"started": "then", "wall_seconds": 100.0, "step": 600, "machine": {}}
+    about = finished_provenance(own, {"attempts": [older], "resumes": []}, 1000)
+    assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)
+
+
 def test_a_run_without_a_stop_has_one_attempt() -> None:
     about = finished_provenance(attempt(), {"attempts": [], "resumes": []})
     assert [each["started"] for each in about["attempts"]] == [about["started"]]

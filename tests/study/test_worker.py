@@ -110,6 +110,24 @@ def test_a_run_is_timed_by_itself_and_not_with_those_before_it(
     assert told[0] >= 0.5 > told[1]
 
 
+def test_what_an_engine_loads_and_compiles_is_no_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half a second passes before the first update; both of its updates of 256 steps take none."""
+    engine = _Engine()
+    monkeypatch.setattr(worker, "load_engine", lambda _: engine)
+    train = engine.train
+
+    def slow(*arguments: Any) -> Iterator[Result]:
+        time.sleep(0.5)
+        yield from train(*arguments)
+
+    monkeypatch.setattr(engine, "train", slow)
+    _, store, _ = _train(engine, tmp_path, monkeypatch)
+    told = json.loads(store.read_file(run_id(RUNS[0]), "provenance.json"))
+    assert told["wall_seconds"] >= 0.5 > 0.4 > told["training_seconds"]
+
+
 def test_after_a_stop_the_runs_that_wait_are_not_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
