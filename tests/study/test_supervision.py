@@ -236,3 +236,22 @@ def test_a_crash_that_is_not_final_yet_is_gone_on_from_without_being_asked(tmp_p
     store = Store(tmp_path / "results")
     (name,) = store.runs()
     wait_until(lambda: store.status(name).name in ("planned", "partial"), 10.0)
+
+
+def test_a_worker_computes_on_one_thread() -> None:
+    """A large product takes no more of the processors' time than passes, whatever else is going on."""
+    code = """
+import time
+import jax, numpy
+square = numpy.ones((1024, 1024), numpy.float32)
+product = jax.jit(lambda a: a @ a)
+product(square).block_until_ready()
+wall, own = time.perf_counter(), time.process_time()
+for _ in range(20):
+    product(square).block_until_ready()
+print((time.process_time() - own) / (time.perf_counter() - wall))
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=one_thread_environment(), capture_output=True, text=True, check=True
+    )
+    assert float(told.stdout) < 1.2

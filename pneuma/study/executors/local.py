@@ -72,6 +72,7 @@ def one_thread_environment() -> dict[str, str]:
     path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH", "")]))
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     own = {
+        "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
         "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "
         "--xla_gpu_deterministic_ops=true",
         "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU too, whose default is less
