@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
+import math
 import sys
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -87,6 +90,10 @@ SettingName = Annotated[
     ),
 ]
 
+Selected = Selection | None
+"""What `selects` hands to a command; None when no selecting option was given."""
+Answer = TypeVar("Answer")
+
 
 def read_selection(
     preset: str | None,
@@ -111,6 +118,42 @@ def read_selection(
         conditions=tuple(conditions or ()),
         settings=read_settings_options(settings),
     )
+
+
+def selects(command: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Give a command the options that select runs; it gets what they come to as its `selection`.
+
+    Typer makes a command's options from its signature, so they are put there in the place of that parameter.
+    """
+    signature = inspect.signature(command, eval_str=True)
+
+    @functools.wraps(command)
+    def run(**given: Any) -> Answer:
+        selection = read_selection(*(given.pop(option.name) for option in _SELECTING))
+        return command(selection=selection, **given)
+
+    parameters = [
+        own
+        for parameter in signature.parameters.values()
+        for own in (_SELECTING if parameter.name == "selection" else (parameter,))
+    ]
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {own.name: own.annotation for own in parameters}
+    return run
+
+
+_SELECTING = tuple(
+    inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=kind)
+    for name, kind in (
+        ("preset", StudyPreset),
+        ("seeds", Seeds),
+        ("steps", Steps),
+        ("engine", EngineName),
+        ("condition", Conditions),
+        ("set_", Settings),
+    )
+)
+"""The parameters of `read_selection`, as options."""
 
 
 def read_count(option: str, text: str) -> int:
@@ -166,6 +209,11 @@ def _read_value(text: str) -> Any:
         except tomllib.TOMLDecodeError:
             continue
     return text
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return a number, or None for what JSON cannot hold."""
+    return float(value) if math.isfinite(value) else None
 
 
 def print_json(document: object) -> None:

@@ -16,6 +16,7 @@ from pneuma.cli.options import (
     Seeds,
     SettingName,
     Workers,
+    finite_or_none,
     print_json,
     read_count,
     read_seeds_option,
@@ -130,6 +131,7 @@ def _gains(
     from pneuma.analysis.outcomes import outcome_values
     from pneuma.analysis.sources import open_study
     from pneuma.search.promote import BASELINE, WINNER, gain
+    from pneuma.search.record import trial_values
     from pneuma.study.execute import selection_record
 
     data = open_study(store, selection_record(planned))
@@ -139,8 +141,8 @@ def _gains(
         won, lost = (outcome_values(data, arm, objective.outcome) for arm in (WINNER, BASELINE))
         gains[objective.name] = gain(
             objective.over_seeds,
-            _values(chosen)[place],
-            _values(base)[place] if base else float("nan"),
+            trial_values(chosen)[place],
+            trial_values(base)[place] if base else float("nan"),
             won,
             lost,
         )
@@ -160,10 +162,6 @@ def _baseline_trial(planned: plan.Plan, record: Mapping[str, Any]) -> Mapping[st
     return next((trial for trial in complete if trial["run_ids"][-len(names) :] == names), None)
 
 
-def _values(trial: Mapping[str, Any]) -> list[float]:
-    return trial["values"] if "values" in trial else [trial["value"]]
-
-
 def _document(
     search: Search, chosen: Mapping[str, Any], path: Path, planned: plan.Plan, gains: Mapping[str, Gain]
 ) -> dict[str, Any]:
@@ -177,20 +175,14 @@ def _document(
         "run_ids": {
             name: [c.run_id for c in planned.cells if c.condition == name] for name in planned.conditions
         },
-        "objectives": {name: {**_finite(asdict(own)), "luck": own.luck} for name, own in gains.items()},
+        "objectives": {name: _gain_document(own) for name, own in gains.items()},
     }
 
 
-def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with None for what is no number, as JSON has it."""
-    return {
-        key: [_finite({"": v})[""] for v in value]
-        if isinstance(value, (list, tuple))
-        else None
-        if value != value
-        else value
-        for key, value in values.items()
-    }
+def _gain_document(own: Gain) -> dict[str, Any]:
+    numbers = {**asdict(own), "luck": own.luck}
+    interval = [finite_or_none(bound) for bound in numbers.pop("interval")]
+    return {**{key: finite_or_none(value) for key, value in numbers.items()}, "interval": interval}
 
 
 def _tell(search: Search, chosen: Mapping[str, Any], planned: plan.Plan, gains: Mapping[str, Gain]) -> None:

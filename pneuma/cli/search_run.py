@@ -219,5 +219,7 @@ def _tell_generation(task: Task, generation: Sequence[Told], told: Sequence[Told
 
 def told_value(trial: Mapping[str, Any]) -> str:
     """Return a recorded trial's value or values for people."""
-    values = trial["values"] if "values" in trial else [trial["value"]]
-    return "no value" if values is None or None in values else ", ".join(f"{value:.4g}" for value in values)
+    from pneuma.search.record import trial_values
+
+    values = trial_values(trial)
+    return "no value" if None in values else ", ".join(f"{value:.4g}" for value in values)

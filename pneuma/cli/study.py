@@ -18,18 +18,13 @@ from pneuma.cli import (
     study_verify,
 )
 from pneuma.cli.options import (
-    Conditions,
-    EngineName,
     Json,
     Results,
-    Seeds,
+    Selected,
     SettingName,
-    Settings,
-    Steps,
     StudyName,
-    StudyPreset,
     print_json,
-    read_selection,
+    selects,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
@@ -115,22 +110,17 @@ def show(
 
 
 @app.command()
+@selects
 def status(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Say how far the runs of a study are, as it was last run or as selected."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
     names = [name] if name else known_studies(store, setting)
     if not names and not json:

@@ -8,18 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.cli.options import (
-    Conditions,
-    EngineName,
     Json,
     Results,
-    Seeds,
+    Selected,
     SettingName,
-    Settings,
-    Steps,
     StudyName,
-    StudyPreset,
     print_json,
-    read_selection,
+    selects,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records
@@ -32,21 +27,16 @@ RESULTS = Path("results")
 PRIMARY = "final-share-killed"
 
 
+@selects
 def effects(
     name: StudyName,
     outcome: Annotated[str, typer.Option("--outcome", metavar="NAME", help="What to look at.")] = PRIMARY,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.effects import study_effects
 

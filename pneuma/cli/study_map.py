@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.cli.options import (
-    Conditions,
-    EngineName,
     Json,
     Results,
-    Seeds,
+    Selected,
     SettingName,
-    Settings,
-    Steps,
     StudyName,
-    StudyPreset,
     print_json,
-    read_selection,
     read_settings_options,
+    selects,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_folder
@@ -35,6 +30,7 @@ RESULTS = Path("results")
 PRIMARY = "final-share-killed"
 
 
+@selects
 def robustness(
     name: StudyName,
     contrast: Annotated[
@@ -49,19 +45,13 @@ def robustness(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Draw the map, and write the figure there.")
     ] = None,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Compare two values of a setting in every combination of a study's other factors."""
     key, better, worse = _read_contrast(contrast)
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.robustness import robustness_map
 

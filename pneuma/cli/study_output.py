@@ -11,19 +11,14 @@ import typer
 
 from pneuma.analysis import EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli.options import (
-    Conditions,
-    EngineName,
     Json,
     Results,
-    Seeds,
+    Selected,
     SettingName,
-    Settings,
-    Steps,
     StudyName,
-    StudyPreset,
     print_json,
-    read_selection,
     say,
+    selects,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import study_record
@@ -38,6 +33,7 @@ MOST_PUBLISHED_BYTES = 20_000_000
 """Over all studies (design section 4)."""
 
 
+@selects
 def export(
     name: StudyName,
     table: Annotated[str, typer.Option("--table", metavar="|".join(EXPORT_TABLES), help="What to export.")],
@@ -50,12 +46,7 @@ def export(
             "--format", metavar="|".join(EXPORT_FORMATS), help="Its format (default: by the file's ending)."
         ),
     ] = None,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
@@ -67,7 +58,6 @@ def export(
         endings = ", ".join(EXPORT_SUFFIXES)
         raise UserError(f"--out {out}: its ending tells no format; end it in {endings}, or give --format")
     check_choice("--format", form, EXPORT_FORMATS)
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.export import encode_table
@@ -90,20 +80,15 @@ def export(
     return None
 
 
+@selects
 def publish(
     name: StudyName,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.published import PublishedRuns, encode_study, published_path, published_studies

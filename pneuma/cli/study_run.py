@@ -10,23 +10,18 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli.options import (
-    Conditions,
-    EngineName,
     Json,
     Quiet,
     Results,
-    Seeds,
+    Selected,
     SettingName,
-    Settings,
-    Steps,
     StudyName,
-    StudyPreset,
     Workers,
     print_json,
     read_count,
     read_seconds,
-    read_selection,
     say,
+    selects,
 )
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.study import execute, plan, spec
@@ -40,14 +35,10 @@ UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 _STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed": "partial"}
 
 
+@selects
 def plan_(
     name: StudyName,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     workers: Workers = None,
     calibrate: Annotated[
@@ -60,7 +51,7 @@ def plan_(
     """Say which runs are stored and which would be trained, and how long that takes; train nothing."""
     from pneuma.study import foresight
 
-    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
+    selection = selection or plan.Selection()
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     at_once = available_cores() if workers is None else read_count("--workers", workers)
     store = Store(results)
@@ -93,14 +84,10 @@ def plan_(
     return None
 
 
+@selects
 def run(
     name: StudyName,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     workers: Workers = None,
     checkpoint_seconds: Annotated[
@@ -132,8 +119,8 @@ def run(
     """Train a study's runs that are not stored yet, going on where they were stopped."""
     from pneuma.cli import study_stages
 
-    selection = read_selection(preset, seeds, steps, engine, condition, set_) or plan.Selection()
-    most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, seeds)
+    selection = selection or plan.Selection()
+    most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, selection.seeds)
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
         workers=available_cores() if workers is None else read_count("--workers", workers),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 MOST_SEEDS = "40"
 
 
-def read_most_seeds(until_decided: bool, max_seeds: str | None, seeds: str | None) -> int | None:
+def read_most_seeds(until_decided: bool, max_seeds: str | None, seeds: tuple[int, ...] | None) -> int | None:
     """Return the most seeds to train in stages; None where the seeds are given as ever.
 
     Raises:
@@ -29,7 +29,8 @@ def read_most_seeds(until_decided: bool, max_seeds: str | None, seeds: str | Non
             raise UserError(f"--max-seeds {max_seeds}: goes with --until-decided; --seeds fixes the seeds")
         return None
     if seeds is not None:
-        raise UserError(f"--seeds {seeds}: --until-decided adds seeds in stages, up to --max-seeds")
+        told = ",".join(map(str, seeds))
+        raise UserError(f"--seeds {told}: --until-decided adds seeds in stages, up to --max-seeds")
     most = read_count("--max-seeds", max_seeds or MOST_SEEDS)
     if most < 4:
         raise UserError(f"--max-seeds {most}: must be at least 4, of which the smallest p possible is 0.029")

@@ -10,24 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.cli.options import (
-    Conditions,
-    EngineName,
     Json,
     Quiet,
     Results,
-    Seeds,
+    Selected,
     SettingName,
-    Settings,
-    Steps,
     StudyName,
-    StudyPreset,
     Trust,
     Workers,
     print_json,
     read_count,
     read_seeds_option,
-    read_selection,
     say,
+    selects,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_folder
@@ -47,20 +42,15 @@ RESULTS = Path("results")
 FORK_SEEDS = "3"
 
 
+@selects
 def summary(
     name: StudyName,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.summaries import summary_table
 
@@ -73,6 +63,7 @@ def summary(
     return None
 
 
+@selects
 def collapse(
     name: StudyName,
     fork: Annotated[
@@ -91,19 +82,13 @@ def collapse(
     ] = None,
     workers: Workers = None,
     trust: Trust = False,
-    preset: StudyPreset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    condition: Conditions = None,
-    set_: Settings = None,
+    selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
-    selection = read_selection(preset, seeds, steps, engine, condition, set_)
     store = Store(results)
     data = open_data(store, name, selection, setting)
     from pneuma.analysis.collapse import diagnoses, incidence

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, SettingName, print_json
+from pneuma.cli.options import Json, Results, SettingName, finite_or_none, print_json
 from pneuma.cli.plain_text import plain
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import SETTINGS
@@ -70,12 +69,12 @@ def _document(one: Judged) -> dict[str, Any]:
         "section": claim.section,
         "setting": one.place,
         "verdict": one.verdict,
-        "effect": _finite(contrast.effect) if contrast else None,
+        "effect": finite_or_none(contrast.effect) if contrast else None,
         "interval": _interval(pair) if pair else None,
         "seeds": list(contrast.seeds) if contrast else [],
         "seeds_needed": one.seeds_needed,
         "reason": one.reason,
-        "p": _finite(pair.p) if pair else None,
+        "p": finite_or_none(pair.p) if pair else None,
         "quote": claim.quote,
         "study": claim.study,
         "outcome": claim.outcome,
@@ -93,9 +92,9 @@ def _contrast(pair: Pair) -> dict[str, Any]:
         "a": pair.a,
         "b": pair.b,
         "verdict": pair.verdict,
-        "effect": _finite(pair.contrast.effect),
+        "effect": finite_or_none(pair.contrast.effect),
         "interval": _interval(pair),
-        "p": _finite(pair.p),
+        "p": finite_or_none(pair.p),
         "seeds": list(pair.contrast.seeds),
         "seeds_needed": pair.seeds_needed,
         "reason": pair.contrast.reason,
@@ -104,12 +103,7 @@ def _contrast(pair: Pair) -> dict[str, Any]:
 
 def _interval(pair: Pair) -> list[float | None] | None:
     interval = pair.contrast.interval
-    return [_finite(interval.low), _finite(interval.high)] if interval.exists else None
-
-
-def _finite(value: float) -> float | None:
-    """Return a number, or None for what JSON cannot hold."""
-    return float(value) if math.isfinite(value) else None
+    return [finite_or_none(interval.low), finite_or_none(interval.high)] if interval.exists else None
 
 
 # --- For people ----------------------------------------------------------------------------------

@@ -120,19 +120,6 @@ def text_picture(text: str, colour: str = WHITE) -> np.ndarray:
     return np.concatenate(pieces or [gap], axis=1)
 
 
-def plate_picture(pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a dark plate with pictures one below the other."""
-    gap = 3
-    height = sum(picture.shape[0] + gap for picture in pictures) + gap
-    plate = np.empty((height, max(picture.shape[1] for picture in pictures) + 2 * gap, 4), np.uint8)
-    plate[...] = (*rgb(PLATE), 200)
-    top = gap
-    for picture in pictures:
-        _lay(plate, picture, gap, top)
-        top += picture.shape[0] + gap
-    return plate
-
-
 @cache
 def _glyphs(colour: str) -> dict[str, np.ndarray]:
     return _read_sheets(art.FONT, {"#": colour})

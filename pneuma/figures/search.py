@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
 from pneuma.search.importance import importances
+from pneuma.search.record import trial_values
 from pneuma.search.recorded import read_space
 from pneuma.search.space import Parameter, Range
 
@@ -51,7 +52,7 @@ class _Seen:
 
     def values(self, place: int = 0) -> np.ndarray:
         """Return an objective's values of the complete trials, (trials,)."""
-        return np.array([_values(trial)[place] for trial in self.complete])
+        return np.array([trial_values(trial)[place] for trial in self.complete])
 
     @property
     def complete(self) -> list[Mapping[str, Any]]:
@@ -111,7 +112,7 @@ def _history(seen: _Seen) -> Figure:
     pruned = [trial for trial in seen.trials if trial["state"] == "pruned"]
     if pruned:
         axes.plot(
-            [trial["number"] for trial in pruned], [_values(trial)[0] for trial in pruned], "x",
+            [trial["number"] for trial in pruned], [trial_values(trial)[0] for trial in pruned], "x",
             color="#777777", markersize=4, label="given up early",
         )  # fmt: skip
     if len(seen.objectives) == 1:
@@ -255,18 +256,16 @@ def _add_words(figure: Figure, seen: _Seen) -> None:
     """Put below the panels what was searched."""
     record = seen.record
     states = [trial["state"] for trial in record["trials"]]
-    counts = ", ".join(f"{states.count(state)} {word}" for state, word in _STATES.items() if state in states)
+    counts = ", ".join(f"{states.count(state)} {state}" for state in _STATES if state in states)
     seeds = len(record["seeds"])
-    caption = (
+    put_caption(
+        figure,
         f"Search {record['search']}: {counts} trials, {seeds} seeds × {record['steps']:,} steps; "
-        f"sampler {record['identity']['sampler']['name']}; {record['digest']}"
+        f"sampler {record['identity']['sampler']['name']}; {record['digest']}",
     )
-    bottom = 0.3 / figure.get_size_inches()[1]
-    figure.get_layout_engine().set(rect=(0, bottom, 1, 1 - bottom))  # type: ignore[union-attr, call-arg]
-    figure.text(0.01, 0.3 * bottom, caption, fontsize=6.2, color="#444444")
 
 
-_STATES = {"complete": "complete", "pruned": "pruned", "failed": "failed"}
+_STATES = ("complete", "pruned", "failed")
 
 
 def _scale(axis: Any, parameter: Parameter, set_scale: Callable[[str], None]) -> None:
@@ -328,7 +327,3 @@ def _smooth(x: np.ndarray, y: np.ndarray, values: np.ndarray, grid: np.ndarray) 
     across, up = np.meshgrid(grid, grid)
     squares = (across[..., None] - x) ** 2 + (up[..., None] - y) ** 2 + 1e-3
     return (values / squares).sum(axis=-1) / (1 / squares).sum(axis=-1)
-
-
-def _values(trial: Mapping[str, Any]) -> list[float]:
-    return trial["values"] if "values" in trial else [trial["value"]]

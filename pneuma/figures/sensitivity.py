@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFor
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
 
 COLUMNS = 3
 PAGE_INCHES = 7.0
@@ -82,10 +82,8 @@ def _draw_parameter(
 
 def _add_words(figure: Figure, data: StudyData, document: Mapping[str, Any]) -> None:
     seeds = len({run.seed for run in data.runs})
-    caption = (
+    put_caption(
+        figure,
         f"Mean and 95 % t interval of {seeds} seeds, every run a dot; diamond: the base {document['base']}; "
-        f"{data.budget:,} steps a run"
+        f"{data.budget:,} steps a run",
     )
-    bottom = 0.3 / figure.get_size_inches()[1]
-    figure.get_layout_engine().set(rect=(0, bottom, 1, 1 - bottom))  # type: ignore[union-attr, call-arg]
-    figure.text(0.01, 0.3 * bottom, caption, fontsize=6.2, color="#444444")

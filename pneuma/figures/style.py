@@ -93,6 +93,13 @@ def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
         yield
 
 
+def put_caption(figure: Figure, caption: str) -> None:
+    """Put one line of small print below the panels of a figure with constrained layout."""
+    bottom = 0.3 / figure.get_size_inches()[1]
+    figure.get_layout_engine().set(rect=(0, bottom, 1, 1 - bottom))  # type: ignore[union-attr, call-arg]
+    figure.text(0.01, 0.3 * bottom, caption, fontsize=6.2, color="#444444")
+
+
 def save_figure(
     figure: Figure, folder: Path, stem: str, formats: tuple[str, ...], dots_per_inch: float | None = None
 ) -> list[Path]:

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
+from pneuma.search.record import trial_values
 from pneuma.search.space import Space
 
 LEAST_TRIALS = 10
@@ -30,7 +31,7 @@ def importances(record: Mapping[str, Any], space: Space) -> dict[str, float]:
     from pneuma.search.sampling import distributions
 
     complete = [trial for trial in record["trials"] if trial["state"] == "complete"]
-    values = [trial["values"][0] if "values" in trial else trial["value"] for trial in complete]
+    values = [trial_values(trial)[0] for trial in complete]
     if len(complete) < LEAST_TRIALS or len(set(values)) < 2:
         return {}
     study = optuna.create_study(

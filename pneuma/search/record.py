@@ -103,6 +103,11 @@ def lock_folder(store: Store, name: str) -> Path:
     return store.root / "searches" / f".{name}"
 
 
+def trial_values(trial: Mapping[str, Any]) -> list[float]:
+    """Return a recorded trial's values, one for each objective; those of a failed trial are None."""
+    return list(trial["values"] or [None]) if "values" in trial else [trial["value"]]
+
+
 def trial_document(told: Told, search: Search) -> dict[str, Any]:
     """Return a trial as JSON has it: `value` with one objective, `values` with several."""
     values = list(told.values) if told.state != "failed" else None

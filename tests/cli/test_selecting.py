@@ -1,0 +1,47 @@
+"""The options that select runs are the same in every command that has them, and reach it as one value."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from pneuma.cli import study_effects, study_map, study_output, study_run, study_summary
+from pneuma.cli.options import Selected, selects
+from pneuma.study.plan import Selection
+
+COMMANDS = (
+    study_run.plan_, study_run.run, study_output.export, study_output.publish, study_summary.summary,
+    study_summary.collapse, study_map.robustness, study_effects.effects,
+)  # fmt: skip
+
+
+@selects
+def command(name: str, selection: Selected = None, quiet: bool = False) -> tuple[str, Selected, bool]:
+    """Give back what it was called with."""
+    return name, selection, quiet
+
+
+def test_options_stand_in_the_place_of_the_selection() -> None:
+    assert list(inspect.signature(command).parameters) == [
+        "name", "preset", "seeds", "steps", "engine", "condition", "set_", "quiet",
+    ]  # fmt: skip
+
+
+def test_what_is_given_becomes_one_selection() -> None:
+    given = {"preset": None, "seeds": "3,5", "steps": "512", "engine": None, "condition": ["tanh"]}
+    told = command(name="activation", **given, set_=["gamma=0.9"], quiet=True)
+    chosen = Selection(seeds=(3, 5), steps=512, conditions=("tanh",), settings={"gamma": 0.9})
+    assert told == ("activation", chosen, True)
+
+
+def test_nothing_given_is_no_selection() -> None:
+    none = dict.fromkeys(("preset", "seeds", "steps", "engine", "condition", "set_"))
+    assert command(name="activation", **none) == ("activation", None, False)
+
+
+@pytest.mark.parametrize("own", COMMANDS, ids=lambda own: own.__name__)
+def test_every_command_on_a_study_has_them_all(own: object) -> None:
+    held = inspect.signature(own).parameters  # type: ignore[arg-type]
+    assert {"preset", "seeds", "steps", "engine", "condition", "set_", "setting"} <= {*held}
+    assert "selection" not in held
