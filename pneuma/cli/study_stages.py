@@ -29,8 +29,7 @@ def read_most_seeds(until_decided: bool, max_seeds: str | None, seeds: tuple[int
             raise UserError(f"--max-seeds {max_seeds}: goes with --until-decided; --seeds fixes the seeds")
         return None
     if seeds is not None:
-        told = ",".join(map(str, seeds))
-        raise UserError(f"--seeds {told}: --until-decided adds seeds in stages, up to --max-seeds")
+        raise UserError("--seeds: --until-decided adds seeds in stages, up to --max-seeds")
     most = read_count("--max-seeds", max_seeds or MOST_SEEDS)
     if most < 4:
         raise UserError(f"--max-seeds {most}: must be at least 4, of which the smallest p possible is 0.029")

@@ -118,7 +118,7 @@ def test_a_contrast_never_mixes_engines(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (["--max-seeds", "20"], "--max-seeds 20: goes with --until-decided"),
-        (["--until-decided", "--seeds", "5"], "--seeds 5: --until-decided adds seeds in stages"),
+        (["--until-decided", "--seeds", "5"], "--seeds: --until-decided adds seeds in stages"),
         (["--until-decided", "--max-seeds", "3"], "--max-seeds 3: must be at least 4"),
         (["--until-decided", "--max-seeds", "many"], "--max-seeds many: must be a whole number"),
     ],
