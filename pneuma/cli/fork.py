@@ -19,11 +19,12 @@ from pneuma.cli.options import (
     read_count,
     read_seeds_option,
     read_settings_options,
+    read_workers,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS
-from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_fork
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
@@ -58,5 +59,5 @@ def fork(
     step = read_count("--at", at)
     plan = plan_fork(store, parent, step, settings, reset, read_seeds_option(seeds or "3"), trust)
     plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
-    how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+    how = Supervision(workers=read_workers(workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

@@ -14,8 +14,9 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS
+from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, Place, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
 
@@ -63,7 +64,15 @@ EngineName = Annotated[
     ),
 ]
 Workers = Annotated[
-    str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core).")
+    str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core)")
+]
+ExecutorName = Annotated[
+    str,
+    typer.Option(
+        "--executor",
+        metavar="|".join(EXECUTORS),
+        help="Where runs are trained: on this machine (local)",
+    ),
 ]
 Trust = Annotated[
     bool,
@@ -93,6 +102,7 @@ SettingName = Annotated[
 Selected = Selection | None
 """What `selects` hands to a command; None when no selecting option was given."""
 Answer = TypeVar("Answer")
+Options = tuple[inspect.Parameter, ...]
 
 
 def read_selection(
@@ -120,40 +130,77 @@ def read_selection(
     )
 
 
-def selects(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that select runs; it gets what they come to as its `selection`.
+def read_place(executor: str) -> Place:
+    """Turn the options that say where runs are trained into a `Place`.
 
-    Typer makes a command's options from its signature, so they are put there in the place of that parameter.
+    Raises:
+        UserError: naming the option, the value and what is allowed.
+    """
+    if executor not in EXECUTORS:
+        raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
+    return Place(executor)
+
+
+def read_workers(workers: str | None, place: Place = HERE) -> int:
+    """Return how many runs train at once: as `--workers` says, or what the place has room for.
+
+    Raises:
+        UserError: where that is no number, or the place cannot be reached.
+    """
+    if workers is not None:
+        return read_count("--workers", workers)
+    return load_executor(place).most_workers(place)
+
+
+def selects(command: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Give a command the options that select runs; it gets what they come to as its `selection`."""
+    return _with_options(command, "selection", _SELECTING, read_selection)
+
+
+def places(command: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Give a command the options that say where runs are trained; it gets that as its `place`."""
+    return _with_options(command, "place", _PLACING, read_place)
+
+
+def _with_options(
+    command: Callable[..., Answer], name: str, options: Options, read: Callable[..., object]
+) -> Callable[..., Answer]:
+    """Put options in the place of a command's parameter, which then is what `read` makes of them.
+
+    Typer makes a command's options from its signature, so they are put there.
     """
     signature = inspect.signature(command, eval_str=True)
 
     @functools.wraps(command)
     def run(**given: Any) -> Answer:
-        selection = read_selection(*(given.pop(option.name) for option in _SELECTING))
-        return command(selection=selection, **given)
+        told = read(*(given.pop(option.name) for option in options))
+        return command(**{name: told}, **given)
 
     parameters = [
         own
         for parameter in signature.parameters.values()
-        for own in (_SELECTING if parameter.name == "selection" else (parameter,))
+        for own in (options if parameter.name == name else (parameter,))
     ]
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {own.name: own.annotation for own in parameters}
     return run
 
 
-_SELECTING = tuple(
-    inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=kind)
-    for name, kind in (
-        ("preset", StudyPreset),
-        ("seeds", Seeds),
-        ("steps", Steps),
-        ("engine", EngineName),
-        ("condition", Conditions),
-        ("set_", Settings),
-    )
+def _option(name: str, kind: object, default: object = None) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=kind)
+
+
+_SELECTING = (
+    _option("preset", StudyPreset),
+    _option("seeds", Seeds),
+    _option("steps", Steps),
+    _option("engine", EngineName),
+    _option("condition", Conditions),
+    _option("set_", Settings),
 )
 """The parameters of `read_selection`, as options."""
+_PLACING = (_option("executor", ExecutorName, LOCAL),)
+"""The parameters of `read_place`, as options."""
 
 
 def read_count(option: str, text: str) -> int:

@@ -20,13 +20,14 @@ from pneuma.cli.options import (
     print_json,
     read_count,
     read_seeds_option,
+    read_workers,
     say,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.search_run import RunSteps, SearchName, record_name
 from pneuma.cli.study_run import train
 from pneuma.study import plan, spec
-from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.executors.base import Supervision
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def promote(
     fresh = read_seeds_option(seeds or "10")
     promoting.refuse_seen_seeds(fresh, record)
     budget = record["steps"] if steps is None else read_count("--steps", steps)
-    how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+    how = Supervision(workers=read_workers(workers))
     path = store.root / "searches" / f"promoted-{search.name}.toml"
     store.check_writable()
     store.write(path, promoting.promoted_study(search, record, chosen).encode())

@@ -17,16 +17,18 @@ from pneuma.cli.options import (
     SettingName,
     Settings,
     Workers,
+    places,
     print_json,
     read_count,
     read_settings_options,
+    read_workers,
     say,
 )
 from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
 from pneuma.study.definition import SETTINGS, TEXT, in_setting
-from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.executors.base import HERE, Place, Supervision
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
 
@@ -51,6 +53,7 @@ SearchSeeds = Annotated[
 RunSteps = Annotated[str | None, typer.Option("--steps", metavar="N", help="Steps of each run.")]
 
 
+@places
 def run(
     name: SearchName,
     preset: Preset = None,
@@ -74,6 +77,7 @@ def run(
         ),
     ] = None,
     workers: Workers = None,
+    place: Place = HERE,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
@@ -91,7 +95,7 @@ def run(
         search = search.with_settings(_checked(over))
     task = Task(search, read_budget(search, preset, trials, seeds, steps))
     store = Store(results)
-    how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+    how = Supervision(workers=read_workers(workers, place), place=place)
     if sensitivity:
         from pneuma.cli.search_promote import run_sensitivity
 
@@ -190,7 +194,7 @@ def train_plan(planned: Plan, store: Store, how: Supervision, retry_failed: bool
     """
     from pneuma.search.trials import Unfinished
 
-    todo = execute.prepare(planned, store, retry_failed)
+    todo = execute.prepare(planned, store, retry_failed, how)
     if todo.runs:
         with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
             execute.execute(planned, todo.runs, store, how, display.update)

@@ -17,15 +17,16 @@ from pneuma.cli.options import (
     SettingName,
     StudyName,
     Workers,
+    places,
     print_json,
-    read_count,
     read_seconds,
+    read_workers,
     say,
     selects,
 )
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.executors.base import HERE, Place, Supervision
 from pneuma.study.store import Status, Store
 
 RESULTS = Path("results")
@@ -53,7 +54,7 @@ def plan_(
 
     selection = selection or plan.Selection()
     planned = plan.make_plan(spec.load_study(name, setting), selection)
-    at_once = available_cores() if workers is None else read_count("--workers", workers)
+    at_once = read_workers(workers)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
@@ -85,11 +86,13 @@ def plan_(
 
 
 @selects
+@places
 def run(
     name: StudyName,
     selection: Selected = None,
     setting: SettingName = None,
     workers: Workers = None,
+    place: Place = HERE,
     checkpoint_seconds: Annotated[
         str,
         typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
@@ -123,10 +126,11 @@ def run(
     most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, selection.seeds)
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
-        workers=available_cores() if workers is None else read_count("--workers", workers),
+        workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds, None) or 15.0,
         timeout_seconds=read_seconds("--timeout", timeout, None),
         keep_checkpoints=planned.study.keep_checkpoints,
+        place=place,
     )
     if most_seeds is None:
         return train(planned, Store(results), supervision, retry_failed, json, quiet)
@@ -150,7 +154,7 @@ def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> list[execute.Outcome] | None:
     """Train what a plan lacks and tell how it went; return all cells' outcomes, None after Ctrl-C."""
-    todo = execute.prepare(planned, store, retry_failed)
+    todo = execute.prepare(planned, store, retry_failed, how)
     for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", as_json=True, quiet=quiet)
     try:

@@ -9,7 +9,7 @@ from pneuma.cli.options import print_json, read_count, say
 from pneuma.cli.study_run import exit_code, outcome_rows, train_cells
 from pneuma.errors import UserError
 from pneuma.study import execute, plan
-from pneuma.study.executors.local import Supervision
+from pneuma.study.executors.base import Supervision
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from pneuma.cli.options import (
     Trust,
     Workers,
     print_json,
-    read_count,
     read_seeds_option,
+    read_workers,
     say,
     selects,
 )
@@ -30,7 +30,7 @@ from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError
 from pneuma.study.cause_forks import plan_cause_forks
-from pneuma.study.executors.local import Supervision, available_cores
+from pneuma.study.executors.base import Supervision
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def collapse(
         parents = _parents(data, found, run or ())
         plan = plan_cause_forks(store, data.study, parents, read_seeds_option(fork_seeds), trust=trust)
         plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
-        how = Supervision(workers=available_cores() if workers is None else read_count("--workers", workers))
+        how = Supervision(workers=read_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
     figures = [] if out is None else _drawn_collapses(data, out)
     if json:

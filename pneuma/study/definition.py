@@ -61,6 +61,7 @@ class Study:
         conditions: what each condition sets on top.
         presets: by name.
         keep_checkpoints: of each run, evenly spread, beside that of its first update, for `pneuma run fork`.
+        gpu: conditions whose runs are to have a GPU each, where the executor hands them out.
         levels: of each condition of a crossed study, the value's name of every factor.
         setting: one of `SETTINGS`.
         settings_known: those of `SETTINGS` that it can be run in.
@@ -79,6 +80,7 @@ class Study:
     conditions: Mapping[str, Mapping[str, Any]]
     presets: Mapping[str, Preset] = field(default_factory=dict)
     keep_checkpoints: int = 0
+    gpu: frozenset[str] = frozenset()
     levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     setting: str = TEXT
     settings_known: tuple[str, ...] = SETTINGS

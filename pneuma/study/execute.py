@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
-from pneuma.study.executors import local
-from pneuma.study.executors.local import Supervision
+from pneuma.study.executors.base import Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
@@ -61,16 +60,21 @@ MOST_IN_GROUP = 8
 """Runs that one worker process trains; another `study run` finds them busy until it ends."""
 
 
-def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> Todo:
+def prepare(
+    plan: Plan, store: Store, retry_failed: bool = False, supervision: Supervision | None = None
+) -> Todo:
     """Check all that can be checked, record the selection, and return what is to be done.
 
     Raises:
-        UserError: before anything is written, for an environment that cannot be made or a results
-            folder that cannot be written.
+        UserError: before anything is written, for an environment that cannot be made, a results folder
+            that cannot be written, or runs that cannot be trained where `supervision` says.
     """
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
+    if supervision and todo:
+        how = _with_gpus(plan, supervision)
+        load_executor(how.place).check(todo, how)
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
     return Todo(todo, tuple(_notes(plan, statuses, todo)))
@@ -87,16 +91,18 @@ def execute(
     cells: dict[str, list[Cell]] = {}
     for cell in plan.cells:
         cells.setdefault(cell.run_id, []).append(cell)
-    ended: dict[str, local.Event] = {}
+    ended: dict[str, Event] = {}
 
-    def report(event: local.Event) -> None:
+    def report(event: Event) -> None:
         if event["event"] == "end":
             ended[event["run_id"]] = event
         told = event.get("step", 0), event.get("status", ""), event.get("text", event.get("reason", ""))
         for cell in cells[event["run_id"]]:
             on_progress(Progress(cell, *told, passing=event["event"] == "passing"))
 
-    local.run_groups(groups(todo, supervision), store, supervision, report)
+    how = _with_gpus(plan, supervision)
+    if todo:
+        load_executor(how.place).run_groups(groups(todo, how), store, how, report)
     return [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
 
 
@@ -105,20 +111,27 @@ def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
 
     Runs of equal shapes that the compiled engine trains go together, so that its programs are loaded or
     compiled once for them, and runs of tables, which take less time than a process does to start. But never
-    so many that a worker stands idle, and alone where each is timed.
+    so many that a worker stands idle, and alone where each is timed. Those on a GPU are among themselves.
     """
     alike: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():
         single = run.engine == "sb3" or how.timeout_seconds is not None
         shapes = (run.actor, run.critic, run.activation, run.horizon, run.minibatch, run.epochs, run.slots)
-        alike.setdefault(name if single else (*shapes, run.optimizer, run.env), []).append((name, run))
+        like = (*shapes, run.optimizer, run.env, name in how.on_gpu)
+        alike.setdefault(name if single else like, []).append((name, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / how.workers))
     return [
         dict(runs[first : first + size]) for runs in alike.values() for first in range(0, len(runs), size)
     ]
 
 
-def _outcome(cell: Cell, stored: Status, end: local.Event | None) -> Outcome:
+def _with_gpus(plan: Plan, supervision: Supervision) -> Supervision:
+    """Return the supervision with the runs of the conditions that the study's file marks `gpu`."""
+    marked = frozenset(cell.run_id for cell in plan.cells if cell.condition in plan.study.gpu)
+    return replace(supervision, on_gpu=marked)
+
+
+def _outcome(cell: Cell, stored: Status, end: Event | None) -> Outcome:
     """Return how a cell stands; an end that could not be stored counts as it was told."""
     if end and not stored.finished:
         stored = Status(end["status"], stored.step)

@@ -18,7 +18,8 @@ from pathlib import Path
 
 from pneuma.config import Run, as_settings
 from pneuma.study.execute import Progress
-from pneuma.study.executors.local import Event, Supervision, run_groups
+from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.executors.local import run_groups
 from pneuma.study.files import read_sealed, seal
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan

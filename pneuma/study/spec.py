@@ -41,8 +41,8 @@ MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
 _TOP_KEYS = (
-    "title", "section", "about", "figure", "base", "baseline", "keep_checkpoints", "settings", "run",
-    "factors", "conditions", "presets",
+    "title", "section", "about", "figure", "base", "baseline", "keep_checkpoints", "gpu", "settings",
+    "run", "factors", "conditions", "presets",
 )  # fmt: skip
 KEPT_CHECKPOINTS = Number(0, 1000, whole=True)
 _TEXTS = {"base": f"one of {', '.join(BASES)}", "baseline": "the name of a condition"}
@@ -135,6 +135,7 @@ def _read_study(file: TomlFile) -> Study:
         conditions=sets.own,
         presets=_read_presets(file, sets.own),
         keep_checkpoints=_read_kept(file),
+        gpu=_read_gpu(file, sets.own),
         levels=sets.levels,
         settings_known=settings_known or _usual_settings(sets.own),
         godot=godot,
@@ -187,6 +188,22 @@ def _read_kept(file: TomlFile) -> int:
     except (ValueError, TypeError):
         message = f"keep_checkpoints = {value!r} is not allowed: {KEPT_CHECKPOINTS.allowed}"
         raise file.mistake((), message, "keep_checkpoints") from None
+
+
+def _read_gpu(file: TomlFile, conditions: Collection[str]) -> frozenset[str]:
+    """Read `gpu`: true for all conditions, or a list of those whose runs want one; the runs stay the same."""
+    value = file.data.get("gpu", False)
+    if isinstance(value, bool):
+        return frozenset(conditions if value else ())
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        allowed = "true, false, or a list of conditions"
+        raise file.mistake((), f"gpu = {shown(value)} is not allowed: {allowed}", "gpu")
+    for name in value:
+        if name not in conditions:
+            raise file.mistake(
+                (), f"gpu = {shown(value)}: {unknown_name('condition', name, conditions)}", "gpu"
+            )
+    return frozenset(value)
 
 
 def _text(file: TomlFile, key: str) -> str:

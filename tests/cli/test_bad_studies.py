@@ -37,6 +37,7 @@ figure = "all"
 base = "table-6-1"
 baseline = "adam"
 keep_checkpoints = 3
+gpu = ["adam", "slow"]
 settings = ["text", "godot"]
 
 [run]   # what all conditions share
@@ -177,6 +178,7 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "base": (('"table-6-3"', "62", '""'), ("table-6-1", "table-6-2")),
     "baseline": (("3", '"admm"'), ("condition",)),
     "keep_checkpoints": _count(0, 1000),
+    "gpu": (("1", '"true"', "[3]", '["admm"]'), ("condition",)),
     "settings": (("3", '"godot"', "[]", '["godo"]', "[3]"), ("text", "godot")),
     "env": _one_of("pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"),
     "level": (('"thesi"', '"/nowhere/level"', '"random:train:x"', '""', "3", "[]"), ("level",)),

@@ -26,11 +26,13 @@ from pneuma.study.execute import (
     Outcome,
     Progress,
     execute,
+    groups,
     missing,
     prepare,
     recorded_selection,
 )
-from pneuma.study.executors.local import Supervision
+from pneuma.study.executors import local
+from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store, to_json
@@ -84,6 +86,29 @@ def _missing(plan: Plan, store: Store) -> dict[str, Run]:
 def _execute(plan: Plan, folder: Path, workers: int) -> Executed:
     store, progress = Store(folder / "results"), list[Progress]()
     return Executed(plan, store, _run(plan, store, workers, progress.append), progress)
+
+
+# --- Groups ------------------------------------------------------------------------------------------
+
+
+def test_runs_on_a_gpu_are_grouped_among_themselves(tmp_path: Path) -> None:
+    runs = {cell.run_id: cell.run for cell in _plan(tmp_path, seeds=tuple(range(6))).cells}
+    one, two, *others = runs
+    grouped = groups(runs, Supervision(workers=1, on_gpu=frozenset({one, two})))
+    assert [set(group) for group in grouped] == [{one, two}, set(others)]
+
+
+def test_the_conditions_that_a_file_marks_get_gpus_and_no_other_ids(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = _plan(tmp_path)
+    path = tmp_path / "marked.toml"
+    path.write_text('gpu = ["one"]\n' + TINY.replace("[conditions.other]", "[conditions.other]\ngamma = 0.9"))
+    plan, told = make_plan(load_study(str(path)), Selection()), list[Supervision]()
+    monkeypatch.setattr(local, "run_groups", lambda groups, store, how, on_event: told.append(how))
+    _run(plan, Store(tmp_path / "results"), 1, lambda progress: None)
+    marked = {cell.run_id for cell in plan.cells if cell.condition == "one"}
+    assert told[0].on_gpu == marked == {cell.run_id for cell in plain.cells}
 
 
 @pytest.fixture(scope="module")

@@ -1,1 +1,1 @@
-"""Executors: where groups of runs are trained. `local` starts processes on this machine."""
+"""Executors: where groups of runs are trained (`base` says what one is). `local` starts processes here."""

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,12 +23,10 @@ from typing import IO, Any
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
+from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision
 from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.locks import RunLock
 from pneuma.study.store import Status, Store, run_document
-
-Event = Mapping[str, Any]
-OnEvent = Callable[[Event], None]
 
 BUSY_SECONDS = 1.0
 """How long to wait before asking again for a run that another process holds."""
@@ -36,27 +34,7 @@ START_SECONDS = 60.0
 """How long a worker may take to its first update before its time-out begins all the same."""
 STOP_SECONDS = 30.0
 """How long a run past its time-out may take to come to a checkpoint."""
-TRIES = 2
-"""How often a run is begun or gone on with before a crash counts."""
-
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-
-
-@dataclass(frozen=True)
-class Supervision:
-    """How runs are looked after.
-
-    Attributes:
-        workers: how many train at once.
-        checkpoint_seconds: between two checkpoints of a run.
-        timeout_seconds: the longest that a run may train in one go; None for ever.
-        keep_checkpoints: how many of each run to keep for forks.
-    """
-
-    workers: int
-    checkpoint_seconds: float = 15.0
-    timeout_seconds: float | None = None
-    keep_checkpoints: int = 0
 
 
 def available_cores() -> int:
@@ -84,22 +62,33 @@ def one_thread_environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), **own}
 
 
-def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
-) -> None:
-    """Train every group of runs by id, some at a time; hand every event of theirs to `on_event`.
+def most_workers(place: Place) -> int:
+    """Return how many runs may train at once where nobody says it: one a core."""
+    return available_cores()
 
-    Events are `{"event": "step" | "note" | "passing" | "end", "run_id", …}`: a step has a `step`, a note,
-    passing or not, a `text`, an end a `status` and `trained`, whether it was trained here. A crashed or
-    killed worker is tried once more. The first Ctrl-C lets every run come to a checkpoint, the second ends
-    all at once.
+
+def check(runs: Mapping[str, Run], supervision: Supervision) -> None:
+    """Refuse nothing: whatever can be planned can be trained here."""
+
+
+def run_groups(
+    groups: Iterable[Mapping[str, Run]],
+    store: Store,
+    supervision: Supervision,
+    on_event: OnEvent,
+    interrupts: Interrupts | None = None,
+) -> None:
+    """Train every group of runs in processes of their own, as the contract says (`base.Executor`).
+
+    The first interrupt lets every run come to a checkpoint, the second ends all at once. They are Ctrl-C,
+    unless others are given.
 
     Raises:
-        KeyboardInterrupt: after Ctrl-C, when every worker has gone.
+        KeyboardInterrupt: after one, when every worker has gone.
     """
-    with Interrupts() as interrupts:
-        _Supervisor(groups, store, supervision, on_event, interrupts).work()
-        if interrupts.count:
+    with interrupts or Interrupts() as counted:
+        _Supervisor(groups, store, supervision, on_event, counted).work()
+        if counted.count:
             raise KeyboardInterrupt
 
 

@@ -1,0 +1,107 @@
+"""What an executor is: it trains groups of runs somewhere, and all that they leave comes to one store.
+
+study's plan → groups of runs → executor → store
+
+Executors are modules, named in `EXECUTORS` and loaded only when asked for: `local` needs nothing that others
+need. Whatever one does, it keeps these promises:
+
+- A run ends in the store with the same files as `local` leaves, but for its provenance, and meanwhile its
+  newest checkpoint lies there. Files appear whole or not at all.
+- Whoever trains a run holds its lock in the store; what another process holds is left to it, and said.
+- Every run of the groups ends with one `end` event, unless Ctrl-C came.
+- A crashed run, or one whose machine went, is tried once more before that counts; a time-out counts at once.
+- After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
+  once. Either way the same command goes on, with this executor or another, to the same bits.
+- Nothing pickled is ever put into the results folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol, cast
+
+from pneuma.config import Run
+from pneuma.study.store import Store
+
+Event = Mapping[str, Any]
+OnEvent = Callable[[Event], None]
+
+LOCAL = "local"
+EXECUTORS = {LOCAL: "pneuma.study.executors.local"}
+"""The module of every executor."""
+
+TRIES = 2
+"""How often a run is begun or gone on with before a crash counts."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where runs are trained: an executor's name, and what it alone is told."""
+
+    executor: str = LOCAL
+
+
+HERE = Place()
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """How runs are looked after.
+
+    Attributes:
+        workers: how many train at once.
+        checkpoint_seconds: between two checkpoints of a run.
+        timeout_seconds: the longest that a run may train in one go; None for ever.
+        keep_checkpoints: how many of each run to keep for forks.
+        place: where they are trained.
+        on_gpu: ids of the runs that are to have a GPU each, where the executor hands them out.
+    """
+
+    workers: int
+    checkpoint_seconds: float = 15.0
+    timeout_seconds: float | None = None
+    keep_checkpoints: int = 0
+    place: Place = HERE
+    on_gpu: frozenset[str] = frozenset()
+
+
+class Executor(Protocol):
+    """What the module of an executor has."""
+
+    def most_workers(self, place: Place) -> int:
+        """Return how many runs may train at once where nobody says it.
+
+        Raises:
+            UserError: within ten seconds, where the place cannot be reached.
+        """
+
+    def check(self, runs: Mapping[str, Run], supervision: Supervision) -> None:
+        """Refuse runs, by id, that cannot be trained at the place; nothing has been written yet.
+
+        Raises:
+            UserError: within ten seconds, with the mend.
+        """
+
+    def run_groups(
+        self,
+        groups: Iterable[Mapping[str, Run]],
+        store: Store,
+        supervision: Supervision,
+        on_event: OnEvent,
+    ) -> None:
+        """Train every group of runs by id, some at a time; hand every event of theirs to `on_event`.
+
+        Events are `{"event": "step" | "note" | "passing" | "end", "run_id", …}`: a step has a `step`, a
+        note, passing or not, a `text`, an end a `status`, a `step` and `trained`, whether it was trained
+        here; one that could not be stored a `reason`.
+
+        Raises:
+            KeyboardInterrupt: after Ctrl-C, when every worker has gone.
+        """
+
+
+def load_executor(place: Place) -> Executor:
+    """Return the executor of a place, loading its module."""
+    return cast(Executor, import_module(EXECUTORS[place.executor]))
