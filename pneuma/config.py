@@ -56,7 +56,7 @@ __all__ = [
 RULES_VERSION = 2
 """Raised by hand when the same seed and actions give another world; part of every run id."""
 
-ENGINE_VERSIONS = {"batched": 2, "sb3": 1, "tabular": 1}
+ENGINE_VERSIONS = {"batched": 3, "sb3": 2, "tabular": 1}
 """Raised by hand when an engine trains the same run to other numbers; part of every run id."""
 
 ENGINES = tuple(ENGINE_VERSIONS)

@@ -52,6 +52,9 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
+    # what judges claims by the runs of a results folder:
+    "pneuma.figures.judged": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
+    "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study",),
     "pneuma.until_decided": ("pneuma.study", "pneuma.analysis"),  # joins both: design section 1

@@ -32,6 +32,9 @@ from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
 SCHEMA = 1
+PUBLISHED = "published"
+"""The tables' folder, in a results folder."""
+
 SUFFIX = ".parquet"
 
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
@@ -149,12 +152,12 @@ def _row_type(data: StudyData) -> pa.DataType:
 
 def published_path(store: Store, study: str) -> Path:
     """Return where a study's published table lies."""
-    return store.root / "published" / f"{study}{SUFFIX}"
+    return store.root / PUBLISHED / f"{study}{SUFFIX}"
 
 
 def published_studies(store: Store) -> list[str]:
     """Return the names of the studies that have a published table."""
-    return sorted(path.stem for path in (store.root / "published").glob(f"*{SUFFIX}"))
+    return sorted(path.stem for path in (store.root / PUBLISHED).glob(f"*{SUFFIX}"))
 
 
 def read_published(store: Store, study: str) -> PublishedRuns:

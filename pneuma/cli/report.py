@@ -11,7 +11,6 @@ import typer
 from pneuma import __version__
 from pneuma.cli.options import Json, Quiet, Results, print_json, say
 from pneuma.cli.plain_text import plain
-from pneuma.cli.report_claims import judged_claims
 from pneuma.cli.report_contents import studies_to_report, study_section
 from pneuma.errors import UserError
 from pneuma.study.store import Store, write_whole
@@ -35,6 +34,7 @@ def report(
     _check_out(out)
     store = Store(results)
     studies = studies_to_report(store, names or [])
+    from pneuma.figures.judged import judged_claims
     from pneuma.figures.report import Report, report_page
 
     sections = []

@@ -14,6 +14,7 @@ import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, env_config, stream_seed
+from pneuma.engines.acting import MOST_WEIGHTS, play_episodes
 from pneuma.engines.action_values import ActionValues
 from pneuma.engines.policy import Policy
 from pneuma.engines.team import Team
@@ -41,19 +42,10 @@ class Evaluation:
 
         A policy of action values has `q_estimate` and `q_true` as well.
         """
-        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
-
-        def act(worlds: Worlds) -> np.ndarray:
-            observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
-            first_best = self.episodes * worlds.players.shape[1]
-            sampled = policy.sample(observations[:first_best], generator)
-            best = policy.best(observations[first_best:])
-            return np.concatenate([sampled, best]).reshape(worlds.players.shape)
-
         valued = (
             self.action_values.measure(policy) if self.action_values and isinstance(policy, Policy) else {}
         )
-        returns = self._play(act)
+        returns = self._play_policy(policy, step)
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
@@ -89,15 +81,38 @@ class Evaluation:
             shares.append(float(killed.mean()) / max(self.worlds.monsters.shape[1], 1))
         return shares[0], shares[1]
 
-    def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
-        """Play one episode in every world, always the same worlds.
+    def _play_policy(self, policy: Policy | Team, step: int) -> np.ndarray:
+        """Play one episode in every world, the first with drawn actions, the others with the best.
 
         Returns:
             (N,) the return of each, the mean over its players.
         """
+        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
+        asks = self.action_values is not None or any(":" in name for name in self.run.reward)
+        policies = policy.policies if isinstance(policy, Team) else (policy,)
+        if not asks and sum(weight.size for weight, _ in policies[0].actor) <= MOST_WEIGHTS:
+            self._begin()
+            return play_episodes(self.worlds, policies, self.episodes, generator)
+
+        def act(worlds: Worlds) -> np.ndarray:
+            observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
+            first_best = self.episodes * worlds.players.shape[1]
+            sampled = policy.sample(observations[:first_best], generator)
+            best = policy.best(observations[first_best:])
+            return np.concatenate([sampled, best]).reshape(worlds.players.shape)
+
+        return self._play(act)
+
+    def _begin(self) -> None:
+        """Begin an episode in every world, always the same."""
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(worlds))])
         worlds.reset(starts=self._starts)
+
+    def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
+        """Play one episode in every world, asking for actions step by step; return as `_play_policy`."""
+        self._begin()
+        worlds = self.worlds
         returns = np.zeros(len(worlds))
         running = len(worlds)
         while running:

@@ -6,11 +6,13 @@ Written as safetensors plus JSON, so that reading a stranger's file runs no code
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from safetensors.numpy import load, save
+
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
 
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
@@ -30,8 +32,8 @@ class Policy:
     """
 
     activation: str
-    actor: tuple[tuple[np.ndarray, np.ndarray], ...]
-    critic: tuple[tuple[np.ndarray, np.ndarray], ...]
+    actor: Layers
+    critic: Layers
     exploration: float | None = None
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
@@ -93,9 +95,17 @@ def read_policy(data: bytes) -> Policy:
     return Policy(about["activation"], layers("actor"), layers("critic"), about.get("exploration"))
 
 
-def forward(
-    layers: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, observations: np.ndarray
-) -> list[np.ndarray]:
+def flat(layers: Layers) -> np.ndarray:
+    """Return all weights and biases, layer by layer, in one float32 array, for the compiled player."""
+    return np.concatenate([part.ravel() for layer in layers for part in layer])
+
+
+def sizes(layers: Layers) -> np.ndarray:
+    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
+    return np.array([layers[0][0].shape[0], *(weight.shape[1] for weight, _ in layers)], np.int64)
+
+
+def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
     """Return the output of every layer, hidden ones after their activation: [(N, units), …]."""
     outputs = []
     x = observations

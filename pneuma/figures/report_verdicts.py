@@ -91,6 +91,8 @@ class Claim:
         study: what tests it.
         measure: what is compared, for people.
         verdicts: by setting, of `SETTINGS`.
+        tested: what is claimed of which arms.
+        note: why it is tested so.
     """
 
     claim: str
@@ -99,6 +101,8 @@ class Claim:
     study: str
     measure: str = ""
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
+    tested: str = ""
+    note: str = ""
 
     @property
     def anchor(self) -> str:
@@ -176,6 +180,10 @@ def _claim(claim: Claim, studies: Collection[str]) -> Html:
     ]
     if claim.measure:
         lines.append(element("div", text(f"Compared: {claim.measure}"), "note"))
+    if claim.tested:
+        lines.append(element("div", text(f"Claimed: {claim.tested}"), "note"))
+    if claim.note:
+        lines.append(element("div", text(claim.note), "note"))
     return join(lines)
 
 

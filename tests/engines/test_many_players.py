@@ -12,10 +12,10 @@ import pytest
 from pneuma.config import Run, beyond_engine, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Result, load_engine
-from pneuma.engines.batched.networks import flat, initial_networks
+from pneuma.engines.batched.networks import initial_networks
 from pneuma.engines.batched.rollout import Collector, Rollout
 from pneuma.engines.evaluation import Evaluation
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import Policy, flat
 from pneuma.engines.records import EPISODE_COLUMNS, LEARNER_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.team import Team, policy_files, policy_names, read_policies
 from pneuma.errors import UserError

@@ -8,10 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.policy import Policy
-
-Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
-"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
+from pneuma.engines.policy import Layers, Policy
 
 Networks = dict[str, Layers]
 """{"actor": layers giving logits, "critic": layers giving one value}."""
@@ -32,16 +29,6 @@ def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> 
 def to_policy(run: Run, networks: Networks) -> Policy:
     """Return networks as a stored policy."""
     return Policy(run.activation, networks["actor"], networks["critic"])
-
-
-def flat(layers: Layers) -> np.ndarray:
-    """Return all weights and biases, layer by layer, in one float32 array, for the compiled player."""
-    return np.concatenate([part.ravel() for layer in layers for part in layer])
-
-
-def sizes(layers: Layers) -> np.ndarray:
-    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
-    return np.array([layers[0][0].shape[0], *(weight.shape[1] for weight, _ in layers)], np.int64)
 
 
 def _layers(generator: np.random.Generator, widths: Sequence[int], last_gain: float) -> Layers:

@@ -9,7 +9,6 @@ and rewards rounded as the slots of Stable-Baselines3 do it (`pneuma.env.slots`,
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,11 +17,11 @@ import numpy as np
 from numba import njit
 
 from pneuma.config import Run, env_config, stream_seed
-from pneuma.engines.batched.networks import Layers, flat, sizes
+from pneuma.engines.acting import ACTIVATION_CODES, activate, sample
+from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 from pneuma.env.worlds import ENDINGS, Worlds
 
-ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
 ENDED = np.dtype(
     [
         ("slot", "i8"), ("episode", "i8"), ("step", "i8"), ("return", "f8"), ("length", "i8"),
@@ -243,7 +242,7 @@ def _choose(
         tape.starts[i, step] = tape.begins[i]
         own = weights[p % weights.shape[0]]
         logits = _forward(own, widths, activation, tape.observations[i, step], scratch)
-        chosen[w, p] = tape.actions[i, step] = _sample(logits, draws[i])
+        chosen[w, p] = tape.actions[i, step] = sample(logits, draws[i])
 
 
 @kernel
@@ -304,40 +303,9 @@ def _forward(weights: Any, widths: Any, activation: int, x: Any, scratch: Any) -
                 out[j] += value * row[j]
         at += n * m + m
         if layer < len(widths) - 2:
-            _activate(activation, out)
+            activate(activation, out)
         inputs = out
     return inputs
-
-
-@kernel
-def _activate(activation: int, x: Any) -> None:
-    if activation == 0:
-        for j in range(len(x)):
-            x[j] = math.tanh(x[j])
-    elif activation == 1:
-        for j in range(len(x)):
-            x[j] = max(x[j], np.float32(0))
-    else:
-        for j in range(len(x)):
-            x[j] = x[j] if x[j] > 0 else x[j] * np.float32(0.01)
-
-
-@kernel
-def _sample(logits: Any, draw: Any) -> int:
-    """Draw from a softmax by a number in [0, 1)."""
-    highest = logits[0]
-    for value in logits:
-        highest = max(highest, value)
-    total = np.float32(0)
-    for j in range(len(logits)):
-        logits[j] = math.exp(logits[j] - highest)
-        total += logits[j]
-    left = draw * total
-    for j in range(len(logits) - 1):
-        left -= logits[j]
-        if left < 0:
-            return j
-    return len(logits) - 1
 
 
 @kernel

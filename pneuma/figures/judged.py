@@ -1,33 +1,46 @@
-"""The claims that a report shows, with their verdicts as `study verify` gives them."""
+"""The claims that a page shows, with their verdicts as `study verify` gives them.
+
+Store → [Claim], for the report and for the pages that are written by hand around them
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
+from pneuma.analysis.claims import Claim as StatedClaim
+from pneuma.analysis.claims import load_claims
+from pneuma.analysis.judgement import ALPHA, LOGS, Judged, Pair, judge
+from pneuma.analysis.outcomes import find_outcome
+from pneuma.figures.report_verdicts import Claim, Effect, Verdict
 from pneuma.study.store import Store
 
-if TYPE_CHECKING:
-    from pneuma.analysis.judgement import Judged, Pair
-    from pneuma.figures.report_verdicts import Claim, Effect, Verdict
+_COMPARED = {"mean": "mean", "spread": "deviation between seeds", "incidence": "share of runs"}
+_CLAIMED = {
+    "greater": "greater than",
+    "less": "less than",
+    "different": "unlike",
+    "equal": "the same as",
+    "not-less": "not less than",
+}
 
 
-def judged_claims(store: Store, studies: Collection[str]) -> tuple[list[Claim], str]:
+def judged_claims(store: Store, studies: Collection[str] | None = None) -> tuple[list[Claim], str]:
     """Return the claims that bear on some studies, and words on the list that they are judged in.
 
     The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
 
+    Args:
+        store: the results folder, with its published tables.
+        studies: left out: all.
+
     Raises:
         UserError: for a damaged published table.
     """
-    from pneuma.analysis.claims import load_claims
-    from pneuma.analysis.judgement import ALPHA, judge
-
     known = load_claims()
     shown: dict[str, list[Judged]] = {}
     for one in judge(known, store):
-        if one.claim.study in studies:
+        if studies is None or one.claim.study in studies:
             shown.setdefault(one.claim.name, []).append(one)
     note = (
         f"Claims: {known.path.name}, SHA-256 {known.digest}, fixed before the runs. The chance of any false "
@@ -37,20 +50,33 @@ def judged_claims(store: Store, studies: Collection[str]) -> tuple[list[Claim], 
 
 
 def _claim(judged: list[Judged]) -> Claim:
-    from pneuma.analysis.outcomes import find_outcome
-    from pneuma.figures.report_verdicts import Claim
-
     claim = judged[0].claim
-    counted = f", runs {claim.event.words}" if claim.event else ""
-    compared = {"mean": "mean", "spread": "deviation between seeds", "incidence": "share of runs"}
-    measure = f"{compared[claim.kind]} of {claim.outcome} ({find_outcome(claim.outcome).words}){counted}"
     verdicts = {one.place: _verdict(one) for one in judged}
-    return Claim(claim.name, claim.quote, claim.section, claim.study, measure, verdicts)
+    return Claim(
+        claim.name,
+        claim.quote,
+        claim.section,
+        claim.study,
+        _measure(claim),
+        verdicts,
+        _tested(claim),
+        claim.note,
+    )
+
+
+def _measure(claim: StatedClaim) -> str:
+    counted = f", runs {claim.event.words}" if claim.event else ""
+    return f"{_COMPARED[claim.kind]} of {claim.outcome} ({find_outcome(claim.outcome).words}){counted}"
+
+
+def _tested(claim: StatedClaim) -> str:
+    """Say what is claimed of which arms, as 'tanh greater than relu'."""
+    joined = " and " if claim.need == "all" else " or "
+    other = joined.join(claim.b) if claim.value is None else f"{claim.value:g}"
+    return f"{joined.join(claim.a)} {_CLAIMED[claim.direction]} {other}"
 
 
 def _verdict(judged: Judged) -> Verdict:
-    from pneuma.figures.report_verdicts import Verdict
-
     effects = {
         id(pair): _effect(pair, told) for pair, told in zip(judged.pairs, _of_what(judged), strict=True)
     }
@@ -61,16 +87,12 @@ def _verdict(judged: Judged) -> Verdict:
 
 def _of_what(judged: Judged) -> list[str]:
     """Return, for each contrast, what is compared where that is not what the claim's own runs have."""
-    from pneuma.analysis.judgement import LOGS
-
     if judged.place != LOGS:
         return [""] * len(judged.pairs)
     return [f" ({own.figure.replace('_', ' ')} in the logs)" for own in judged.claim.logs]
 
 
 def _effect(pair: Pair, of_what: str) -> Effect:
-    from pneuma.figures.report_verdicts import Effect
-
     contrast = pair.contrast
     interval = (contrast.interval.low, contrast.interval.high) if contrast.interval.exists else None
     return Effect(
