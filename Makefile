@@ -49,10 +49,17 @@ PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
 
+# What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
+CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
+CURVES_tabular = return,length
+CURVES_collapse = entropy,dead_units,actions
+CURVES_robustness = none
+SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
+
 # A study in a setting; a run that crashed stops no other study, Ctrl-C and mistakes stop all.
 define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
-  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) --results $(RESULTS) \
+  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) --results $(RESULTS) \
   || { code=$$?; [ $$code = 1 ] || exit $$code; failed="$$failed $(1) ($(2))"; };
 endef
 

@@ -64,7 +64,14 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
     Raises:
         UserError: for a name that is no outcome's.
     """
-    return find_outcome(name).measure(view(data, run, at_step))
+    found = find_outcome(name)
+    kept = None if at_step is not None and at_step < run.budget else data.source.kept_outcome(run, name)
+    return found.measure(view(data, run, at_step)) if kept is None else kept
+
+
+def outcomes_of_curves(data: StudyData) -> list[str]:
+    """Return the names of all outcomes that are taken from the curves that a study has."""
+    return [name for name, found in OUTCOMES.items() if found.source in data.quantities]
 
 
 def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
@@ -98,7 +105,7 @@ def find_outcome(name: str) -> Outcome:
 def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
     """Say why a run has no value of an outcome; empty where it has one."""
     found = find_outcome(name)
-    if not np.isnan(found.measure(view(data, run, at_step))):
+    if not np.isnan(outcome(data, run, name, at_step)):
         return ""
     if found.source == "times":
         return f"{data.source.what} does not tell how long the run took"

@@ -14,7 +14,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.analysis import EPISODE_QUANTITIES, PEAKED_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis.outcomes import outcome, outcomes_of_curves
+from pneuma.analysis.packed import pack_signs, rounded, unpack_signs
 from pneuma.analysis.published_times import read_times
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
-SCHEMA = 1
+SCHEMA = 2
 PUBLISHED = "published"
 """The tables' folder, in a results folder."""
 
@@ -43,6 +45,7 @@ KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "
 _EVALUATIONS = "evaluations"
 _PEAKS = "extreme"
 _SIGNS = "signs"
+_OUTCOME = "outcome "
 _NO_SUM = "sha256:" + "0" * 64
 _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
@@ -50,10 +53,15 @@ _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 # --- Writing ---------------------------------------------------------------------------------------
 
 
-def encode_study(data: StudyData) -> bytes:
+def encode_study(data: StudyData, curves: Collection[str] | None = None, rounding: bool = False) -> bytes:
     """Return the published table of a study; the same runs give the same bytes.
 
     Runs of the selection that are not finished keep their place, without numbers.
+
+    Args:
+        data: the study.
+        curves: of which quantities curves are kept; left out: all. Outcomes are kept of all.
+        rounding: whether curves are kept to a thousandth of their range.
     """
     finished = {(run.condition, run.run_id): run for run in data.runs}
     selected = data.record["runs"]
@@ -71,16 +79,23 @@ def encode_study(data: StudyData) -> bytes:
         "settings": pa.array([json.dumps(run["run"]) for run in selected], pa.string()),
         "provenance": column(lambda run: _provenance(data, run), pa.string()),
     }
+
+    def curve_column(values: Callable[[FinishedRun], np.ndarray], kind: pa.DataType) -> pa.Array:
+        return column(lambda run: rounded(values(run)) if rounding else values(run), pa.list_(kind))
+
     for quantity in data.quantities:
         columns[f"final_{quantity}"] = column(partial(data.final, quantity=quantity), pa.float64())
-        for name, window, kind in _curve_columns(quantity, data.windows):
-            curve = partial(data.curve, quantity=quantity, window=window)
-            columns[name] = column(curve, pa.list_(kind))
+        if curves is not None and quantity not in curves:
+            continue
+        for name, window, kind in _curve_columns(quantity, data.windows, rounding):
+            columns[name] = curve_column(partial(data.curve, quantity=quantity, window=window), kind)
         if quantity in PEAKED_QUANTITIES:
-            columns[f"{quantity} {_PEAKS}"] = column(
-                partial(data.peaks, quantity=quantity), pa.list_(pa.float32())
+            columns[f"{quantity} {_PEAKS}"] = curve_column(
+                partial(data.peaks, quantity=quantity), pa.float32()
             )
-    columns[_SIGNS] = column(lambda run: json.dumps(data.source.signs(run)), pa.string())
+    for name in outcomes_of_curves(data):
+        columns[_OUTCOME + name] = column(partial(outcome, data, name=name), pa.float64())
+    columns[_SIGNS] = column(lambda run: pack_signs(data.source.signs(run)), pa.string())
     if _EVALUATIONS in data.tables:
         rows_of = partial(data.source.table, name=_EVALUATIONS)
         columns[_EVALUATIONS] = column(lambda run: rows_of(run).to_dict("records"), _row_type(data))
@@ -88,13 +103,19 @@ def encode_study(data: StudyData) -> bytes:
     return _with_sum(_compressed(pa.table(columns, metadata=head)))
 
 
-def _curve_columns(quantity: str, windows: tuple[str, ...]) -> list[tuple[str, str, pa.DataType]]:
+def _curve_columns(
+    quantity: str, windows: tuple[str, ...], rounding: bool
+) -> list[tuple[str, str, pa.DataType]]:
     """Return name, window and type of every column of a quantity's curves; updates have one window.
 
-    Types are wide enough to hold every curve of `pneuma.analysis.windows` exactly.
+    Types are wide enough to hold every curve of `pneuma.analysis.windows` exactly, where none is rounded.
+    Of small tables' episodes, only returns have the window of the thesis's figures.
     """
     if quantity in UPDATE_QUANTITIES:
         return [(quantity, windows[0], pa.float32())]
+    if rounding:
+        kept = windows if quantity == "return" else windows[:1]
+        return [(f"{quantity} {window}", window, pa.float32()) for window in kept]
     wide = {window: pa.float32() if window == "trailing-100" else pa.float64() for window in windows}
     return [(f"{quantity} {window}", window, kind) for window, kind in wide.items()]
 
@@ -216,7 +237,8 @@ class PublishedRuns:
     def quantities(self, run: FinishedRun) -> tuple[str, ...]:
         """Return what the table has columns for."""
         names = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
-        return tuple(name for name in names if f"final_{name}" in self._table.column_names)
+        held = self._table.column_names
+        return tuple(name for name in names if {name, f"{name} {self.windows[0]}"} & {*held})
 
     def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
         """Return a run's evaluations, the one table that is kept."""
@@ -232,6 +254,8 @@ class PublishedRuns:
     def curve(self, run: FinishedRun, quantity: str, window: str, grid: np.ndarray) -> np.ndarray:
         """Return a run's curve, (points,); the grid is the one that the study was published on."""
         column = quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
+        if column not in self._table.column_names:
+            raise UserError(f"{self.what} holds {quantity} by the window {self.windows[0]} alone")
         return np.array(self._cell(run.run_id, column), float)
 
     def final(self, run: FinishedRun, quantity: str) -> float:
@@ -244,8 +268,13 @@ class PublishedRuns:
 
     def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
         """Return where signs of collapse hold."""
-        found = json.loads(self._cell(run.run_id, _SIGNS))
-        return {sign: [(first, last) for first, last in parts] for sign, parts in found.items()}
+        return unpack_signs(self._cell(run.run_id, _SIGNS))
+
+    def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
+        """Return an outcome that was taken from curves before they were rounded or left out."""
+        if _OUTCOME + name not in self._table.column_names:
+            return None
+        return float(self._cell(run.run_id, _OUTCOME + name))
 
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return how long a run trained, where the file of times beside the table tells."""

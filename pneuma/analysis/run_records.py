@@ -83,6 +83,10 @@ class RunRecords:
         columns = {name: _column(updates, name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
         return update_signs(_column(updates, "step"), columns, len(ACTION_QUANTITIES))
 
+    def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
+        """Return none: all are taken from the records."""
+        return None
+
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return what the run's provenance tells."""
         return told_seconds(self.provenance(run))

@@ -94,6 +94,10 @@ class Source(Protocol):
         """Return where each sign of collapse holds that it can tell of (`pneuma.analysis.signs`)."""
         ...
 
+    def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
+        """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
+        ...
+
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return how long a run trained; None where that is not known."""
         ...

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pneuma.analysis import EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TABLES
+from pneuma.analysis import (
+    ACTION_QUANTITIES,
+    EPISODE_QUANTITIES,
+    EXPORT_FORMATS,
+    EXPORT_SUFFIXES,
+    EXPORT_TABLES,
+    UPDATE_QUANTITIES,
+)
 from pneuma.cli.options import (
     Json,
     Results,
@@ -85,10 +92,18 @@ def publish(
     name: StudyName,
     selection: Selected = None,
     setting: SettingName = None,
+    curves: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,…|none", help="Keep curves of these quantities alone; left out: of all."),
+    ] = None,
+    rounding: Annotated[
+        bool, typer.Option("--round", help="Keep curves to a thousandth of their range: a third of the size.")
+    ] = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them."""
+    kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.published import PublishedRuns, encode_study, published_path, published_studies
@@ -99,7 +114,7 @@ def publish(
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
     tell_left_out(data)
-    encoded = encode_study(data)
+    encoded = encode_study(data, kept, rounding)
     path = published_path(store, data.study)
     store.write(path, encoded)
     store.write(times_path(store, data.study), encode_times(data))
@@ -111,6 +126,16 @@ def publish(
         return print_json({**document, "runs": len(data.runs)})
     print(f"wrote {plain(str(path))}: {len(data.runs)} runs, {len(encoded) / 1000:.0f} kB")
     return None
+
+
+def _read_curves(told: str | None) -> tuple[str, ...] | None:
+    """Return the quantities named, of which `actions` is all actions' shares; None for all."""
+    if told in (None, "none"):
+        return None if told is None else ()
+    names = [name.strip() for name in str(told).split(",")]
+    for name in names:
+        check_choice("--curves", name, (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, "actions", "none"))
+    return tuple(own for name in names for own in (ACTION_QUANTITIES if name == "actions" else (name,)))
 
 
 def tell_left_out(data: StudyData) -> None:

@@ -6,11 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis import WINDOWS
 from pneuma.analysis.bands import BANDS
+from pneuma.analysis.outcomes import OUTCOMES, outcome
+from pneuma.analysis.packed import pack_signs, rounded, unpack_signs
 from pneuma.analysis.published import encode_study, published_path, published_studies, read_published
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
@@ -22,6 +25,7 @@ EPISODES = ("slot", "episode", "step", "return", "length", "kills", "hp", "endin
 UPDATES = ("entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "explained_variance", "dead_units")
 METRICS = ("step", *UPDATES, *(f"action_{i}" for i in range(5)))
 EVALUATIONS = ("step", "episodes", "share_killed", "random_share_killed", "hunter_share_killed")
+TIMES = ("wall-seconds", "steps-per-second")
 SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
 
 
@@ -113,6 +117,52 @@ def test_a_run_takes_a_few_kilobytes(store: Store) -> None:
     for seed, run_id in enumerate(many.values()):
         _save(store, run_id, seed)
     assert len(_publish(store, _record(many)).read_bytes()) < 20 * 12_000 + 30_000
+
+
+def test_rounded_it_takes_less_and_says_the_same(store: Store, tmp_path: Path) -> None:
+    """Curves to a thousandth of their range; outcomes, signs and evaluations as they are."""
+    many = {("a", seed): f"{seed:016x}" for seed in range(20)}
+    for seed, run_id in enumerate(many.values()):
+        _save(store, run_id, seed)
+    data = open_study(store, _record(many))
+    clone = Store(tmp_path / "clone")
+    published_path(clone, "mine").parent.mkdir(parents=True)
+    small = encode_study(data, ("return", "entropy"), rounding=True)
+    published_path(clone, "mine").write_bytes(small)
+    assert len(small) < 0.7 * len(encode_study(data))
+    again = open_study(clone, _record(many))
+    assert again.quantities == ["return", "entropy"]
+    for ours, theirs in zip(data.runs, again.runs, strict=True):
+        assert {name: outcome(data, ours, name) for name in OUTCOMES if name not in TIMES} == pytest.approx(
+            {name: outcome(again, theirs, name) for name in OUTCOMES if name not in TIMES},
+            rel=0, abs=0, nan_ok=True,
+        )  # fmt: skip
+        assert data.source.signs(ours) == again.source.signs(theirs)
+        for window in WINDOWS:
+            exact, kept = (own.curve(ours, "return", window) for own in (data, again))
+            span = np.nanmax(exact) - np.nanmin(exact)
+            assert np.nanmax(abs(exact - kept)) <= span / 512
+    with pytest.raises(UserError, match="holds no kills"):
+        again.curve(again.runs[0], "kills")
+
+
+def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
+    values = np.array([np.nan, 1e-3, 1.0, 1e6, 3e6])
+    kept = rounded(values)
+    assert np.isnan(kept[0]) and kept[1:] == pytest.approx(values[1:], rel=1 / 1024)
+    assert rounded(kept).tolist()[1:] == kept.tolist()[1:]
+    assert rounded(np.array([0.0, 0.25, 1.0])).tolist() == [0.0, 0.25, 1.0]
+
+
+def test_signs_come_back_as_they_were() -> None:
+    signs = {
+        "one action": [(512.0, 512.0), (1024.0, 2048.0)],
+        "dead units": [],
+        "no entropy": [(256.0, 768.0)],
+    }
+    assert unpack_signs(pack_signs(signs)) == signs
+    assert unpack_signs(pack_signs({})) == {}
+    assert len(pack_signs(signs)) < len(json.dumps(signs))
 
 
 # --- Damage ---------------------------------------------------------------------------------------
