@@ -23,8 +23,9 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 	$(BIN)/pneuma study run activation --results results
 	$(BIN)/pneuma study plot activation --results results
 
-figures: install  ## Draw everything in paper_figures/
+figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md
 	$(BIN)/python -m pneuma.figures.paper paper_figures
+	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md
 
 # --- The reproduction ---------------------------------------------------------------------------
 #

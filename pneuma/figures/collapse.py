@@ -29,6 +29,14 @@ PANELS = {
 }
 
 
+def collapsed_shares(data: StudyData) -> pd.DataFrame:
+    """Return the `incidence` of conditions some of whose runs collapsed; no rows where none is known to."""
+    if "evaluations" not in data.tables:
+        return pd.DataFrame()
+    shares = incidence(data)
+    return shares[shares["collapsed"] > 0]
+
+
 def draw_collapse(
     data: StudyData, folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:

@@ -2,30 +2,37 @@
 
     python -m pneuma.figures.paper FOLDER [RESULTS]
 
-The environment's own figures, and of every published study in RESULTS/published its curves in the
-thesis's layout and in Pneuma's, its summary, and its numbers as tables. Beside them an index: which
-command drew each, from which runs.
+The environment's own figures, and of every published study in RESULTS/published its curves, in the thesis's
+layout too where the thesis has that figure, its summary, its collapses and maps if it has some, and its
+numbers as tables. Beside them an index: which command drew each, from which runs.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.sources import open_published
 from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.figures import FIGURE_LAYOUTS
+from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import draw_study, settle
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import INDEX, encode_index, index_entries
+from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.summary import draw_summary, shown_outcome
 
 COMMAND = "make figures"
 RESULTS = Path("results")
 TABLES = "tables"
+OF_THE_THESIS = "fig-"
+COLOURS = 256
 TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
 
 
@@ -59,12 +66,10 @@ def _environment(folder: Path) -> list[dict[str, Any]]:
 
 def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
     entries = []
-    for layout in FIGURE_LAYOUTS:
-        if "return" in data.quantities:
-            drawn = {"figure": "curves", **asdict(settle(data, layout=layout))}
-            entries += index_entries(draw_study(data, folder, layout=layout), COMMAND, data, drawn)
-    drawn = {"figure": "summary", "size": "page", "outcome": shown_outcome(data)}
-    entries += index_entries(draw_summary(data, folder), COMMAND, data, drawn)
+    for drawn, paths in _drawn(data, folder):
+        for path in paths:
+            _shrink(path)
+        entries += index_entries(paths, COMMAND, data, drawn)
     tables = folder / TABLES
     tables.mkdir(parents=True, exist_ok=True)
     for form, suffix in TABLE_FORMATS.items():
@@ -73,6 +78,31 @@ def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
         (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": form})
         entries.append({**entry, "file": f"{TABLES}/{path.name}"})
     return entries
+
+
+def _drawn(data: StudyData, folder: Path) -> Iterator[tuple[dict[str, Any], list[Path]]]:
+    """Draw a study's figures; yield how each is drawn, and its files."""
+    for layout in FIGURE_LAYOUTS if data.figure.startswith(OF_THE_THESIS) else FIGURE_LAYOUTS[:1]:
+        if "return" in data.quantities:
+            drawn = {"figure": "curves", **asdict(settle(data, layout=layout))}
+            yield drawn, draw_study(data, folder, layout=layout)
+    drawn = {"figure": "summary", "size": "page", "outcome": shown_outcome(data)}
+    yield drawn, draw_summary(data, folder)
+    if len(collapsed_shares(data)):
+        yield {"figure": "collapses"}, draw_collapse(data, folder, f"{data.figure}-collapses")
+    for found in study_maps(data):
+        stem = f"{data.figure}-{found.setting.replace('_', '-')}"
+        yield {"figure": "map", "contrast": found.setting}, draw_robustness(found, folder, stem)
+
+
+def _shrink(path: Path) -> None:
+    """Give a PNG a palette: figures have few colours, and take a third of the space."""
+    if path.suffix != ".png":
+        return
+    with Image.open(path) as image:
+        resolution = image.info["dpi"]
+        small = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    small.save(path, "PNG", optimize=True, dpi=resolution)
 
 
 def main(folder: Path, results: Path = RESULTS) -> None:

@@ -6,18 +6,15 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from PIL import Image
 
-from pneuma.analysis.collapse import incidence
-from pneuma.analysis.robustness import Map, robustness_map, shown_level
+from pneuma.analysis.robustness import Map, shown_level
 from pneuma.analysis.tables import StudyData
-from pneuma.errors import UserError
-from pneuma.figures.collapse import draw_collapse
+from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import draw_study
 from pneuma.figures.report_html import Picture
-from pneuma.figures.robustness import draw_robustness
+from pneuma.figures.robustness import draw_robustness, study_maps
 
 LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
@@ -26,22 +23,12 @@ WIDEST_PIXELS = 1600
 COLOURS = 128
 """Of a PNG, which has few and so loses nothing that is seen."""
 
-MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
-    "robustness": (
-        ("betas", [0.9, 0.9], [0.9, 0.999]),
-        ("activation", "tanh", "relu"),
-        ("actor", [128], [256]),
-        ("clip_range", 0.1, 0.2),
-    )
-}
-"""Contrasts of the thesis that a study maps: a setting, the value said to do better, and the other."""
-
 Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 
 
 def study_pictures(data: StudyData) -> tuple[Picture, ...]:
     """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps."""
-    return (_curves(data), *_collapses(data), *_maps(data))
+    return (_curves(data), *_collapses(data), *map(_map, study_maps(data)))
 
 
 def _curves(data: StudyData) -> Picture:
@@ -55,10 +42,7 @@ def _curves(data: StudyData) -> Picture:
 
 def _collapses(data: StudyData) -> list[Picture]:
     """Draw the runs that collapsed; nothing where none did, or where that cannot be known."""
-    if not {"evaluations", "metrics"} <= set(data.tables):
-        return []
-    shares = incidence(data)
-    collapsed = shares[shares["collapsed"] > 0]
+    collapsed = collapsed_shares(data)
     if not len(collapsed):
         return []
     counted = zip(collapsed["condition"], collapsed["collapsed"], collapsed["runs"], strict=True)
@@ -67,17 +51,6 @@ def _collapses(data: StudyData) -> list[Picture]:
     caption = f"Runs that collapsed. As a list: pneuma study collapse {data.study}."
     drawn = _smaller(lambda folder, forms: draw_collapse(data, folder, "collapse", forms))
     return [Picture(*drawn, alt, caption)]
-
-
-def _maps(data: StudyData) -> list[Picture]:
-    """Draw every map that a study is for; one whose conditions were not run is left out."""
-    pictures = []
-    for contrast in MAPS.get(data.study.removesuffix("-godot"), ()):
-        try:
-            pictures.append(_map(robustness_map(data, *contrast)))
-        except UserError:
-            continue
-    return pictures
 
 
 def _map(found: Map) -> Picture:

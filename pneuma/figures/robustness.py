@@ -12,7 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Map, shown_level
+from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Map, robustness_map, shown_level
+from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
 from pneuma.figures.style import COLOURS, house_style, save_figure
 
 WIDTH_INCHES, ROW_INCHES, WORDS_INCHES = 7.0, 0.24, 1.15
@@ -25,6 +27,28 @@ LOOKS: dict[str, dict[str, Any]] = {
     OPEN: {"marker": "o", "color": "#777777", "markerfacecolor": "white"},
 }
 """Filled where decided, square where reversed: told apart in grey too."""
+
+
+MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
+    "robustness": (
+        ("betas", [0.9, 0.9], [0.9, 0.999]),
+        ("activation", "tanh", "relu"),
+        ("actor", [128], [256]),
+        ("clip_range", 0.1, 0.2),
+    )
+}
+"""Contrasts of the thesis that a study maps: a setting, the value said to do better, and the other."""
+
+
+def study_maps(data: StudyData) -> list[Map]:
+    """Return every map that a study is for; one whose conditions were not run is left out."""
+    found = []
+    for contrast in MAPS.get(data.study.removesuffix("-godot"), ()):
+        try:
+            found.append(robustness_map(data, *contrast))
+        except UserError:
+            continue
+    return found
 
 
 def draw_robustness(
