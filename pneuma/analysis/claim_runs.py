@@ -21,6 +21,9 @@ from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 
+MEND = "train with:"
+"""What the part of a reason begins with that names the command."""
+
 RISEN = 0.1
 """The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
 
@@ -66,7 +69,7 @@ class ClaimRuns:
         if not missing:
             return self._machines(claim, setting, names)
         command = training_command(self.study(claim.study, setting), self._claims.path)
-        return "; ".join([*missing, *([f"train with: {command}"] if command else [])])
+        return "; ".join([*missing, *([f"{MEND} {command}"] if command else [])])
 
     def undefined(self, claim: Claim, setting: str) -> str:
         """Say why a claim is not judged in a setting at all."""

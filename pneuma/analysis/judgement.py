@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneuma.analysis.claim_runs import Arm, ClaimRuns
+from pneuma.analysis.claim_runs import MEND, Arm, ClaimRuns
 from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_with
 from pneuma.analysis.corrections import holm
@@ -236,6 +236,11 @@ def _judged(claim: Claim, place: str, pairs: tuple[Pair, ...]) -> Judged:
     """Return a claim's verdict by those on its contrasts; without one, untestable if a contrast is."""
     verdicts = [pair.verdict for pair in pairs]
     verdict = together(verdicts, claim.need) or (UNTESTABLE if UNTESTABLE in verdicts else INCONCLUSIVE)
-    reasons = dict.fromkeys(pair.contrast.reason for pair in pairs if pair.contrast.reason)
-    reason = "; ".join(reasons) if verdict == UNTESTABLE else ""
+    reason = _together(pair.contrast.reason for pair in pairs) if verdict == UNTESTABLE else ""
     return Judged(claim, place, verdict, reason, pairs)
+
+
+def _together(reasons: Iterable[str]) -> str:
+    """Return the parts of several reasons, each once, the command that mends them last."""
+    parts = dict.fromkeys(part for reason in reasons if reason for part in reason.split("; "))
+    return "; ".join(sorted(parts, key=lambda part: part.startswith(MEND)))

@@ -84,14 +84,14 @@ def _paragraph(claim: Claim) -> str:
 
 def _verdict(verdict: Verdict) -> str:
     """Return a verdict as a sentence: the word, what decides it, what is lacking."""
-    words = [f"**{verdict.verdict}**"]
+    words = []
     if verdict.effects and verdict.effects[0].value is not None:
-        words.append(f"{_effect(verdict.effects[0])}")
+        words.append(_effect(verdict.effects[0]))
     if verdict.reason:
         words.append(verdict.reason)
     if verdict.seeds_needed:
         words.append(f"{verdict.seeds_needed:,} seeds an arm would be needed")
-    return "; ".join(words) + "."
+    return ": ".join(filter(None, [f"**{verdict.verdict}**", "; ".join(words)])) + "."
 
 
 def _effect(effect: Effect) -> str:

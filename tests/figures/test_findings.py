@@ -1,0 +1,108 @@
+"""Verdicts in pages: what stands between marks is theirs, all else is the writer's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pneuma.analysis.claims import load_claims
+from pneuma.errors import UserError
+from pneuma.figures.findings import claims_told, published_claims, with_verdicts
+from pneuma.figures.report_verdicts import Claim, Effect, Verdict
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("README.md", "docs/findings.md")
+
+BETTER = Claim(
+    "tanh-better",
+    "improves\nperformance",
+    "6.2",
+    "activation",
+    "mean of final-share-killed (monsters killed)",
+    {
+        "text": Verdict(
+            "supported",
+            effects=(Effect("tanh against relu", "supported", 0.05, (0.012, 0.09), (10, 9), 0.0004),),
+        ),
+        "godot": Verdict("untestable", "no runs: tanh, 10 seeds"),
+    },
+    "tanh greater than relu",
+    "Why so.",
+)
+STEADIER = Claim(
+    "tanh-steadier",
+    "decreases variance",
+    "6.2",
+    "activation",
+    verdicts={
+        "text": Verdict(
+            "inconclusive",
+            effects=(Effect("tanh against relu", "", 0.8, None, (50, 50), 0.2, ratio=True),),
+            seeds_needed=1200,
+        )
+    },
+    tested="tanh less than relu",
+)
+CLAIMS = {claim.claim: claim for claim in (BETTER, STEADIER)}
+
+
+def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_setting() -> None:
+    page = with_verdicts("Mine.\n<!-- claim tanh-better -->\nold\n<!-- end -->\nMine too.\n", CLAIMS)
+    assert page == (
+        "Mine.\n<!-- claim tanh-better -->\n"
+        "**tanh-better**: “improves performance” (6.2). Claimed: tanh greater than relu, in mean of "
+        "final-share-killed (monsters killed). Why so.\n"
+        "*The text's environment*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
+        "p < 0.001.\n"
+        "*The published code's*: **untestable**: no runs: tanh, 10 seeds.\n"
+        "<!-- end -->\nMine too.\n"
+    )
+
+
+def test_an_open_claim_says_what_it_takes() -> None:
+    page = with_verdicts("<!-- claim tanh-steadier -->\n<!-- end -->\n", CLAIMS)
+    assert "ratio 0.800, n = 50 and 50, p = 0.200; 1,200 seeds an arm would be needed." in page
+
+
+def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
+    page = with_verdicts(
+        "<!-- verdicts tanh-better -->\n<!-- end -->\n<!-- verdicts -->\n<!-- end -->", CLAIMS
+    )
+    row = (
+        "| tanh greater than relu | 6.2: “improves performance” | **supported** +0.050 [+0.012, +0.090] | "
+        "**untestable** | – |"
+    )
+    assert page.count(row) == 2
+    assert page.count("| tanh less than relu |") == 1
+
+
+def test_counts_are_by_setting() -> None:
+    page = with_verdicts("<!-- counts -->\n<!-- end -->", CLAIMS)
+    assert "| The text's environment | 1 | 0 | 1 | 0 |" in page
+    assert "| The published code's | 0 | 0 | 0 | 1 |" in page
+
+
+def test_writing_again_changes_nothing() -> None:
+    page = with_verdicts(
+        "a\n<!-- counts -->\n<!-- end -->\n<!-- claim tanh-better -->\nx\n<!-- end -->\n", CLAIMS
+    )
+    assert with_verdicts(page, CLAIMS) == page
+    assert claims_told(page) == ["tanh-better"]
+
+
+def test_a_mark_that_names_no_claim_is_refused() -> None:
+    with pytest.raises(UserError, match="unknown claim 'tanh-bettr'.*tanh-better"):
+        with_verdicts("<!-- claim tanh-bettr -->\n<!-- end -->", CLAIMS)
+
+
+def test_the_findings_have_a_paragraph_on_every_claim() -> None:
+    told = claims_told((ROOT / "docs/findings.md").read_text(encoding="utf-8"))
+    assert sorted(told) == sorted(load_claims().claims)
+
+
+def test_the_pages_tell_the_verdicts_of_the_published_tables() -> None:
+    claims = published_claims(ROOT / "results")
+    for name in PAGES:
+        page = (ROOT / name).read_text(encoding="utf-8")
+        assert with_verdicts(page, claims) == page, f"{name}: `make figures` writes other verdicts"
