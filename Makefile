@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 
 .PHONY: help install study figures test storm test-all lint clean
-.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow
+.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow tuning
 
 help:            ## Say what each target does
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
@@ -85,6 +85,15 @@ reproduction-collapse: install  ## Train the crossed studies: collapse and robus
 
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
 	$(call each,architecture actor-size algorithms)
+
+TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
+TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
+tuned = $(foreach name,$(1),$(BIN)/pneuma search run tune-$(name) --preset paper --results $(RESULTS) && \
+$(BIN)/pneuma search promote tune-$(name) --seeds 10 --steps $(2) --results $(RESULTS) &&) true
+
+tuning: install  ## Tune optimizers and algorithms alike, and train each winner on ten fresh seeds
+	$(call tuned,$(TUNED_OPTIMIZERS),1000000)
+	$(call tuned,$(TUNED_ALGORITHMS),200000)
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'

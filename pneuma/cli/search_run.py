@@ -139,11 +139,11 @@ def read_search_seeds_option(text: str) -> tuple[int, ...]:
 def _checked(over: Mapping[str, Any]) -> dict[str, Any]:
     """Check what is set over every trial: fields of the run."""
     from pneuma.config import Run, read_setting
-    from pneuma.search.spec import SETTABLE
+    from pneuma.search.spec import FIXABLE
 
     for key in over:
-        if key not in (*SETTABLE, "engine"):
-            raise unknown_name("key of --set", key, SETTABLE)
+        if key not in FIXABLE:
+            raise unknown_name("key of --set", key, FIXABLE)
     return {key: read_setting(Run, key, value) for key, value in over.items()}
 
 

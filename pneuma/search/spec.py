@@ -38,6 +38,10 @@ OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
 SETTABLE = tuple(f.name for f in fields(Run) if f.name not in ("seed", "steps", "engine", *FORK_SETTINGS))
+"""Fields of a run that a search may vary."""
+
+FIXABLE = (*SETTABLE, "engine")
+"""Those that it may fix for all its trials."""
 
 _TOP_KEYS = (
     "title", "section", "about", "base", "start", "generation", "run", "objectives", "space", "sampler",
@@ -323,7 +327,7 @@ def _read_value(file: TomlFile, where: Where, key: str, name: str, value: Any) -
 
 def _read_settings(file: TomlFile, where: Where) -> dict[str, Any]:
     settings = file.table(where)
-    file.refuse_unknown(where, settings, SETTABLE)
+    file.refuse_unknown(where, settings, FIXABLE if where == ("run",) else SETTABLE)
     return {key: _read_value(file, where, key, key, value) for key, value in settings.items()}
 
 
