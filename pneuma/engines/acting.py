@@ -5,8 +5,8 @@ policy and worlds → each world's return
 A step costs no Python, and worlds whose episode has ended cost nothing more. A row of observations gives the
 same bits whoever else is asked: products are summed input by input, never in blocks of rows.
 
-`activate` and `sample` are compiled into `pneuma.engines.batched.rollout` as well, and the compile cache watches
-only the file that a kernel is in: whoever changes them changes that file too.
+`activate` and `sample` are compiled into `pneuma.engines.batched.rollout` as well, and the compile cache
+watches only the file that a kernel is in: whoever changes them changes that file too.
 """
 
 from __future__ import annotations

@@ -117,7 +117,10 @@ def _table(claims: Sequence[Claim]) -> str:
     rows = [["Claim", "Thesis", *SETTINGS.values()], ["---"] * (2 + len(SETTINGS))]
     for claim in claims:
         cells = [_cell(claim.verdicts.get(place)) for place in SETTINGS]
-        rows.append([claim.tested, f"{claim.section}: “{' '.join(claim.quote.split())}”", *cells])
+        compared = claim.measure.partition(" (")[0]
+        rows.append(
+            [f"{claim.tested}, in {compared}", f"{claim.section}: “{' '.join(claim.quote.split())}”", *cells]
+        )
     return _markdown(rows)
 
 

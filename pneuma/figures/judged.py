@@ -15,7 +15,7 @@ from pneuma.analysis.outcomes import find_outcome
 from pneuma.figures.report_verdicts import Claim, Effect, Verdict
 from pneuma.study.store import Store
 
-_COMPARED = {"mean": "mean", "spread": "deviation between seeds", "incidence": "share of runs"}
+_COMPARED = {"mean": "mean", "spread": "deviation between seeds"}
 _CLAIMED = {
     "greater": "greater than",
     "less": "less than",
@@ -65,8 +65,11 @@ def _claim(judged: list[Judged]) -> Claim:
 
 
 def _measure(claim: StatedClaim) -> str:
-    counted = f", runs {claim.event.words}" if claim.event else ""
-    return f"{_COMPARED[claim.kind]} of {claim.outcome} ({find_outcome(claim.outcome).words}){counted}"
+    """Say what is compared, as 'mean of final-share-killed (monsters killed, last evaluation)'."""
+    words = find_outcome(claim.outcome).words
+    if claim.event:
+        return f"share of runs whose {claim.outcome} is {claim.event.words} ({words})"
+    return f"{_COMPARED[claim.kind]} of {claim.outcome} ({words})"
 
 
 def _tested(claim: StatedClaim) -> str:

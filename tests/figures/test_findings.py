@@ -35,6 +35,7 @@ STEADIER = Claim(
     "decreases variance",
     "6.2",
     "activation",
+    "deviation between seeds of final-share-killed (monsters killed)",
     verdicts={
         "text": Verdict(
             "inconclusive",
@@ -70,11 +71,11 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
         "<!-- verdicts tanh-better -->\n<!-- end -->\n<!-- verdicts -->\n<!-- end -->", CLAIMS
     )
     row = (
-        "| tanh greater than relu | 6.2: “improves performance” | **supported** +0.050 [+0.012, +0.090] | "
-        "**untestable** | – |"
+        "| tanh greater than relu, in mean of final-share-killed | 6.2: “improves performance” | "
+        "**supported** +0.050 [+0.012, +0.090] | **untestable** | – |"
     )
     assert page.count(row) == 2
-    assert page.count("| tanh less than relu |") == 1
+    assert page.count("| tanh less than relu, in deviation between seeds of final-share-killed |") == 1
 
 
 def test_counts_are_by_setting() -> None:
