@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -158,4 +159,6 @@ def _numbers(pair: Pair) -> tuple[str, str, str]:
 
 def _kind_of(reason: str) -> str:
     """Return a reason without its particulars, so that equal ones can be counted."""
+    if re.match(r".+ seed \d+: ", reason):
+        return "a run without a value"
     return reason.split(":")[0].split(";")[0]
