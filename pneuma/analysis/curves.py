@@ -77,10 +77,20 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
     Raises:
         UserError: for a quantity or window that the study's data does not have.
     """
-    return [
-        _curve(condition, data.grid, [data.curve(run, quantity, window) for run in runs], runs)
-        for condition, runs in _groups(data).items()
-    ]
+    return _trained(data, [quantity], window)[quantity]
+
+
+def _trained(data: StudyData, quantities: Sequence[str], window: str | None) -> dict[str, list[Curve]]:
+    """Return the training curves of several quantities, having gone through the runs only once."""
+    curves: dict[str, list[Curve]] = {name: [] for name in quantities}
+    for condition, runs in _groups(data).items():
+        values = {name: np.empty((len(runs), len(data.grid))) for name in quantities}
+        for row, run in enumerate(runs):
+            for name in quantities:
+                values[name][row] = data.curve(run, name, window)
+        for name in quantities:
+            curves[name].append(_curve(condition, data.grid, values[name], runs))
+    return curves
 
 
 def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
@@ -111,15 +121,16 @@ def _has_value(data: StudyData, run: FinishedRun, column: str) -> bool:
     return column in table and bool(table[column].notna().any())
 
 
-def study_curves(data: StudyData, name: str, window: str | None = None) -> list[Curve]:
-    """Return one of `curve_names` of every condition, over evaluations or over training.
+def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:
+    """Return some of `curve_names` of every condition, over evaluations or over training, by name.
 
     Raises:
         UserError: for a name or window that the study's data does not have.
     """
-    if name in EVALUATION_QUANTITIES and name in curve_names(data):
-        return evaluation_curves(data, name)
-    return training_curves(data, name, window)
+    known = curve_names(data)
+    evaluated = [name for name in names if name in EVALUATION_QUANTITIES and name in known]
+    trained = _trained(data, [name for name in names if name not in evaluated], window)
+    return {name: trained[name] if name in trained else evaluation_curves(data, name) for name in names}
 
 
 def _groups(data: StudyData) -> dict[str, list[FinishedRun]]:
@@ -128,10 +139,8 @@ def _groups(data: StudyData) -> dict[str, list[FinishedRun]]:
     return {condition: runs for condition, runs in groups.items() if runs}
 
 
-def _curve(
-    condition: str, step: np.ndarray, values: Sequence[np.ndarray] | np.ndarray, runs: Sequence[FinishedRun]
-) -> Curve:
-    return Curve(condition, step, np.stack(list(values)), tuple(run.status == "diverged" for run in runs))
+def _curve(condition: str, step: np.ndarray, values: np.ndarray, runs: Sequence[FinishedRun]) -> Curve:
+    return Curve(condition, step, values, tuple(run.status == "diverged" for run in runs))
 
 
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:

@@ -14,8 +14,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Callable, Collection, Mapping
-from functools import partial
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,42 +64,62 @@ def encode_study(data: StudyData, curves: Collection[str] | None = None, roundin
     """
     finished = {(run.condition, run.run_id): run for run in data.runs}
     selected = data.record["runs"]
-    rows = [finished.get((run["condition"], run["run_id"])) for run in selected]
-
-    def column(cell: Callable[[FinishedRun], Any], kind: pa.DataType) -> pa.Array:
-        return pa.array([None if run is None else cell(run) for run in rows], kind)
-
+    kept = tuple(name for name in data.quantities if curves is None or name in curves)
+    kinds = _cell_types(data, kept, rounding)
+    cells: dict[str, list[Any]] = {name: [] for name in kinds}
+    for told in selected:
+        run = finished.get((told["condition"], told["run_id"]))
+        own = {"settings": json.dumps(told["run"]), **(_cells(data, run, kept, rounding) if run else {})}
+        for name in kinds:
+            cells[name].append(own.get(name))
     columns = {
         "condition": pa.array([run["condition"] for run in selected], pa.string()),
         "seed": pa.array([run["seed"] for run in selected], pa.int64()),
         "run_id": pa.array([run["run_id"] for run in selected], pa.string()),
-        "status": pa.array([data.source.status(run["run_id"]).name for run in selected], pa.string()),
-        "end": column(lambda run: run.end, pa.int64()),
-        "settings": pa.array([json.dumps(run["run"]) for run in selected], pa.string()),
-        "provenance": column(lambda run: _provenance(data, run), pa.string()),
+        "status": pa.array([_status(data, finished, run) for run in selected], pa.string()),
+        **{name: pa.array(cells[name], kind) for name, kind in kinds.items()},
     }
-
-    def curve_column(values: Callable[[FinishedRun], np.ndarray], kind: pa.DataType) -> pa.Array:
-        return column(lambda run: rounded(values(run)) if rounding else values(run), pa.list_(kind))
-
-    for quantity in data.quantities:
-        columns[f"final_{quantity}"] = column(partial(data.final, quantity=quantity), pa.float64())
-        if curves is not None and quantity not in curves:
-            continue
-        for name, window, kind in _curve_columns(quantity, data.windows, rounding):
-            columns[name] = curve_column(partial(data.curve, quantity=quantity, window=window), kind)
-        if quantity in PEAKED_QUANTITIES:
-            columns[f"{quantity} {_PEAKS}"] = curve_column(
-                partial(data.peaks, quantity=quantity), pa.float32()
-            )
-    for name in outcomes_of_curves(data):
-        columns[_OUTCOME + name] = column(partial(outcome, data, name=name), pa.float64())
-    columns[_SIGNS] = column(lambda run: pack_signs(data.source.signs(run)), pa.string())
-    if _EVALUATIONS in data.tables:
-        rows_of = partial(data.source.table, name=_EVALUATIONS)
-        columns[_EVALUATIONS] = column(lambda run: rows_of(run).to_dict("records"), _row_type(data))
     head = {"pneuma": json.dumps(_head(data)), "pneuma.checksum": _NO_SUM}
     return _with_sum(_compressed(pa.table(columns, metadata=head)))
+
+
+def _status(data: StudyData, finished: Mapping[tuple[str, str], FinishedRun], run: Mapping[str, Any]) -> str:
+    own = finished.get((run["condition"], run["run_id"]))
+    return own.status if own else data.source.status(run["run_id"]).name
+
+
+def _cell_types(data: StudyData, curves: Collection[str], rounding: bool) -> dict[str, pa.DataType]:
+    """Return the type of every column that finished runs have a value in, in the order of columns."""
+    kinds = {"end": pa.int64(), "settings": pa.string(), "provenance": pa.string()}
+    for quantity in data.quantities:
+        kinds[f"final_{quantity}"] = pa.float64()
+        if quantity in curves:
+            columns = _curve_columns(quantity, data.windows, rounding)
+            kinds |= {name: pa.list_(kind) for name, _, kind in columns}
+            kinds |= {f"{quantity} {_PEAKS}": pa.list_(pa.float32())} if quantity in PEAKED_QUANTITIES else {}
+    kinds |= {_OUTCOME + name: pa.float64() for name in outcomes_of_curves(data)}
+    kinds[_SIGNS] = pa.string()
+    return kinds | ({_EVALUATIONS: _row_type(data)} if _EVALUATIONS in data.tables else {})
+
+
+def _cells(data: StudyData, run: FinishedRun, curves: Collection[str], rounding: bool) -> dict[str, Any]:
+    """Return what a finished run has in every column: run by run, each table is read once for all of them."""
+    cells: dict[str, Any] = {"end": run.end, "provenance": _provenance(data, run)}
+    for quantity in data.quantities:
+        cells[f"final_{quantity}"] = data.final(run, quantity)
+        if quantity not in curves:
+            continue
+        for name, window, kind in _curve_columns(quantity, data.windows, rounding):
+            values = data.curve(run, quantity, window)
+            cells[name] = (rounded(values) if rounding else values).astype(kind.to_pandas_dtype())
+        if quantity in PEAKED_QUANTITIES:
+            values = data.peaks(run, quantity)
+            cells[f"{quantity} {_PEAKS}"] = (rounded(values) if rounding else values).astype(np.float32)
+    cells |= {_OUTCOME + name: outcome(data, run, name) for name in outcomes_of_curves(data)}
+    cells[_SIGNS] = pack_signs(data.source.signs(run))
+    if _EVALUATIONS in data.tables:
+        cells[_EVALUATIONS] = data.source.table(run, _EVALUATIONS).to_dict("records")
+    return cells
 
 
 def _curve_columns(
@@ -160,12 +179,13 @@ def _provenance(data: StudyData, run: FinishedRun) -> str:
 
 
 def _row_type(data: StudyData) -> pa.DataType:
-    """Return the type of a run's evaluations: a list of rows."""
-    columns = data.table(_EVALUATIONS).dtypes.items()
-    own = [(name, kind) for name, kind in columns if name not in ("condition", "seed", "run_id")]
-    return pa.list_(
-        pa.struct([(name, pa.int64() if kind.kind == "i" else pa.float64()) for name, kind in own])
-    )
+    """Return the type of a run's evaluations: a list of rows, whole numbers where all runs have such."""
+    kinds: dict[str, list[str]] = {}
+    for run in data.runs:
+        for name, kind in data.source.table(run, _EVALUATIONS).dtypes.items():
+            kinds.setdefault(str(name), []).append(kind.kind)
+    whole = {name: set(own) == {"i"} and len(own) == len(data.runs) for name, own in kinds.items()}
+    return pa.list_(pa.struct([(name, pa.int64() if whole[name] else pa.float64()) for name in kinds]))
 
 
 # --- Reading ---------------------------------------------------------------------------------------

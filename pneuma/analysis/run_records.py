@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from pneuma.analysis import ACTION_QUANTITIES, EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis.kept import Kept
 from pneuma.analysis.signs import Stretch, update_signs
 from pneuma.analysis.tables import FinishedRun, told_seconds
 from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, episode_curve, peak_curve, update_curve
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
+Columns = Mapping[str, np.ndarray]
+
+ROOM_BYTES = 256_000_000
+"""Of the columns of tables that are kept, and of the frames of evaluations as well."""
+FRAME_BYTES = 10_000
+"""What pandas takes for a small frame beside its numbers."""
+
 
 class RunRecords:
-    """The records of a results folder's runs, read when asked for and then kept."""
+    """The records of a results folder's runs, read when asked for and then kept while there is room."""
 
     what = "the results folder"
     tables = RECORD_TABLES
@@ -26,7 +35,8 @@ class RunRecords:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._frames: dict[tuple[str, str], pd.DataFrame] = {}
+        self._columns: Kept[Columns] = Kept(ROOM_BYTES)
+        self._frames: Kept[pd.DataFrame] = Kept(ROOM_BYTES)
 
     def status(self, run_id: str) -> Status:
         """Return how a run stands in the store."""
@@ -42,46 +52,45 @@ class RunRecords:
         Raises:
             UserError: when its file is missing or damaged.
         """
-        key = (run.run_id, name)
-        if key not in self._frames:
-            data = self._store.read_file(run.run_id, f"{name}.parquet")
-            self._frames[key] = from_parquet(data).to_pandas()
-        return self._frames[key]
+        if name != "evaluations":
+            return self._read(run, name)
+        return self._frames.get(run.run_id, lambda: self._read(run, name), _frame_bytes)
 
     def curve(self, run: FinishedRun, quantity: str, window: str, grid: np.ndarray) -> np.ndarray:
         """Return a run's windowed mean on the grid, (points,), blank until every slot has finished one."""
         if quantity in UPDATE_QUANTITIES:
-            updates = self.table(run, "metrics")
-            return update_curve(_column(updates, "step"), _column(updates, quantity), grid, run.end)
-        episodes = self._episodes(run)
-        begins = episodes.groupby("slot")["step"].min()
+            updates = self.columns(run, "metrics")
+            return update_curve(_floats(updates, "step"), _floats(updates, quantity), grid, run.end)
+        episodes = self.columns(run, "episodes")
+        _, first = np.unique(episodes["slot"], return_index=True)  # of each slot, as episodes are in order
+        step = _floats(episodes, "step")
         return episode_curve(
-            _column(episodes, "step"),
-            _column(episodes, quantity),
+            step,
+            _floats(episodes, quantity),
             grid,
             trailing=window == "trailing-100",
-            from_step=begins.max() if len(begins) == run.slots else np.inf,
+            from_step=step[first].max() if len(first) == run.slots else np.inf,
             end=run.end,
         )
 
     def final(self, run: FinishedRun, quantity: str) -> float:
         """Return the mean of the last 100 episodes that ended, or the last update's value."""
         if quantity in UPDATE_QUANTITIES:
-            last = _column(self.table(run, "metrics"), quantity)[-1:]
+            last = _floats(self.columns(run, "metrics"), quantity)[-1:]
         else:
-            last = _column(self._episodes(run), quantity)[-TRAILING_EPISODES:]
+            last = _floats(self.columns(run, "episodes"), quantity)[-TRAILING_EPISODES:]
         return float(last.mean()) if len(last) else float("nan")
 
     def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme update since each point before, (points,)."""
-        updates = self.table(run, "metrics")
-        return peak_curve(_column(updates, "step"), _column(updates, quantity), grid, EXTREMES[quantity])
+        updates = self.columns(run, "metrics")
+        return peak_curve(_floats(updates, "step"), _floats(updates, quantity), grid, EXTREMES[quantity])
 
     def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
         """Return where every sign that updates tell of holds."""
-        updates = self.table(run, "metrics")
-        columns = {name: _column(updates, name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
-        return update_signs(_column(updates, "step"), columns, len(ACTION_QUANTITIES))
+        updates = self.columns(run, "metrics")
+        columns = {name: _floats(updates, name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
+        return update_signs(_floats(updates, "step"), columns, len(ACTION_QUANTITIES))
 
     def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
         """Return none: all are taken from the records."""
@@ -100,9 +109,32 @@ class RunRecords:
         found: dict[str, Any] = json.loads(self._store.read_file(run.run_id, "provenance.json"))
         return found
 
-    def _episodes(self, run: FinishedRun) -> pd.DataFrame:
-        return self.table(run, "episodes").sort_values("step", kind="stable")
+    def columns(self, run: FinishedRun, name: str) -> Columns:
+        """Return the columns of episodes or metrics by name, (rows,) each, rows in the order of their steps.
+
+        Raises:
+            UserError: when its file is missing or damaged.
+        """
+        key = (run.run_id, name)
+        return self._columns.get(key, lambda: self._read_columns(run, name), _column_bytes)
+
+    def _read_columns(self, run: FinishedRun, name: str) -> Columns:
+        table = from_parquet(self._store.read_file(run.run_id, f"{name}.parquet"))
+        own = {key: table[key].to_numpy() for key in table.column_names if key != "ending"}
+        order = np.argsort(own["step"], kind="stable")
+        return {key: column[order] for key, column in own.items()}
+
+    def _read(self, run: FinishedRun, name: str) -> pd.DataFrame:
+        return from_parquet(self._store.read_file(run.run_id, f"{name}.parquet")).to_pandas()
 
 
-def _column(frame: pd.DataFrame, name: str) -> np.ndarray:
-    return frame[name].to_numpy(float)
+def _floats(columns: Columns, name: str) -> np.ndarray:
+    return columns[name].astype(float, copy=False)
+
+
+def _column_bytes(columns: Columns) -> int:
+    return sum(column.nbytes for column in columns.values())
+
+
+def _frame_bytes(frame: pd.DataFrame) -> int:
+    return 8 * frame.size + FRAME_BYTES

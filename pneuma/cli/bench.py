@@ -111,6 +111,40 @@ def engines(json: Json = False) -> None:
 
 
 @app.command()
+def scaling(
+    runs: Annotated[
+        str, typer.Option("--runs", metavar="N", help="Runs of the study, drawn and not trained.")
+    ] = "10_000",
+    conditions: Annotated[
+        str, typer.Option("--conditions", metavar="N", help="Conditions that share them.")
+    ] = "8",
+    steps: Annotated[
+        str, typer.Option("--steps", metavar="N", help="Steps that each has records of.")
+    ] = "51_200",
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder", metavar="DIR", help="Where the runs lie meanwhile (default: a temporary one)."
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Store a study of thousands of runs, and measure each command on it: time, and memory at its peak."""
+    from pneuma.bench.scaling import bench_scaling
+
+    sizes = (read_count("--runs", runs), read_count("--conditions", conditions), read_count("--steps", steps))
+    rows = []
+    for row in bench_scaling(*sizes, folder):
+        rows.append(row)
+        memory = f"{row['peak_megabytes']:>8,.0f} MB"
+        say(f"{row['case']:<28} {row['seconds']:>8.1f} s {memory} at the peak", as_json=json)
+    stored = rows[0]
+    size, rate = f"{stored['megabytes']:,.0f} MB", f"{stored['runs_per_second']:.0f} a second"
+    say(f"{stored['runs']:,} runs of {size} in all, stored {rate}", as_json=json)
+    return print_json({"schema": 1, "cases": rows}) if json else None
+
+
+@app.command()
 def calibration(
     lists: Annotated[
         str,

@@ -76,7 +76,7 @@ def draw_study(
             more panels than a slide has room for.
     """
     drawing = settle(data, band, window, quantities=quantities, layout=layout, size=size)
-    curves = {name: study_curves(data, name, drawing.window) for name in drawing.quantities}
+    curves = study_curves(data, drawing.quantities, drawing.window)
     caption = caption_of(data, curves, drawing.band, drawing.window)
     words = Words(headline_of(data), legend_title_of(drawing.band), caption)
     draw = draw_multiples if len(data.conditions) > MOST_IN_A_PANEL else draw_panels

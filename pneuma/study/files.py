@@ -7,7 +7,9 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +35,42 @@ def write_whole(path: Path, data: bytes) -> None:
 
 def replace_file(path: Path, data: bytes) -> None:
     """Put a new file in the place of whatever file or link is there, whole or not at all."""
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    replace_files(path.parent, {path.name: data})
+
+
+def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Put new files into a folder, in this order, each whole or not at all.
+
+    All are on the disk before the first is in its place. They are waited for together, which a file system
+    that keeps a journal does in about the time of one.
+    """
+    written: dict[str, str] = {}
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        with ExitStack() as opened:
+            descriptors = []
+            for name, data in files.items():
+                descriptor, written[name] = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
+                file = opened.enter_context(os.fdopen(descriptor, "wb"))
+                file.write(data)
+                file.flush()
+                descriptors.append(descriptor)
+            _wait_for_disk(descriptors)
+        for name, temporary in written.items():
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, folder / name)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        for temporary in written.values():
+            Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def _wait_for_disk(descriptors: Sequence[int]) -> None:
+    """Wait until what was written to open files is on the disk."""
+    if len(descriptors) == 1:
+        return os.fsync(descriptors[0])
+    with ThreadPoolExecutor(len(descriptors)) as pool:
+        list(pool.map(os.fsync, descriptors))
+    return None
 
 
 def to_json(value: object) -> bytes:

@@ -33,7 +33,7 @@ from pneuma.study.files import (
     checksum,
     read_checkpoint_name,
     read_sealed,
-    replace_file,
+    replace_files,
     seal,
     to_json,
     write_whole,
@@ -173,11 +173,9 @@ class Store:
         if not status.finished and self.status(run_id).finished:
             return
         folder = self.run_folder(run_id)
-        for name, data in files.items():
-            self.write(folder / name, data)
         checksums = {name: checksum(data) for name, data in files.items()}
         manifest = {"status": status.name, "step": status.step, "files": checksums}
-        self.write(folder / "status.json", seal(manifest))
+        self._write_all(folder, {**files, "status.json": seal(manifest)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
@@ -242,11 +240,16 @@ class Store:
         Raises:
             UserError: when that fails, or leads out of the results folder.
         """
+        self._write_all(path.parent, {path.name: data})
+
+    def _write_all(self, folder: Path, files: Mapping[str, bytes]) -> None:
+        """Put files into a folder in this order; those before one that fails may be there."""
+        path = folder / next(iter(files))
         try:
-            if not path.parent.resolve().is_relative_to(self.root.resolve()):
+            if not folder.resolve().is_relative_to(self.root.resolve()):
                 raise UserError(f"{path}: a link leads out of the results folder; remove it")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(path, data)
+            folder.mkdir(parents=True, exist_ok=True)
+            replace_files(folder, files)
         except (OSError, RuntimeError) as error:  # Python 3.11 and 3.12 say of a ring of links: RuntimeError
             reason = getattr(error, "strerror", None) or error
             raise UserError(f"{path}: cannot be written ({reason})") from None

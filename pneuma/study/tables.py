@@ -24,7 +24,7 @@ def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> byt
 
 def from_parquet(data: bytes) -> pa.Table:
     """Read a Parquet file from memory."""
-    return pq.read_table(io.BytesIO(data), use_threads=False)  # small, and no threads to end at exit
+    return pq.ParquetFile(io.BytesIO(data)).read(use_threads=False)  # small, and no threads to end at exit
 
 
 def _kind(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:

@@ -41,6 +41,10 @@ class _Records(RunRecords):
         own = table[(table["run_id"] == run.run_id) & (table["condition"] == run.condition)]
         return own.drop(columns=["condition", "run_id"])
 
+    def columns(self, run: FinishedRun, name: str) -> dict[str, np.ndarray]:
+        table = self.table(run, name).sort_values("step", kind="stable")
+        return {str(key): table[key].to_numpy() for key in table}
+
 
 def _data(runs: Sequence[tuple[str, str, int, int]], **tables: pd.DataFrame) -> StudyData:
     """Return finished runs given by hand, as (condition, id, budget, slots), and their tables."""

@@ -55,6 +55,20 @@ def test_bca_is_close_to_scipys_with_resamples_of_its_own() -> None:
         assert ends(own) == pytest.approx(drawn(lambda x, axis, s=statistic: s(x)), abs=0.03)
 
 
+@pytest.mark.parametrize("most_values", [1, 25, 10_000])
+def test_leaving_out_some_runs_at_a_time_gives_the_same_bits(
+    most_values: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interval() -> Interval:
+        return intervals.bootstrap_interval(RUNS, interquartile_mean, np.random.default_rng(9), resamples=200)
+
+    left = np.array([np.delete(RUNS, i) for i in range(RUNS.size)])
+    assert np.array_equal(intervals._left_out(RUNS, 2, 9), left[2:9])
+    whole = interval()
+    monkeypatch.setattr(intervals, "MOST_VALUES", most_values)
+    assert interval() == whole
+
+
 def test_a_bootstrap_draws_from_its_generator_alone() -> None:
     first, again = (
         intervals.bootstrap_interval(RUNS, mean, np.random.default_rng(7), resamples=100) for _ in range(2)

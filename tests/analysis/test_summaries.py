@@ -14,7 +14,7 @@ from scipy import stats
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.rounding import decimals, shown, shown_with_interval
 from pneuma.analysis.sources import open_study
-from pneuma.analysis.summaries import COLUMNS, STATISTICS, summary_table
+from pneuma.analysis.summaries import COLUMNS, STATISTICS, resampled_improvement, summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.study.store import Store
 
@@ -67,6 +67,15 @@ def test_the_probability_of_improvement_is_over_the_baseline(tmp_path: Path) -> 
     assert value(data, "b", "final-share-killed", "improvement")["value"] == 4 / 16
     table = summary_table(data)
     assert set(table[table["statistic"] == "improvement"]["condition"]) == {"b"}
+
+
+def test_counting_up_to_each_run_is_comparing_every_pair_of_a_resample() -> None:
+    draws = np.random.default_rng(8)
+    a, b = draws.integers(0, 6, 7) / 10, draws.integers(0, 6, 5) / 10  # with ties within and between
+    first, second = draws.integers(0, 7, (50, 7)), draws.integers(0, 5, (50, 5))
+    pairs = a[first][:, :, None] - b[second][:, None, :]
+    expected = ((pairs > 0) + 0.5 * (pairs == 0)).mean(axis=(1, 2))
+    assert np.array_equal(resampled_improvement(a, b, first, second), expected)
 
 
 def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData) -> None:

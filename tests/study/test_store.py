@@ -11,6 +11,7 @@ from typing import NoReturn
 import pytest
 
 from pneuma.errors import UserError
+from pneuma.study.files import replace_files
 from pneuma.study.store import Status, Store, to_json, write_whole
 
 NAME = "0123456789abcdef"
@@ -51,6 +52,36 @@ def test_a_failed_write_leaves_what_was_there_and_nothing_else(
         write_whole(tmp_path / "file", b"second")
     assert os.listdir(tmp_path) == ["file"]
     assert (tmp_path / "file").read_bytes() == b"first"
+
+
+def test_files_that_are_written_together_come_in_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A write that fails on its way leaves those before it, and nothing half written."""
+    replace = os.replace
+    done: list[str] = []
+
+    def fail_at_the_third(source: str, target: Path) -> None:
+        if len(done) == 2:
+            raise OSError("no space left on device")
+        done.append(target.name)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fail_at_the_third)
+    with pytest.raises(OSError, match="no space left"):
+        replace_files(tmp_path, {name: name.encode() for name in ("b", "a", "status", "c")})
+    assert done == ["b", "a"]
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"a", "b": b"b"}
+
+
+def test_all_files_are_on_the_disk_before_one_is_in_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(len(os.listdir(tmp_path))))
+    replace_files(tmp_path, {"a": b"1", "b": b"2", "c": b"3"})
+    assert synced == [3, 3, 3]
+    assert sorted(os.listdir(tmp_path)) == ["a", "b", "c"]
 
 
 def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
