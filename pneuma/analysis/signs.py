@@ -56,9 +56,14 @@ def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
 
 
 def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
-    """Return where two signs of the same updates hold together."""
-    shared = [(max(a, c), min(b, d)) for a, b in one for c, d in other]
-    return sorted(stretch for stretch in shared if stretch[0] <= stretch[1])
+    """Return where two signs of the same updates hold together; each sign's stretches lie apart, in order."""
+    shared, i, j = [], 0, 0
+    while i < len(one) and j < len(other):
+        (a, b), (c, d) = one[i], other[j]
+        if max(a, c) <= min(b, d):
+            shared.append((max(a, c), min(b, d)))
+        i, j = (i + 1, j) if b < d else (i, j + 1)
+    return shared
 
 
 def joined(parts: list[Stretch], gap: float) -> list[Stretch]:

@@ -106,9 +106,10 @@ def _episodes(run: Run, skill: float, generator: np.random.Generator) -> list[Ro
 def _updates(run: Run, generator: np.random.Generator) -> list[Row]:
     ends = range(run.steps_per_update, run.steps + 1, run.steps_per_update)
     values = generator.random((len(ends), len(METRIC_COLUMNS) - 1))
+    entropies = generator.uniform(0.5, 1.6, len(ends))  # of a policy that has not collapsed
     return [
-        dict(zip(METRIC_COLUMNS, (step, *row), strict=True))
-        for step, row in zip(ends, values.tolist(), strict=True)
+        {**dict(zip(METRIC_COLUMNS, (step, *row), strict=True)), "entropy": entropy}
+        for step, row, entropy in zip(ends, values.tolist(), entropies.tolist(), strict=True)
     ]
 
 

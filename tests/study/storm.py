@@ -134,7 +134,7 @@ def _disturb_one_study(study: Path, results: Path, kills: int, dice: random.Rand
             stderr=subprocess.DEVNULL,
             env=one_thread_environment(),
         )
-        while parent.poll() is None:
+        while parent.poll() is None and sum(tally.kills.values()) < kills:
             time.sleep(dice.uniform(0.2, 6.0))
             if parent.poll() is None and _strike(parent, dice, tally):
                 break
