@@ -132,6 +132,7 @@ class StudyData:
     def __init__(self, source: Source, record: Mapping[str, Any], where: str = "") -> None:
         self.source = source
         self.record = record
+        self._where = where
         self.study: str = record["study"]
         self.title: str = record["title"]
         self.figure: str = record["figure"]
@@ -200,6 +201,17 @@ class StudyData:
     def settings(self, run: FinishedRun) -> Mapping[str, Any]:
         """Return a run's settings, as its record has them, which may be a stranger's."""
         return self._settings[run.condition, run.run_id]
+
+    def of_conditions(self, names: Sequence[str]) -> StudyData:
+        """Return the study with some of its conditions alone, on the same grid.
+
+        Raises:
+            UserError: when no run of theirs has finished.
+        """
+        runs = [run for run in self.record["runs"] if run["condition"] in names]
+        same = [group for group in self.same if set(group) <= set(names)]
+        record = {**self.record, "runs": runs, "same": same, "budget": self.budget}
+        return StudyData(self.source, record, self._where)
 
     def of_condition(self, condition: str) -> list[FinishedRun]:
         """Return the finished runs of a condition, in the selection's order."""

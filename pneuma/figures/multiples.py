@@ -20,7 +20,16 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes, worth_of
+from pneuma.figures.panel import (
+    draw_common_step,
+    draw_curve,
+    draw_references,
+    far_references,
+    label_of,
+    set_axes,
+    told_far,
+    worth_of,
+)
 from pneuma.figures.quantities import look_of
 from pneuma.figures.sizes import Size
 from pneuma.figures.style import condition_look
@@ -52,8 +61,8 @@ def draw_multiples(
     """Draw each quantity as a block of small panels, one to a condition."""
     figure = Figure(figsize=(size.width, size.height or size.width))
     count = max(len(group) for group in curves.values())
-    columns = min(size.small_columns, count)
-    rows = -(-count // columns)
+    rows = -(-count // min(size.small_columns, count))
+    columns = -(-count // rows)  # the last row as full as it can be
     entries = _entries(data, curves, band)
     wanted = rows * size.small_height + 4 * size.line_inches  # the block's title, ticks and label
     low, high = words.put(figure, size, len(curves) * wanted, entries)
@@ -78,9 +87,10 @@ def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str) 
         words = f"{data.record['baseline']} (baseline)"
         entries[words] = Line2D([], [], color=BASELINE_COLOUR, linestyle="--", linewidth=1)
     scratch = Figure().subplots()
-    for name in curves:
+    for name, group in curves.items():
         for levels in reference_levels(data, name).values():
-            draw_references(scratch, levels)
+            far = far_references(levels, _top(group))
+            draw_references(scratch, {player: level for player, level in levels.items() if player not in far})
     handles, labels = scratch.get_legend_handles_labels()
     return {**entries, **dict(zip(labels, handles, strict=True))}
 
@@ -94,18 +104,30 @@ def _draw_block(
         0.07 / width, (block.top - 0.3 * line) / height, look.title, weight="bold", size="large", va="top"
     )
     panels = _place_panels(figure, len(curves), block, size)
+    told: set[str] = set()
     for axes, curve in zip(panels, curves, strict=True):
         _draw_others(axes, curves, curve, data.record.get("baseline"))
         draw_curve(axes, curve, band, 0)
-        draw_references(axes, levels.get(curve.condition, {}), look.percent)
+        own = levels.get(curve.condition, {})
+        far = far_references(own, _top(curves))
+        told |= {told_far(far, look.percent)}
+        draw_references(axes, {player: level for player, level in own.items() if player not in far})
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
         _name(axes, label_of(data, curve), size, block.columns)
     _align(panels, block.columns, look.log)
+    if len(told) == 1:  # else they differ between conditions, and the caption says so
+        place = (1 - 0.1 / width, (block.top - 0.3 * line) / height)
+        figure.text(*place, told.pop(), fontsize="small", color="#666666", ha="right", va="top")
     bottom = (block.top - block.height) / height
     figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
     middle = (block.top - block.height / 2) / height
     figure.text(0.03 / width, middle, look.label, rotation=90, va="center")
+
+
+def _top(curves: Sequence[Curve]) -> float:
+    """Return the highest point of any run, which no panel's axis ends below."""
+    return float(np.nanmax(np.concatenate([[-np.inf], *(curve.runs.ravel() for curve in curves)])))
 
 
 def _place_panels(figure: Figure, count: int, block: _Block, size: Size) -> list[Axes]:

@@ -81,18 +81,37 @@ def draw_references(axes: Axes, levels: Mapping[str, float], percent: bool = Fal
 
     One that is so far above all that is drawn that its line would flatten it is named in the corner.
     """
-    top = axes.dataLim.y1
+    far = far_references(levels, axes.dataLim.y1)
+    if far:
+        axes.text(
+            0.99, 0.98, told_far(far, percent), transform=axes.transAxes, ha="right", va="top",
+            fontsize="small", color="#666666",
+        )  # fmt: skip
     for name, level in levels.items():
-        if np.isfinite(top) and level > FAR * max(top, 0.01):
-            told = f"{level:.0%}".replace("%", " %") if percent else f"{level:g}"
-            axes.text(
-                0.99, 0.98, f"{name}: {told}, above", transform=axes.transAxes, ha="right", va="top",
-                fontsize="small", color="#666666",
-            )  # fmt: skip
-            continue
-        axes.axhline(
-            level, color="#666666", linestyle=REFERENCE_DASHES[name], linewidth=0.9, label=name, zorder=1.2
-        )
+        if name not in far:
+            axes.axhline(
+                level,
+                color="#666666",
+                linestyle=REFERENCE_DASHES[name],
+                linewidth=0.9,
+                label=name,
+                zorder=1.2,
+            )
+
+
+def far_references(levels: Mapping[str, float], top: float) -> dict[str, float]:
+    """Return the levels so far above the highest point drawn that their lines would flatten it."""
+    if not np.isfinite(top):
+        return {}
+    return {name: level for name, level in levels.items() if level > FAR * max(top, 0.01)}
+
+
+def told_far(levels: Mapping[str, float], percent: bool) -> str:
+    """Name levels that are not drawn, as 'scripted hunter: 100 %, above'."""
+    shown = {
+        name: f"{level:.0%}".replace("%", " %") if percent else f"{level:g}" for name, level in levels.items()
+    }
+    return "\n".join(f"{name}: {told}, above" for name, told in shown.items())
 
 
 def draw_common_step(axes: Axes, step: float | None) -> None:

@@ -10,7 +10,7 @@ numbers as tables. Beside them an index: which command drew each, from which run
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,12 @@ COMMAND = "make figures"
 RESULTS = Path("results")
 TABLES = "tables"
 OF_THE_THESIS = "fig-"
+CONTRASTED = {
+    "optimizer": ("stationary", "non-stationary"),
+    "actor-size": ("smallest", "small"),
+}
+"""Conditions of the thesis's own figure, of studies that have more."""
+
 COLOURS = 256
 TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
 
@@ -82,10 +88,10 @@ def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
 
 def _drawn(data: StudyData, folder: Path) -> Iterator[tuple[dict[str, Any], list[Path]]]:
     """Draw a study's figures; yield how each is drawn, and its files."""
-    for layout in FIGURE_LAYOUTS if data.figure.startswith(OF_THE_THESIS) else FIGURE_LAYOUTS[:1]:
-        if "return" in data.quantities:
-            drawn = {"figure": "curves", **asdict(settle(data, layout=layout))}
-            yield drawn, draw_study(data, folder, layout=layout)
+    contrasted = CONTRASTED.get(data.study.removesuffix("-godot"), ())
+    yield from _curves(data, contrasted or data.conditions, folder, data.figure)
+    if contrasted:
+        yield from _curves(data, data.conditions, folder, f"{data.figure}-all")
     drawn = {"figure": "summary", "size": "page", "outcome": shown_outcome(data)}
     yield drawn, draw_summary(data, folder)
     if len(collapsed_shares(data)):
@@ -93,6 +99,20 @@ def _drawn(data: StudyData, folder: Path) -> Iterator[tuple[dict[str, Any], list
     for found in study_maps(data):
         stem = f"{data.figure}-{found.setting.replace('_', '-')}"
         yield {"figure": "map", "contrast": found.setting}, draw_robustness(found, folder, stem)
+
+
+def _curves(
+    data: StudyData, conditions: Sequence[str], folder: Path, stem: str
+) -> Iterator[tuple[dict[str, Any], list[Path]]]:
+    """Draw curves of some conditions; as the thesis does too, where it has the figure."""
+    if "return" not in data.quantities:
+        return
+    shown = data.of_conditions(conditions)
+    shown.figure = stem
+    as_in_thesis = stem.startswith(OF_THE_THESIS) and not stem.endswith("-all")
+    for layout in FIGURE_LAYOUTS if as_in_thesis else FIGURE_LAYOUTS[:1]:
+        drawn = {"figure": "curves", "conditions": list(conditions), **asdict(settle(shown, layout=layout))}
+        yield drawn, draw_study(shown, folder, layout=layout)
 
 
 def _shrink(path: Path) -> None:

@@ -175,6 +175,17 @@ def test_more_than_eight_conditions_get_a_panel_each(tmp_path: Path, drawn: list
     assert legend(drawn[0])[:3] == ["the panel's condition", "the others", "condition-0 (baseline)"]
 
 
+def test_a_level_above_all_panels_is_told_once(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    for number in range(9):
+        study.add(f"condition-{number}", 0, evaluations=(0.01, 0.02, 0.02, 0.03), hunter=1.0)
+    study.draw(tmp_path, formats=("svg",))
+    told = [text.get_text() for text in drawn[0].texts]
+    assert told.count("scripted hunter: 100 %, above") == 1
+    assert not [text for axes in drawn[0].axes for text in axes.texts]
+    assert "scripted hunter" not in legend(drawn[0])
+
+
 def test_a_condition_without_a_finished_run_is_left_out(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
