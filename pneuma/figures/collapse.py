@@ -87,7 +87,7 @@ def _draw_panel(axes: Axes, data: StudyData, collapsed: dict[str, Any], name: st
         axes.plot(step - collapsed[run.run_id]["onset_step"], values, **shown)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     if name != "entropy":
-        axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
+        axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0, symbol=" %"))
     axes.set_ylim(bottom=0)
     axes.set_xlabel("Steps from onset")
     if not collapsed:
@@ -120,5 +120,5 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
     names = [f"{row['condition']}\n{row['collapsed']} of {row['runs']}" for row in rows]
     axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) < 12 else 5)
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")
-    axes.xaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
+    axes.xaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0, symbol=" %"))
     axes.grid(visible=False, axis="y")
