@@ -31,7 +31,7 @@ def encode_table(data: StudyData, table: str, form: str) -> tuple[bytes, int]:
     """Return what `export_table` writes, and the number of rows."""
     made = {"curves": _curves, "summary": summary_table}
     frame = made[table](data) if table in made else data.table(table)
-    return _encode(frame, form), len(frame)
+    return encode_frame(frame, form), len(frame)
 
 
 def _curves(data: StudyData) -> pd.DataFrame:
@@ -47,7 +47,8 @@ def _curves(data: StudyData) -> pd.DataFrame:
     return table
 
 
-def _encode(frame: pd.DataFrame, form: str) -> bytes:
+def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
+    """Return a table in one of `EXPORT_FORMATS`."""
     if form == "csv":
         return frame.to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":

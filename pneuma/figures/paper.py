@@ -17,7 +17,7 @@ from typing import Any
 
 from PIL import Image
 
-from pneuma.analysis.export import encode_table
+from pneuma.analysis.export import encode_frame, encode_table
 from pneuma.analysis.sources import open_published
 from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.figures import FIGURE_LAYOUTS
@@ -26,6 +26,7 @@ from pneuma.figures.curves import draw_study, settle
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import INDEX, encode_index, index_entries
 from pneuma.figures.robustness import draw_robustness, study_maps
+from pneuma.figures.settings_table import settings_table
 from pneuma.figures.summary import draw_summary, shown_outcome
 
 COMMAND = "make figures"
@@ -39,6 +40,7 @@ CONTRASTED = {
 """Conditions of the thesis's own figure, of studies that have more."""
 
 COLOURS = 256
+SETTINGS_STEM = "table-6-1-and-6-2"
 TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
 
 
@@ -48,7 +50,8 @@ def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     Raises:
         UserError: when a published table is damaged.
     """
-    entries = _environment(folder)
+    (folder / TABLES).mkdir(parents=True, exist_ok=True)
+    entries = [*_environment(folder), *_settings(folder)]
     studies = open_published(results)
     tell_figures_apart(studies)
     for data in studies:
@@ -70,6 +73,16 @@ def _environment(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
+def _settings(folder: Path) -> list[dict[str, Any]]:
+    """Write the thesis's two tables of hyperparameters."""
+    entries = []
+    for form, suffix in TABLE_FORMATS.items():
+        name = f"{TABLES}/{SETTINGS_STEM}{suffix}"
+        (folder / name).write_bytes(encode_frame(settings_table(), form))
+        entries.append({"file": name, "command": COMMAND, "from": "thesis Tables 6.1 and 6.2", "runs": {}})
+    return entries
+
+
 def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
     entries = []
     for drawn, paths in _drawn(data, folder):
@@ -77,7 +90,6 @@ def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
             _shrink(path)
         entries += index_entries(paths, COMMAND, data, drawn)
     tables = folder / TABLES
-    tables.mkdir(parents=True, exist_ok=True)
     for form, suffix in TABLE_FORMATS.items():
         path = tables / f"{data.study}{suffix}"
         path.write_bytes(encode_table(data, "summary", form)[0])
@@ -130,7 +142,7 @@ def main(folder: Path, results: Path = RESULTS) -> None:
     written = draw_all(folder, results)
     for path in written:
         print(f"wrote {path}")
-    if not any(path.parent.name == TABLES for path in written):
+    if not open_published(results):
         print(f"no study is published in {results / 'published'}: its figures and tables are still to come")
 
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from pneuma.analysis.published import encode_study, published_path
 from pneuma.analysis.sources import open_study
 from pneuma.figures import paper
+from pneuma.figures.settings_table import settings_table
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.summary import draw_summary
 
@@ -76,6 +77,7 @@ def test_many_conditions_are_rows_without_profiles(tmp_path: Path, drawn: list[F
 def no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the environment's own figures, which tests of theirs draw."""
     monkeypatch.setattr(paper, "_environment", lambda folder: [])
+    monkeypatch.setattr(paper, "_settings", lambda folder: [])
 
 
 @pytest.mark.usefixtures("no_environment")
@@ -112,3 +114,20 @@ def test_make_figures_says_where_nothing_is_published(
     (tmp_path / "paper").mkdir()
     paper.main(tmp_path / "paper", tmp_path / "results")
     assert "no study is published in" in capsys.readouterr().out
+
+
+def test_the_tables_of_hyperparameters_are_those_of_the_thesis() -> None:
+    table = settings_table().set_index("setting")
+    assert table.loc["horizon"].tolist() == ["2048", "256", "yes"]
+    assert table.loc["minibatch"].tolist() == ["64", "64", ""]
+    assert table.loc["gradient_limit"].tolist() == ["none", "0.5", "yes"]
+    changed = [
+        "clip_range",
+        "horizon",
+        "epochs",
+        "value_coefficient",
+        "betas",
+        "activation",
+        "gradient_limit",
+    ]
+    assert table.index[table["differs"] == "yes"].tolist() == changed
