@@ -6,7 +6,7 @@ clone, the study's published table stands in for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,12 @@ def open_study(store: Store, record: Mapping[str, Any]) -> StudyData:
     return StudyData(published, {**record, "budget": published.record["budget"]}, str(store.root))
 
 
-def open_published(results: Path) -> list[StudyData]:
-    """Return every study that has a published table in a results folder, by the tables alone.
+def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
+    """Return studies by their published tables in a results folder alone; all when none is named.
 
     Raises:
         UserError: when one is damaged.
     """
     store = Store(results)
-    tables = [read_published(store, name) for name in published_studies(store)]
+    tables = [read_published(store, name) for name in (names or published_studies(store))]
     return [StudyData(table, table.record, str(results)) for table in tables]

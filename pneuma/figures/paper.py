@@ -11,7 +11,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from itertools import starmap
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +43,9 @@ CONTRASTED = {
 """Conditions of the thesis's own figure, of studies that have more."""
 
 COLOURS = 256
+FEW = 4
+"""Studies below which starting processes takes longer than they save."""
+
 SETTINGS_STEM = "table-6-1-and-6-2"
 TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
 
@@ -54,11 +60,27 @@ def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     entries = [*_environment(folder), *_settings(folder)]
     studies = open_published(results)
     tell_figures_apart(studies)
-    for data in studies:
-        entries += _study(data, folder)
+    tasks = [(results, data.study, data.figure, folder) for data in studies]
+    for drawn in _each(tasks):
+        entries += drawn
     index = folder / INDEX
     index.write_bytes(encode_index(entries))
     return [*(folder / entry["file"] for entry in entries), index]
+
+
+def _each(tasks: Sequence[tuple[Path, str, str, Path]]) -> Iterator[list[dict[str, Any]]]:
+    """Draw every study; many at once on all cores, each in the same way as alone."""
+    if len(tasks) < FEW:
+        yield from starmap(_published, tasks)
+        return
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_published, *zip(*tasks, strict=True))
+
+
+def _published(results: Path, study: str, figure: str, folder: Path) -> list[dict[str, Any]]:
+    (data,) = open_published(results, [study])
+    data.figure = figure
+    return _study(data, folder)
 
 
 def _environment(folder: Path) -> list[dict[str, Any]]:
