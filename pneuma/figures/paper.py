@@ -42,6 +42,9 @@ CONTRASTED = {
 }
 """Conditions of the thesis's own figure, of studies that have more."""
 
+MORE_CURVES = {"gradient-limits": ("grad_norm",)}
+"""What else a study is about, beside the share killed and the return."""
+
 COLOURS = 256
 FEW = 4
 """Studies below which starting processes takes longer than they save."""
@@ -126,6 +129,10 @@ def _drawn(data: StudyData, folder: Path) -> Iterator[tuple[dict[str, Any], list
     yield from _curves(data, contrasted or data.conditions, folder, data.figure)
     if contrasted:
         yield from _curves(data, data.conditions, folder, f"{data.figure}-all")
+    for quantity in MORE_CURVES.get(data.study.removesuffix("-godot"), ()):
+        if quantity in data.quantities:
+            drawn = {"figure": "curves", **asdict(settle(data, quantities=(quantity,)))}
+            yield drawn, draw_study(data, folder, quantities=(quantity,))
     drawn = {"figure": "summary", "size": "page", "outcome": shown_outcome(data)}
     yield drawn, draw_summary(data, folder)
     if len(collapsed_shares(data)):
