@@ -33,6 +33,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what runs in the worker's own process:
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.team"),
     "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
+    "pneuma.study.kept": ("pneuma.engines.base",),
     "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),
     "pneuma.analysis": ("pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables"),
     # what reads claims and finds the runs that they fixed:

@@ -16,7 +16,7 @@ import typer
 
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS
-from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, Place, load_executor
+from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, Place, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
 
@@ -71,7 +71,13 @@ ExecutorName = Annotated[
     typer.Option(
         "--executor",
         metavar="|".join(EXECUTORS),
-        help="Where runs are trained: on this machine (local)",
+        help="Where runs are trained: in processes of this machine, or on a cluster (docs/scaling.md).",
+    ),
+]
+Address = Annotated[
+    str | None,
+    typer.Option(
+        "--address", metavar="HOST:PORT", help="With --executor ray: its cluster (default: one of its own)."
     ),
 ]
 Trust = Annotated[
@@ -130,7 +136,7 @@ def read_selection(
     )
 
 
-def read_place(executor: str) -> Place:
+def read_place(executor: str, address: str | None) -> Place:
     """Turn the options that say where runs are trained into a `Place`.
 
     Raises:
@@ -138,7 +144,9 @@ def read_place(executor: str) -> Place:
     """
     if executor not in EXECUTORS:
         raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
-    return Place(executor)
+    if address is not None and executor != RAY:
+        raise UserError(f"--address {address}: goes with --executor {RAY}")
+    return Place(executor, address)
 
 
 def read_workers(workers: str | None, place: Place = HERE) -> int:
@@ -199,7 +207,7 @@ _SELECTING = (
     _option("set_", Settings),
 )
 """The parameters of `read_selection`, as options."""
-_PLACING = (_option("executor", ExecutorName, LOCAL),)
+_PLACING = (_option("executor", ExecutorName, LOCAL), _option("address", Address))
 """The parameters of `read_place`, as options."""
 
 

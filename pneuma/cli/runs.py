@@ -16,6 +16,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.config import EnvConfig, Run, make_run
 from pneuma.errors import UserError, nearest_name
 from pneuma.study import stored_runs
+from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store, write_whole
 from pneuma.study.stored_runs import Holder, StoredRun
 
@@ -90,6 +91,8 @@ def show(
         print(f"study {plain(held.study)}, condition {plain(held.condition)}, seed {held.seed}")
     _print_settings(run.settings, differing, usual, all_)
     _print_provenance(run)
+    for study, word in _unlike_most(store, run).items():
+        print(f"  unlike     {word} than most runs of study {plain(study)}: its bits could differ")
     print("\nFiles")
     for file in run.files:
         print(f"  {plain(file.name):<24} {file.size_bytes:>12,} bytes  {file.state}")
@@ -248,6 +251,17 @@ def _print_provenance(run: StoredRun) -> None:
         flag = "as before" if not differences else "NOT as before, its bits could differ: "
         where = f"at step {_value(resume.get('step'))}, {_value(resume.get('at'))}"
         print(f"  resumed    {where}: {flag}{_several(differences)}")
+
+
+def _unlike_most(store: Store, run: StoredRun) -> dict[str, str]:
+    """Return, by each study that holds a run, in what it was trained otherwise than most of that study."""
+    found = {}
+    for study in dict.fromkeys(held.study for held in run.holders):
+        runs = (store.selection(study) or {"runs": []})["runs"]
+        marks = unusual_origins(stored_origins(store, (each["run_id"] for each in runs)))
+        if run.run_id in marks:
+            found[study] = marks[run.run_id]
+    return found
 
 
 def _machine(about: Mapping[str, Any]) -> str | None:

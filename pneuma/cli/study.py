@@ -30,6 +30,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
 from pneuma.config import as_settings, make_run
 from pneuma.study import claimed, plan, spec
+from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
@@ -129,13 +130,24 @@ def status(
     for study in names:
         record = study_record(store, study, selection, setting)
         states = run_states(store, record)
-        runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
+        marks = unusual_origins(stored_origins(store, (run["run_id"] for run, _ in states)))
+        runs = [
+            {
+                **_identity(run),
+                "status": state,
+                "trained": False,
+                "unlike_most": marks.get(run["run_id"], ""),
+            }
+            for run, state in states
+        ]
         documents.append({"schema": 1, "study": record["study"], "runs": runs})
         if not json:
             counts = Counter(state for _, state in states)
             print(f"{plain(record['study'])}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
             for run, state in states:
-                print(f"  {plain(run['condition']):<18} seed {run['seed']:<6} {run['run_id']}  {state}")
+                mark = f"  ({marks[run['run_id']]} than most)" if run["run_id"] in marks else ""
+                line = f"{plain(run['condition']):<18} seed {run['seed']:<6} {run['run_id']}  {state}{mark}"
+                print(f"  {line}")
     if json:
         print_json(documents[0] if name else {"schema": 1, "studies": documents})
 

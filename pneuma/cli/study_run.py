@@ -24,6 +24,7 @@ from pneuma.cli.options import (
     say,
     selects,
 )
+from pneuma.cli.plain_text import plain
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Place, Supervision
@@ -59,7 +60,8 @@ def plan_(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
-    paces = foresight.known_paces(planned, statuses, store)
+    measured = foresight.measured_runs(planned, statuses, store)
+    paces = foresight.known_paces(measured, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
         paces = foresight.calibrate(planned, store, paces, lambda text: say(text, as_json=True))
     seconds: dict[str, float | None] = {}
@@ -75,6 +77,9 @@ def plan_(
         ]
         return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
     _print_plan(planned, statuses, seconds)
+    for condition, speeds in foresight.processor_speeds(planned, measured).items():
+        each = (f"{speed:,.0f} steps/s on {plain(on)} ({n} runs)" for on, (speed, n) in speeds.items())
+        print(f"Measured of runs like {condition}: {', '.join(each)}.")
     if todo:
         known = [own for name in todo if (own := seconds[name]) is not None]
         told = duration(foresight.wall_seconds(known, at_once))

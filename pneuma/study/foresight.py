@@ -22,6 +22,7 @@ from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.local import run_groups
 from pneuma.study.files import read_sealed, seal
 from pneuma.study.identity import run_id
+from pneuma.study.origins import processors, stored_origins
 from pneuma.study.plan import Plan
 from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store
@@ -52,16 +53,76 @@ class Pace:
         return self.start + steps * self.per_step
 
 
-def known_paces(plan: Plan, statuses: Mapping[str, Status], store: Store) -> dict[str, Pace]:
-    """Return the pace of every kind of run in a plan that is known here, by `kind`."""
+@dataclass(frozen=True)
+class Measured:
+    """A finished run: its kind, the seconds that a step took, and what it was trained on.
+
+    Attributes:
+        cpu: the processor's name.
+        processor: that, or the GPU's where it computed on one.
+    """
+
+    kind: str
+    per_step: float
+    cpu: str
+    processor: str
+
+
+def measured_runs(plan: Plan, statuses: Mapping[str, Status], store: Store) -> list[Measured]:
+    """Return how fast the finished runs of a plan were; not those that changed processors on their way."""
+    runs = {cell.run_id: cell.run for cell in plan.cells if statuses[cell.run_id].finished}
+    found = []
+    for name, origin in stored_origins(store, runs).items():
+        seconds, trained_on = origin.get("wall_seconds"), processors(origin)
+        if isinstance(seconds, int | float) and seconds > 0 and len(trained_on) == 1:
+            run = runs[name]
+            found.append(Measured(kind(run), seconds / run.steps, str(origin.get("cpu")), trained_on[0]))
+    return found
+
+
+def known_paces(measured: Iterable[Measured], store: Store) -> dict[str, Pace]:
+    """Return the pace of every kind of run that is known here, by `kind`.
+
+    Runs that a processor like this one trained tell best, then a calibration here, then runs of others.
+    """
+    here = machine(threads=1)["cpu"]
+    own, others = dict[str, list[float]](), dict[str, list[Measured]]()
+    for each in measured:
+        if each.cpu == here:
+            own.setdefault(each.kind, []).append(each.per_step)
+        else:
+            others.setdefault(each.kind, []).append(each)
+    elsewhere = {name: [statistics.fmean(r) for r in _rates(each).values()] for name, each in others.items()}
+    calibrated = {name: Pace(*told) for name, told in _calibrations(store).items()}
+    return _paces(elsewhere) | calibrated | _paces(own)
+
+
+def processor_speeds(plan: Plan, measured: Iterable[Measured]) -> dict[str, dict[str, tuple[float, int]]]:
+    """Return how fast each condition was trained where several kinds of processor trained runs like its own.
+
+    That is, by condition and processor, steps a second and the number of runs.
+    """
+    by_kind: dict[str, list[Measured]] = {}
+    for each in measured:
+        by_kind.setdefault(each.kind, []).append(each)
+    rates = {cell.condition: _rates(by_kind.get(kind(cell.run), ())) for cell in plan.cells}
+    return {
+        condition: {name: (1 / statistics.fmean(each), len(each)) for name, each in own.items()}
+        for condition, own in rates.items()
+        if len(own) > 1
+    }
+
+
+def _rates(measured: Iterable[Measured]) -> dict[str, list[float]]:
+    """Return the seconds that a step took, by processor."""
     rates: dict[str, list[float]] = {}
-    for cell in plan.cells:
-        if statuses[cell.run_id].finished:
-            told = json.loads(store.read_file(cell.run_id, "provenance.json"))
-            rates.setdefault(kind(cell.run), []).append(told["wall_seconds"] / cell.run.steps)
-    calibrated = _calibrations(store)
-    known = {name: Pace(*calibrated[name]) for name in calibrated}
-    return known | {name: Pace(0.0, statistics.fmean(own)) for name, own in rates.items()}
+    for each in measured:
+        rates.setdefault(each.processor, []).append(each.per_step)
+    return rates
+
+
+def _paces(rates: Mapping[str, list[float]]) -> dict[str, Pace]:
+    return {name: Pace(0.0, statistics.fmean(own)) for name, own in rates.items()}
 
 
 def calibrate(

@@ -27,6 +27,8 @@ PACKAGES = (
     "jaxlib",
     "pyarrow",
 )
+CARRIED_CODE = "PNEUMA_CODE"
+"""Environment variable of a process whose code was carried to its machine: its version and its commit."""
 
 
 @dataclass(frozen=True)
@@ -153,12 +155,21 @@ def _packages() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    carried = os.environ.get(CARRIED_CODE, "").split()
+    return {**found, "pneuma": carried[0]} if carried else found
+
+
+def carried_code() -> str:
+    """Return what `CARRIED_CODE` is to say of this process's code."""
+    return f"{_packages().get('pneuma', 'unknown')} {_commit() or ''}".strip()
 
 
 @cache
 def _commit() -> str | None:
     """Return the git commit of the source tree that this code lies in, marked when it was changed."""
+    carried = os.environ.get(CARRIED_CODE, "").split()
+    if carried:
+        return carried[1] if len(carried) > 1 else None
     source = Path(__file__).parents[2]
     if not (source / ".git").exists():
         return None

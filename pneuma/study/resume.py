@@ -1,4 +1,4 @@
-"""Going on after a kill: when to take checkpoints of a run, which to keep, and where to start from."""
+"""Going on after a kill: when to take checkpoints of a run, and where to start from."""
 
 from __future__ import annotations
 
@@ -7,18 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from pneuma.config import Run
-from pneuma.engines.base import Progress, checkpoint_steps
+from pneuma.engines.base import Progress
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import (
-    FOLDER,
-    CheckpointFile,
-    checkpoint_files,
-    encode,
-    file_name,
-    outdated,
-    read_checkpoint,
-)
+from pneuma.study.checkpoints import checkpoint_files, encode, file_name, read_checkpoint
+from pneuma.study.kept import KeptCheckpoints
 from pneuma.study.provenance import Attempt, differences
 from pneuma.study.store import Store
 
@@ -41,15 +34,13 @@ class Resume:
         self._run = run
         self._send = send
         self._seconds = seconds
-        self._kept = checkpoint_steps(run, keep)
         self._next = time.monotonic() + seconds
-        self._files = checkpoint_files(store.run_folder(name))
+        self._kept = KeptCheckpoints(store, name, run, keep)
         self.history: dict[str, Any] = {"attempts": [], "resumes": []}
 
     def latest(self) -> Checkpoint | None:
         """Return the latest whole checkpoint, saying which were damaged; None to start anew."""
-        while self._files:
-            file = self._files[0]
+        while file := self._kept.latest:
             read = read_checkpoint(file)
             if read is not None:
                 checkpoint, self.history = read
@@ -73,16 +64,12 @@ class Resume:
 
     def discard(self) -> bool:
         """Give up the latest checkpoint; return whether there was one."""
-        had_one = bool(self._files)
-        self._remove(self._files[:1])
         self.history = {"attempts": [], "resumes": []}
-        return had_one
+        return self._kept.drop_latest()
 
     def sweep(self) -> None:
         """Remove what a killed process left half written; only the holder of the run's lock may."""
-        folder = self._store.run_folder(self._name)
-        for path in (*folder.glob(".*.*"), *(folder / FOLDER).glob(".*.*")):
-            path.unlink(missing_ok=True)
+        self._kept.sweep()
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
         """Take a checkpoint after an update if it is time, or to be kept, or asked for `at_once`.
@@ -90,11 +77,12 @@ class Resume:
         One that cannot be written is said, and tried again later: training goes on without it.
         """
         now = time.monotonic()
-        if now < self._next and not at_once and progress.step not in self._kept:
+        if now < self._next and not at_once and progress.step not in self._kept.steps:
             return
         history = {**self.history, "attempts": [*self.history["attempts"], attempt.so_far(progress.step)]}
         try:
-            self._write(encode(progress.checkpoint(), history, run_id=self._name), progress.step)
+            data = encode(progress.checkpoint(), history, run_id=self._name)
+            self._kept.write(file_name(progress.step, data), data)
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
         took = time.monotonic() - now
@@ -102,21 +90,7 @@ class Resume:
 
     def finish(self) -> None:
         """Remove the checkpoints that are not to be kept."""
-        self._remove([file for file in self._files if file.step not in self._kept])
-        folder = self._store.run_folder(self._name) / FOLDER
-        if folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
-
-    def _write(self, data: bytes, step: int) -> None:
-        path = self._store.run_folder(self._name) / FOLDER / file_name(step, data)
-        self._store.write(path, data)
-        self._files = checkpoint_files(self._store.run_folder(self._name))
-        self._remove(outdated(self._files, self._kept))
-
-    def _remove(self, files: list[CheckpointFile]) -> None:
-        for file in files:
-            file.path.unlink(missing_ok=True)
-        self._files = [file for file in self._files if file not in files]
+        self._kept.finish()
 
     def _note_resume(self, step: int) -> None:
         """Keep in the history where this attempt goes on, and what has changed since."""

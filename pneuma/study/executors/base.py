@@ -28,8 +28,8 @@ from pneuma.study.store import Store
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
 
-LOCAL = "local"
-EXECUTORS = {LOCAL: "pneuma.study.executors.local"}
+LOCAL, RAY = "local", "ray"
+EXECUTORS = {LOCAL: "pneuma.study.executors.local", RAY: "pneuma.study.executors.ray"}
 """The module of every executor."""
 
 TRIES = 2
@@ -38,9 +38,15 @@ TRIES = 2
 
 @dataclass(frozen=True)
 class Place:
-    """Where runs are trained: an executor's name, and what it alone is told."""
+    """Where runs are trained: an executor's name, and what it alone is told.
+
+    Attributes:
+        executor: one of `EXECUTORS`.
+        address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
+    """
 
     executor: str = LOCAL
+    address: str | None = None
 
 
 HERE = Place()

@@ -43,11 +43,15 @@ class Interrupts:
         """Take note of what made `wakeup` readable."""
         os.read(self.wakeup, 4096)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
+    def interrupt(self) -> None:
+        """Count one more, which no signal told."""
         self.count += 1
-        if self.count == 1:
+        os.write(self._other_end, b"!")
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self.count == 0:
             with suppress(OSError):
                 os.write(
                     2, b"Stopping: every run comes to a checkpoint first. Again, and all stop at once.\n"
                 )
-        os.write(self._other_end, b"!")
+        self.interrupt()

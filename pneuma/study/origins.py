@@ -1,0 +1,60 @@
+"""What runs were trained on, and which of them on something else than most: their last bits may differ."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pneuma.errors import UserError
+from pneuma.study.store import Store
+
+PROCESSOR, PACKAGES = "other processor", "other packages"
+
+
+def stored_origins(store: Store, run_ids: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the provenance of those runs that have one, by id; it may be a stranger's."""
+    found = {}
+    for name in run_ids:
+        try:
+            told = json.loads(store.read_file(name, "provenance.json"))
+        except (UserError, ValueError, RecursionError):
+            continue
+        if isinstance(told, dict) and "imported" not in told:
+            found[name] = told
+    return found
+
+
+def unusual_origins(origins: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Say in a word which runs were trained on another kind of processor, or with other packages, than most.
+
+    Of two that are as frequent the one of the run that was begun first counts as the usual.
+    """
+    by_start = sorted(origins, key=lambda name: (str(origins[name].get("started")), name))
+    marks: dict[str, list[str]] = {}
+    for word, told in ((PROCESSOR, processors), (PACKAGES, _packages)):
+        own = {name: told(origins[name]) for name in by_start}
+        for usual, _ in Counter(own.values()).most_common(1):
+            for name in by_start:
+                if own[name] != usual:
+                    marks.setdefault(name, []).append(word)
+    return {name: ", ".join(words) for name, words in marks.items()}
+
+
+def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the processors of every attempt, each once."""
+    told = origin.get("attempts")
+    attempts = [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
+    machines = [origin, *(each["machine"] for each in attempts if isinstance(each.get("machine"), dict))]
+    return tuple(sorted({processor(machine) for machine in machines}))
+
+
+def processor(machine: Mapping[str, Any]) -> str:
+    """Return the kind of processor, or GPU, that a machine of a provenance computed on."""
+    device = machine.get("device") or "cpu"
+    return str(machine.get("cpu") if device == "cpu" else device)
+
+
+def _packages(origin: Mapping[str, Any]) -> str:
+    return json.dumps([origin.get("python"), origin.get("packages")], sort_keys=True)

@@ -1,0 +1,134 @@
+"""Which runs were trained on something else than most, and how fast each kind of processor was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.cli import main
+from pneuma.study import foresight
+from pneuma.study.execute import selection_record
+from pneuma.study.origins import stored_origins, unusual_origins
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.provenance import machine
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store, run_document, to_json
+
+MILAN = {"cpu": "AMD Milan", "device": "cpu", "python": "3.11.7", "packages": {"jax": "0.10.2"}}
+XEON = {**MILAN, "cpu": "Intel Xeon"}
+
+
+def origin(*machines: dict[str, Any], started: str = "2026-01-01", seconds: float = 1.0) -> dict[str, Any]:
+    """Return a provenance as it is written: the last machine's facts, and every attempt's."""
+    attempts = [{"machine": each} for each in machines]
+    return {"started": started, "wall_seconds": seconds, **machines[-1], "attempts": attempts}
+
+
+# --- Marks -------------------------------------------------------------------------------------------
+
+
+def test_what_was_trained_otherwise_than_most_is_marked_in_a_word() -> None:
+    newer = {**MILAN, "packages": {"jax": "0.10.3"}}
+    told = {
+        "a": origin(MILAN),
+        "b": origin(MILAN),
+        "c": origin(XEON),
+        "d": origin(newer),
+        "e": origin(MILAN),
+        "f": origin({**XEON, "python": "3.12.1"}),
+    }
+    both = "other processor, other packages"
+    assert unusual_origins(told) == {"c": "other processor", "d": "other packages", "f": both}
+    assert unusual_origins({"a": origin(MILAN)}) == unusual_origins({}) == {}
+
+
+def test_the_order_of_packages_is_no_difference() -> None:
+    two = {**MILAN, "packages": {"jax": "1", "numpy": "2"}}
+    other = {**MILAN, "packages": {"numpy": "2", "jax": "1"}}
+    assert unusual_origins({"a": origin(two), "b": origin(other)}) == {}
+
+
+def test_a_gpu_is_another_processor_and_so_is_a_way_over_two() -> None:
+    gpu = {**MILAN, "device": "gpu: NVIDIA H200"}
+    told = {"a": origin(MILAN), "b": origin(MILAN), "c": origin(gpu), "d": origin(XEON, MILAN)}
+    assert unusual_origins(told) == {"c": "other processor", "d": "other processor"}
+
+
+def test_of_two_as_frequent_the_earlier_is_the_usual_one() -> None:
+    late, early = origin(XEON, started="2026-02-01"), origin(MILAN, started="2026-01-01")
+    assert unusual_origins({"a": late, "b": early}) == {"a": "other processor"}
+
+
+def test_a_strangers_provenance_is_no_trouble(tmp_path: Path) -> None:
+    for odd in ({}, {"attempts": 3}, {"attempts": [3, {"machine": []}]}, {"cpu": [1], "packages": 7}):
+        unusual_origins({"a": odd, "b": origin(MILAN)})
+    store = Store(tmp_path)
+    for i, told in enumerate((b"3", b"{", b'{"imported": true}', b'{"cpu": "x"}')):
+        store.save_run(f"{i:016}", Status("done", 1), {"provenance.json": told})
+    assert stored_origins(store, [f"{i:016}" for i in range(5)]) == {f"{3:016}": {"cpu": "x"}}
+
+
+# --- Stored studies ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def planned() -> Plan:
+    return make_plan(
+        load_study("activation"), Selection(seeds=(0, 1), steps=1000, conditions=("tanh", "relu"))
+    )
+
+
+def save(store: Store, plan: Plan, origins: list[dict[str, Any]]) -> None:
+    """Store the plan's first runs as trained so, and the plan as the study's latest selection."""
+    for cell, told in zip(plan.cells, origins, strict=False):
+        files = {"run.json": run_document(cell.run, cell.run_id), "provenance.json": to_json(told)}
+        store.save_run(cell.run_id, Status("done", cell.run.steps), files)
+    store.save_selection(plan.study.name, selection_record(plan))
+
+
+def test_status_and_show_tell_the_mark(
+    tmp_path: Path, planned: Plan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(Store(tmp_path), planned, [origin(MILAN), origin(MILAN), origin(XEON), origin(MILAN)])
+    odd = planned.cells[2].run_id
+    assert main(["study", "status", "activation", "--results", str(tmp_path)]) == 0
+    marked = [line for line in capsys.readouterr().out.splitlines() if "than most" in line]
+    assert len(marked) == 1 and odd in marked[0] and "(other processor than most)" in marked[0]
+    assert main(["study", "status", "activation", "--results", str(tmp_path), "--json"]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    assert {run["run_id"]: run["unlike_most"] for run in runs if run["unlike_most"]} == {
+        odd: "other processor"
+    }
+    assert main(["run", "show", odd, "--results", str(tmp_path)]) == 0
+    assert "other processor than most runs of study activation" in capsys.readouterr().out
+    assert main(["run", "show", planned.cells[0].run_id, "--results", str(tmp_path)]) == 0
+    assert "than most" not in capsys.readouterr().out
+
+
+def test_paces_are_of_this_kind_of_processor_where_it_is_known(tmp_path: Path, planned: Plan) -> None:
+    here, store = {**MILAN, "cpu": machine(1)["cpu"]}, Store(tmp_path)
+    seconds = planned.cells[0].run.steps * 0.001  # a millisecond a step
+    told = [origin(here, seconds=seconds), *(origin(XEON, seconds=n * seconds) for n in (4, 5, 6))]
+    save(store, planned, told)
+    statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
+    measured = foresight.measured_runs(planned, statuses, store)
+    paces = foresight.known_paces(measured, store)
+    assert [pace.per_step for pace in paces.values()] == [pytest.approx(0.001)]
+    paces = foresight.known_paces(measured[1:], store)
+    assert [pace.per_step for pace in paces.values()] == [pytest.approx(0.005)]
+    speeds = foresight.processor_speeds(planned, measured)
+    assert set(speeds) == {"tanh", "relu"}
+    assert {name: (round(speed), runs) for name, (speed, runs) in speeds["tanh"].items()} == {
+        here["cpu"]: (1000, 1),
+        "Intel Xeon": (200, 3),
+    }
+
+
+def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Plan) -> None:
+    store = Store(tmp_path)
+    save(store, planned, [origin(XEON, MILAN)])
+    statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
+    assert foresight.measured_runs(planned, statuses, store) == []
