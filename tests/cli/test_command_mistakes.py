@@ -67,6 +67,7 @@ MISTAKES: dict[str, tuple[list[str], tuple[str, ...]]] = {
     "no workers": ([*RUN, "--workers", "0"], ("--workers 0", "at least 1")),
     "workers that are no number": ([*RUN, "--workers", "two"], ("--workers", "two")),
     "unknown executor": ([*RUN, "--executor", "lcal"], ("--executor lcal", "did you mean local?")),
+    "address of no cluster": ([*RUN, "--address", "a:1"], ("--address a:1", "--executor ray")),
     "unknown engine": ([*RUN, "--engine", "sb4"], ("sb4", "did you mean sb3?")),
     "unknown preset": ([*RUN, "--preset", "quik"], ("'quik'", "did you mean quick?")),
     "file that is not there": (["study", "run", "nowhere.toml"], ("nowhere.toml", "No such file")),

@@ -143,8 +143,8 @@ def refuse_lacking_resources(cluster: Cluster, on_gpu: int) -> None:
     if on_gpu and not any(kind.get("GPU", 0.0) >= 1 and kind.get("CPU", 0.0) >= 1 for kind in kinds):
         runs = "1 run wants" if on_gpu == 1 else f"{on_gpu} runs want"
         raise UserError(
-            f"--executor ray: {runs} a GPU each and {cluster.where} has no node with one; start one with "
-            "`ray start --address HOST:PORT --num-gpus N`, or take `gpu` out of the study's file"
+            f"--executor ray: {runs} a GPU each and {cluster.where} has no node with one; give the --address "
+            "of a cluster that has (`ray start … --num-gpus N`), or take `gpu` out of the study's file"
         )
 
 
