@@ -131,16 +131,8 @@ def status(
         record = study_record(store, study, selection, setting)
         states = run_states(store, record)
         marks = unusual_origins(stored_origins(store, (run["run_id"] for run, _ in states)))
-        runs = [
-            {
-                **_identity(run),
-                "status": state,
-                "trained": False,
-                "unlike_most": marks.get(run["run_id"], ""),
-            }
-            for run, state in states
-        ]
-        documents.append({"schema": 1, "study": record["study"], "runs": runs})
+        runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
+        documents.append({"schema": 1, "study": record["study"], "runs": runs, "unlike_most": marks})
         if not json:
             counts = Counter(state for _, state in states)
             print(f"{plain(record['study'])}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
