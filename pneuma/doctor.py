@@ -36,6 +36,7 @@ EXTRAS = {
     "pygame": ("play", "a window to play and watch in"),
     "imageio_ffmpeg": ("video", "MP4 videos"),
     "onnx": ("onnx", "policies exported as ONNX"),
+    "ray": ("ray", "runs on a cluster (--executor ray)"),
     "tensorboard": ("tensorboard", "importing old logs"),
 }
 """What each extra is for, by the module that it brings."""

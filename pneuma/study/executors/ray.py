@@ -153,8 +153,9 @@ class _Driver:
                 self._send_what_may()
                 awaited = {away.awaited: away for away in self._away}
                 if awaited:
-                    ready, _ = ray.wait([*awaited], num_returns=1, timeout=WAIT_SECONDS)
-                    for reference in ready:
+                    ray.wait([*awaited], num_returns=1, timeout=WAIT_SECONDS)
+                    ready, _ = ray.wait([*awaited], num_returns=len(awaited), timeout=0)
+                    for reference in ready:  # all: the first in the list is to keep none waiting
                         self._hear(awaited[reference])
                 else:
                     time.sleep(WAIT_SECONDS)
