@@ -16,7 +16,7 @@ import typer
 
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS
-from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, Place, load_executor
+from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
 
@@ -80,6 +80,19 @@ Address = Annotated[
         "--address", metavar="HOST:PORT", help="With --executor ray: its cluster (default: one of its own)."
     ),
 ]
+    ),
+]
+SlurmOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--slurm",
+        metavar="KEY=VALUE",
+        help="With --executor slurm: what jobs ask for: partition, time, account, mem … (may be repeated).",
+    ),
+]
+Detach = Annotated[
+    bool, typer.Option("--detach", help="With --executor slurm: leave once jobs are submitted.")
+]
 Trust = Annotated[
     bool,
     typer.Option(
@@ -136,7 +149,7 @@ def read_selection(
     )
 
 
-def read_place(executor: str, address: str | None) -> Place:
+def read_place(executor: str, address: str | None, slurm: Sequence[str] | None, detach: bool) -> Place:
     """Turn the options that say where runs are trained into a `Place`.
 
     Raises:
@@ -146,7 +159,16 @@ def read_place(executor: str, address: str | None) -> Place:
         raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
     if address is not None and executor != RAY:
         raise UserError(f"--address {address}: goes with --executor {RAY}")
-    return Place(executor, address)
+    if (slurm or detach) and executor != SLURM:
+        raise UserError(f"{'--slurm ' + slurm[0] if slurm else '--detach'}: goes with --executor {SLURM}")
+    return Place(executor, address, slurm=tuple(_read_slurm(text) for text in slurm or ()), detach=detach)
+
+
+def _read_slurm(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip() or not value.strip():
+        raise UserError(f"--slurm {text}: must be KEY=VALUE, as in --slurm partition=short")
+    return key.strip().replace("-", "_"), value.strip()
 
 
 def read_workers(workers: str | None, place: Place = HERE) -> int:
@@ -207,7 +229,12 @@ _SELECTING = (
     _option("set_", Settings),
 )
 """The parameters of `read_selection`, as options."""
-_PLACING = (_option("executor", ExecutorName, LOCAL), _option("address", Address))
+_PLACING = (
+    _option("executor", ExecutorName, LOCAL),
+    _option("address", Address),
+    _option("slurm", SlurmOptions),
+    _option("detach", Detach, False),
+)
 """The parameters of `read_place`, as options."""
 
 

@@ -28,7 +28,7 @@ from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
 from pneuma.study.definition import SETTINGS, TEXT, in_setting
-from pneuma.study.executors.base import HERE, Place, Supervision
+from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
 
@@ -95,6 +95,8 @@ def run(
         search = search.with_settings(_checked(over))
     task = Task(search, read_budget(search, preset, trials, seeds, steps))
     store = Store(results)
+    if place.detach:
+        raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
     how = Supervision(workers=read_workers(workers, place), place=place)
     if sensitivity:
         from pneuma.cli.search_promote import run_sensitivity
@@ -170,8 +172,9 @@ def _search(
     except Unfinished as error:
         say(f"Stopped: {error}", as_json=True)
         return 1
-    except KeyboardInterrupt:
-        say("Stopped. The same command goes on where the search was stopped.", as_json=True)
+    except KeyboardInterrupt as left:
+        told = str(left) if isinstance(left, Detached) else "Stopped."
+        say(f"{told} The same command goes on where the search was stopped.", as_json=True)
         return 130
     from pneuma.search.record import best_number, trial_document
 

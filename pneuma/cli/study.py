@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,14 +24,19 @@ from pneuma.cli.options import (
     SettingName,
     StudyName,
     print_json,
+    say,
     selects,
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
 from pneuma.config import as_settings, make_run
+from pneuma.errors import UserError
 from pneuma.study import claimed, plan, spec
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.study.executors.slurm_queue import Job
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -127,19 +132,24 @@ def status(
     if not names and not json:
         print(f"No study was run in {results} yet.")
     documents = []
+    jobs = _queued(store)
     for study in names:
         record = study_record(store, study, selection, setting)
         states = run_states(store, record)
         marks = unusual_origins(stored_origins(store, (run["run_id"] for run, _ in states)))
         runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
-        documents.append({"schema": 1, "study": record["study"], "runs": runs, "unlike_most": marks})
+        own_jobs = {run["run_id"]: _job(jobs[run["run_id"]]) for run, _ in states if run["run_id"] in jobs}
+        document = {"schema": 1, "study": record["study"], "runs": runs, "unlike_most": marks}
+        documents.append({**document, "jobs": own_jobs})
         if not json:
             counts = Counter(state for _, state in states)
             print(f"{plain(record['study'])}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
             for run, state in states:
+                job = jobs.get(run["run_id"])
                 mark = f"  ({marks[run['run_id']]} than most)" if run["run_id"] in marks else ""
-                line = f"{plain(run['condition']):<18} seed {run['seed']:<6} {run['run_id']}  {state}{mark}"
-                print(f"  {line}")
+                queued = f"  job {job.id} {job.state.lower()}" if job else ""
+                line = f"{plain(run['condition']):<18} seed {run['seed']:<6} {run['run_id']}  {state}"
+                print(f"  {line}{queued}{mark}")
     if json:
         print_json(documents[0] if name else {"schema": 1, "studies": documents})
 
@@ -160,6 +170,26 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
     print(f"\nConditions: {plain(', '.join(conditions))}\nCompared with: {plain(record['baseline'])}")
     print(f"Seeds: {', '.join(map(str, seeds))}")
     return None
+
+
+def _queued(store: Store) -> dict[str, Job]:
+    """Return the jobs of Slurm's queue by the runs that they train; say so where it cannot be asked."""
+    from pneuma.study.executors.submissions import open_submissions
+
+    submissions = open_submissions(store)
+    if not submissions:
+        return {}
+    from pneuma.study.executors.slurm_queue import jobs_by_run
+
+    try:
+        return jobs_by_run(submissions)
+    except UserError as error:
+        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}", as_json=True)
+        return {}
+
+
+def _job(job: Job) -> dict[str, str]:
+    return {"job": job.id, "state": job.state}
 
 
 def _identity(run: dict[str, Any]) -> dict[str, Any]:

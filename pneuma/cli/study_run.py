@@ -26,8 +26,9 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.progress import ProgressDisplay, duration
+from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import HERE, Place, Supervision
+from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
 
 RESULTS = Path("results")
@@ -129,6 +130,8 @@ def run(
 
     selection = selection or plan.Selection()
     most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, selection.seeds)
+    if most_seeds and place.detach:
+        raise UserError("--detach: --until-decided waits for what runs come to; leave it by Ctrl-C")
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
         workers=read_workers(workers, place),
@@ -149,10 +152,13 @@ def train(
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
     outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
+    left = outcomes is None and how.place.detach
+    if left:
+        outcomes = [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
     if outcomes and json:
         rows = outcome_rows(outcomes)
         print_json({"schema": 1, "study": planned.study.name, "runs": rows})
-    return exit_code(outcomes)
+    return 0 if left else exit_code(outcomes)
 
 
 def train_cells(
@@ -165,6 +171,9 @@ def train_cells(
     try:
         with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
             outcomes = execute.execute(planned, todo.runs, store, how, display.update)
+    except Detached as left:
+        say(str(left), as_json=True)
+        return None
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", as_json=True)
         return None

@@ -1,13 +1,27 @@
 """Who trains a run: a lock that its holder's death lets go of.
 
 Two `study run` on one results folder share the work: a run that another process holds is left to it.
+
+On a file system that several machines share, the server lets go of a dead machine's locks late or never.
+So a holder renews its lock's time while it lives, and names its machine in it; a lock of another machine
+that was not renewed for `STALE_SECONDS` is broken. Where a lock keeps nobody out (some file systems have
+none, or keep them to one machine), two processes may train one run: to the same bits, in files that are
+put in place whole, so nothing is lost but time.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
+import socket
+import threading
+import time
+from contextlib import suppress
 from pathlib import Path
+
+RENEW_SECONDS = 30.0
+STALE_SECONDS = 600.0
+"""Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 
 
 class RunLock:
@@ -16,13 +30,14 @@ class RunLock:
         with RunLock(store.run_folder(name)) as mine:
             if mine: ...
 
-    The operating system lets go of it when the process ends, however it ends. On a file system that has no
-    locks nobody is kept out: two processes then train the same run, to the same bits.
+    The operating system lets go of it when the process ends, however it ends.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".lock"
         self._descriptor = -1
+        self._done = threading.Event()
+        self._renewing: threading.Thread | None = None
 
     def __enter__(self) -> bool:
         """Take the lock if nobody holds it; return whether that was so."""
@@ -33,12 +48,17 @@ class RunLock:
             try:
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
+                stale = _is_stale(self._descriptor)
                 os.close(self._descriptor)
                 self._descriptor = -1
-                return False
+                if not stale:
+                    return False
+                self._path.unlink(missing_ok=True)
+                continue
             except OSError:
                 return True
             if self._is_there():
+                self._sign()
                 return True
             os.close(self._descriptor)  # its holder let go, and removed the file, after it was opened here
 
@@ -50,10 +70,27 @@ class RunLock:
             return False
         return os.path.samestat(there, os.fstat(self._descriptor))
 
+    def _sign(self) -> None:
+        """Name this machine in the lock, and renew its time from now on."""
+        with suppress(OSError):
+            os.ftruncate(self._descriptor, 0)
+            os.pwrite(self._descriptor, socket.gethostname().encode(), 0)
+        self._renewing = threading.Thread(target=self._renew, daemon=True)
+        self._renewing.start()
+
+    def _renew(self) -> None:
+        while not self._done.wait(RENEW_SECONDS):
+            with suppress(OSError):
+                os.utime(self._descriptor)
+
     def __exit__(self, *_: object) -> None:
         """Let go."""
+        self._done.set()
+        if self._renewing:
+            self._renewing.join()
         if self._descriptor >= 0:
-            self._path.unlink(missing_ok=True)
+            if self._is_there():  # and not another's, who broke this one
+                self._path.unlink(missing_ok=True)
             os.close(self._descriptor)
 
 
@@ -66,10 +103,20 @@ def is_held(folder: Path) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return True
+        return not _is_stale(descriptor)
     except OSError:
         return False
     else:
         return False
     finally:
         os.close(descriptor)
+
+
+def _is_stale(descriptor: int) -> bool:
+    """Tell whether a lock that is held belongs to another machine which has not renewed it for long."""
+    try:
+        holder = os.pread(descriptor, 300, 0).decode(errors="replace")
+        age = time.time() - os.fstat(descriptor).st_mtime
+    except OSError:
+        return False
+    return bool(holder) and holder != socket.gethostname() and age > STALE_SECONDS

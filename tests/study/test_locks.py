@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import fcntl
+import os
+import socket
+import time
 from pathlib import Path
 
 import pytest
 
-from pneuma.study.locks import RunLock, is_held
+from pneuma.study import locks
+from pneuma.study.locks import STALE_SECONDS, RunLock, is_held
 
 
 def test_one_holder_at_a_time(tmp_path: Path) -> None:
@@ -59,3 +63,33 @@ def test_a_link_in_the_locks_place_is_not_followed(tmp_path: Path) -> None:
         pass
     assert not (tmp_path / "elsewhere").exists()
     assert not is_held(folder)
+
+
+@pytest.mark.parametrize(
+    ("holder", "age", "broken"),
+    [("elsewhere", STALE_SECONDS + 60, True), ("elsewhere", STALE_SECONDS - 60, False), ("", 1e6, False)],
+)
+def test_a_lock_that_a_dead_machine_holds_is_broken_in_the_end(
+    holder: str, age: float, broken: bool, tmp_path: Path
+) -> None:
+    """A file server may never let go of it; this machine's own locks go with their processes."""
+    path = tmp_path / ".lock"
+    with RunLock(tmp_path) as mine:
+        assert mine and path.read_text() == socket.gethostname()
+        path.write_text(holder or socket.gethostname())
+        os.utime(path, (time.time() - age, time.time() - age))
+        assert is_held(tmp_path) is not broken
+        with RunLock(tmp_path) as other:
+            assert other is broken
+            assert is_held(tmp_path)
+    assert path.exists() is False
+
+
+def test_a_holder_renews_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(locks, "RENEW_SECONDS", 0.01)
+    with RunLock(tmp_path):
+        os.utime(tmp_path / ".lock", (0, 0))
+        until = time.monotonic() + 10
+        while (tmp_path / ".lock").stat().st_mtime == 0 and time.monotonic() < until:
+            time.sleep(0.01)
+        assert (tmp_path / ".lock").stat().st_mtime > 0

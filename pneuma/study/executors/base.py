@@ -11,7 +11,8 @@ need. Whatever one does, it keeps these promises:
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
 - A crashed run, or one whose machine went, is tried once more before that counts; a time-out counts at once.
 - After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
-  once. Either way the same command goes on, with this executor or another, to the same bits.
+  once. Either way the same command goes on, with this executor or another, to the same bits. Where jobs
+  outlive the command, as in Slurm's queue, it is only left: `Detached`.
 - Nothing pickled is ever put into the results folder.
 """
 
@@ -28,8 +29,12 @@ from pneuma.study.store import Store
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
 
-LOCAL, RAY = "local", "ray"
-EXECUTORS = {LOCAL: "pneuma.study.executors.local", RAY: "pneuma.study.executors.ray"}
+LOCAL, RAY, SLURM = "local", "ray", "slurm"
+EXECUTORS = {
+    LOCAL: "pneuma.study.executors.local",
+    RAY: "pneuma.study.executors.ray",
+    SLURM: "pneuma.study.executors.slurm",
+}
 """The module of every executor."""
 
 TRIES = 2
@@ -43,10 +48,14 @@ class Place:
     Attributes:
         executor: one of `EXECUTORS`.
         address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
+        slurm: what each job asks Slurm for, as pairs of an option of sbatch and its value.
+        detach: whether to leave once jobs are submitted, where they go on by themselves.
     """
 
     executor: str = LOCAL
     address: str | None = None
+    slurm: tuple[tuple[str, str], ...] = ()
+    detach: bool = False
 
 
 HERE = Place()
@@ -71,6 +80,10 @@ class Supervision:
     keep_checkpoints: int = 0
     place: Place = HERE
     on_gpu: frozenset[str] = frozenset()
+
+
+class Detached(KeyboardInterrupt):
+    """The command is left, and runs go on without it; says how to find them."""
 
 
 class Executor(Protocol):
@@ -104,7 +117,7 @@ class Executor(Protocol):
         here; one that could not be stored a `reason`.
 
         Raises:
-            KeyboardInterrupt: after Ctrl-C, when every worker has gone.
+            KeyboardInterrupt: after Ctrl-C, when every worker has gone; `Detached` where they go on.
         """
 
 

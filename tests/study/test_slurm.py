@@ -1,0 +1,230 @@
+"""The Slurm executor without a Slurm: jobs of submitit's local executor, and a queue given by hand."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.config import Run, make_run
+from pneuma.errors import UserError
+from pneuma.study.executors import local, slurm, slurm_queue
+from pneuma.study.executors.base import Detached, Event, Place, Supervision
+from pneuma.study.executors.slurm_job import Training
+from pneuma.study.executors.slurm_queue import Job
+from pneuma.study.executors.submissions import (
+    Submission,
+    new_submission,
+    open_submissions,
+    submissions_folder,
+)
+from pneuma.study.identity import run_id
+from pneuma.study.store import Status, Store
+
+submitit = pytest.importorskip("submitit")
+
+SETTINGS = {
+    "env": "pneuma/Mailman-v0",
+    "engine": "tabular",
+    "algorithm": "q-learning",
+    "steps": 500,
+    "horizon": 10,
+}
+HOW = Supervision(2, place=Place("slurm"))
+
+
+def group(*seeds: int) -> dict[str, Run]:
+    runs = [make_run({**SETTINGS, "learning_rate": 0.5, "seed": seed}) for seed in seeds]
+    return {run_id(run): run for run in runs}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    store.check_writable()
+    return store
+
+
+class Queue:
+    """A queue in Slurm's place, whose jobs a test says the state of, or submitit's local executor runs."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, states: Sequence[str | None] = ()) -> None:
+        self.states = states
+        self.submitted: list[tuple[Submission, Sequence[Mapping[str, Any]]]] = []
+        self.jobs: dict[tuple[str, int], Any] = {}
+        monkeypatch.setattr(slurm_queue, "submit", self.submit)
+        monkeypatch.setattr(slurm_queue, "jobs_of", self.jobs_of)
+        monkeypatch.setattr(slurm, "TAIL_SECONDS", 0.05)
+        monkeypatch.setattr(slurm, "QUEUE_SECONDS", 0.1)
+
+    def submit(self, submission: Submission, works: Sequence[Mapping[str, Any]], *_: object) -> None:
+        self.submitted.append((submission, works))
+        if not self.states:
+            executor = submitit.LocalExecutor(submission.jobs_folder)
+            executor.update_parameters(timeout_min=2)
+            for i, job in enumerate(executor.submit_array([Training(work) for work in works])):
+                self.jobs[submission.name, i] = job
+
+    def jobs_of(self, submissions: Sequence[Submission]) -> dict[tuple[str, int], Job]:
+        found = {}
+        for submission in submissions:
+            for i in range(len(submission.groups)):
+                state = self._state(submission, i)
+                if state:
+                    found[submission.name, i] = Job(f"7_{i}", state)
+        return found
+
+    def _state(self, submission: Submission, i: int) -> str | None:
+        if self.states:
+            place = [own.name for own, _ in self.submitted].index(submission.name)
+            return self.states[min(place, len(self.states) - 1)]
+        return "COMPLETED" if self.jobs[submission.name, i].done() else "RUNNING"
+
+
+def collect(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision = HOW) -> list[Event]:
+    events: list[Event] = []
+    slurm.run_groups(groups, store, how, events.append)
+    return events
+
+
+def ends(events: Sequence[Event]) -> dict[str, str]:
+    return {event["run_id"]: event["status"] for event in events if event["event"] == "end"}
+
+
+# --- Jobs of submitit's local executor -----------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_jobs_leave_what_local_leaves_and_no_pickle_in_the_results(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch)
+    groups = [group(0, 1), group(2)]
+    with pytest.raises(Detached, match="2 jobs in Slurm's queue go on"):
+        collect(groups, store, replace(HOW, place=Place("slurm", detach=True)))
+    assert len(list(submissions_folder(store).rglob("*_submitted.pkl"))) == 2
+    assert ends(collect(groups, store)) == dict.fromkeys({**groups[0], **groups[1]}, "done")
+    assert len(queue.submitted) == 1  # the second command found the jobs of the first
+    for job in queue.jobs.values():
+        job.wait()
+
+    beside = Store(tmp_path / "beside")
+    local.run_groups(groups, beside, HOW, lambda event: None)
+    for name in store.runs():
+        files = [file for file in store.file_names(name) if file != "provenance.json"]
+        assert all(store.read_file(name, file) == beside.read_file(name, file) for file in files)
+    assert store.runs() == beside.runs()
+    assert not list(store.root.rglob("*.pkl"))
+
+
+# --- A queue given by hand -----------------------------------------------------------------------
+
+
+def test_a_run_whose_job_dies_twice_is_killed_and_says_where_to_look(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["NODE_FAIL", "OUT_OF_MEMORY"])
+    (name,) = group(3)
+    events = collect([group(3)], store)
+    assert [event["text"] for event in events if event["event"] == "note"] == [
+        "job 7_0 is node_fail; tried once more"
+    ]
+    assert ends(events) == {name: "killed"}
+    assert len(queue.submitted) == 2
+    assert b"out_of_memory" in store.read_file(name, "error.txt")
+    assert not open_submissions(store)
+
+
+@pytest.mark.parametrize(
+    ("states", "goes"), [(["CANCELLED"], 1), (["PREEMPTED", "PREEMPTED", "CANCELLED"], 3)]
+)
+def test_a_cancelled_job_is_not_tried_again_and_a_preempted_one_always(
+    states: list[str], goes: int, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, states)
+    assert set(ends(collect([group(4)], store)).values()) == {"killed"}
+    assert len(queue.submitted) == goes
+
+
+def test_what_a_job_told_is_handed_on_and_a_run_that_lies_there_needs_no_word(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first run's end is told, the line after it is not whole; the second lies in the store."""
+    runs = group(5, 6)
+    first, second = runs
+    submission = new_submission(store, [list(runs)], 1)
+    told = [
+        {"event": "note", "run_id": first, "text": "goes on from step 10"},
+        {"event": "end", "run_id": first, "status": "stopped", "step": 20, "trained": True},
+        {"event": "end", "run_id": first, "status": "diverged", "step": 30, "trained": True},
+    ]
+    lines = "".join(json.dumps(event) + "\n" for event in told)
+    submission.events_path(0).write_text(lines + '{"event": "e')
+    store.save_run(second, Status("done", 500), {"run.json": b"{}"})
+    queue = Queue(monkeypatch, ["COMPLETED"])
+    queue.submitted.append((submission, []))
+    monkeypatch.setattr(slurm_queue, "jobs_by_run", lambda _: dict.fromkeys(runs, Job("7_0", "RUNNING")))
+    events = collect([runs], store)
+    assert events[0]["text"] == "goes on from step 10"
+    assert ends(events) == {first: "diverged", second: "done"}
+    assert len(queue.submitted) == 1 and not submission.folder.exists()
+
+
+# --- What is asked of the queue ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "minutes"),
+    [("90", 90), ("5:00", 5), ("5:01", 6), ("2:30:00", 150), ("1-12", 2160), ("1-0:30", 1470), ("0:30", 1)],
+)
+def test_times_are_read_as_sbatch_reads_them(text: str, minutes: int) -> None:
+    assert slurm_queue.read_minutes(text) == minutes
+
+
+@pytest.mark.parametrize("text", ["soon", "", "0", "1:2:3:4", "-5"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(UserError, match="--slurm time="):
+        slurm_queue.read_minutes(text)
+
+
+def test_a_job_asks_for_what_people_say_and_may_always_be_requeued() -> None:
+    told = slurm_queue.parameters(
+        "mine", {"partition": "short", "mem": "4GB", "reservation": "course"}, 8, True
+    )
+    assert (told["partition"], told["mem"], told["gpus_per_node"]) == ("short", "4GB", 1)
+    assert told["additional_parameters"] == {"requeue": True, "reservation": "course"}
+    assert (told["time"], told["array_parallelism"]) == (60, 8)
+    with pytest.raises(UserError, match="job_name=x: is set by Pneuma"):
+        slurm_queue.parameters("mine", {"job-name": "x"}, 1, False)
+
+
+# --- Signals -------------------------------------------------------------------------------------
+
+_JOB = """
+import os, selectors, signal, subprocess, sys
+from pneuma.study.executors.slurm_job import JobSignals
+with JobSignals() as signals:
+    child = subprocess.Popen([sys.executable, "-c", "input(); print('lives')"], stdin=-1, stdout=-1)
+    for number in (signal.SIGUSR2, signal.SIGTERM, signal.SIGTERM):
+        os.kill(child.pid, number)
+        os.kill(os.getpid(), number)
+    waiting = selectors.DefaultSelector()
+    waiting.register(signals.wakeup, selectors.EVENT_READ)
+    assert waiting.select(10)
+    while len(signals.seen) < 2: pass
+    print(signals.count, sorted(map(int, signals.seen)), child.communicate(b"x")[0].decode().strip())
+"""
+
+
+def test_a_job_counts_all_signals_as_one_and_its_workers_outlive_them() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _JOB], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == f"1 {sorted([signal.SIGUSR2.value, signal.SIGTERM.value])} lives"
