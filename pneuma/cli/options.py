@@ -80,8 +80,6 @@ Address = Annotated[
         "--address", metavar="HOST:PORT", help="With --executor ray: its cluster (default: one of its own)."
     ),
 ]
-    ),
-]
 SlurmOptions = Annotated[
     list[str] | None,
     typer.Option(

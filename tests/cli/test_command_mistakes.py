@@ -68,6 +68,12 @@ MISTAKES: dict[str, tuple[list[str], tuple[str, ...]]] = {
     "workers that are no number": ([*RUN, "--workers", "two"], ("--workers", "two")),
     "unknown executor": ([*RUN, "--executor", "lcal"], ("--executor lcal", "did you mean local?")),
     "address of no cluster": ([*RUN, "--address", "a:1"], ("--address a:1", "--executor ray")),
+    "Slurm's option elsewhere": ([*RUN, "--slurm", "mem=1GB"], ("--slurm mem=1GB", "--executor slurm")),
+    "nothing to be detached from": ([*RUN, "--detach"], ("--detach", "--executor slurm")),
+    "option of Slurm without a value": (
+        [*RUN, "--executor", "slurm", "--slurm", "mem"],
+        ("--slurm mem", "KEY=VALUE"),
+    ),
     "unknown engine": ([*RUN, "--engine", "sb4"], ("sb4", "did you mean sb3?")),
     "unknown preset": ([*RUN, "--preset", "quik"], ("'quik'", "did you mean quick?")),
     "file that is not there": (["study", "run", "nowhere.toml"], ("nowhere.toml", "No such file")),

@@ -15,7 +15,7 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
-from pneuma.study.executors import local, slurm, slurm_queue
+from pneuma.study.executors import local, slurm, slurm_collector, slurm_queue
 from pneuma.study.executors.base import Detached, Event, Place, Supervision
 from pneuma.study.executors.slurm_job import Training
 from pneuma.study.executors.slurm_queue import Job
@@ -61,8 +61,8 @@ class Queue:
         self.jobs: dict[tuple[str, int], Any] = {}
         monkeypatch.setattr(slurm_queue, "submit", self.submit)
         monkeypatch.setattr(slurm_queue, "jobs_of", self.jobs_of)
-        monkeypatch.setattr(slurm, "TAIL_SECONDS", 0.05)
-        monkeypatch.setattr(slurm, "QUEUE_SECONDS", 0.1)
+        monkeypatch.setattr(slurm_collector, "TAIL_SECONDS", 0.05)
+        monkeypatch.setattr(slurm_collector, "QUEUE_SECONDS", 0.1)
 
     def submit(self, submission: Submission, works: Sequence[Mapping[str, Any]], *_: object) -> None:
         self.submitted.append((submission, works))
@@ -175,6 +175,22 @@ def test_what_a_job_told_is_handed_on_and_a_run_that_lies_there_needs_no_word(
     assert events[0]["text"] == "goes on from step 10"
     assert ends(events) == {first: "diverged", second: "done"}
     assert len(queue.submitted) == 1 and not submission.folder.exists()
+
+
+def test_runs_that_another_command_collected_are_not_waited_for(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["RUNNING"])
+    done, lost = group(7, 8)
+    submit = queue.submit
+
+    def submit_and_lose(submission: Submission, works: Sequence[Mapping[str, Any]], *_: object) -> None:
+        submit(submission, works)
+        store.save_run(done, Status("done", 500), {"run.json": b"{}"})
+        submission.close(keep=False)
+
+    monkeypatch.setattr(slurm_queue, "submit", submit_and_lose)
+    assert ends(collect([group(7, 8)], store)) == {done: "done", lost: "killed"}
 
 
 # --- What is asked of the queue ------------------------------------------------------------------

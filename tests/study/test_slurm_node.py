@@ -93,8 +93,8 @@ def test_jobs_go_on_when_the_command_is_left_and_when_they_are_requeued_to_the_s
     assert {row["trained"] for row in run(study, results, cluster, *slurm, "--detach")} == {False}
     wait_until(lambda: list(results.glob("runs/*/checkpoints/*.safetensors")))
     told = json.loads(pneuma(["study", "status", study, "--results", results, "--json"], cluster).stdout)
-    assert {row["job_state"] for row in told["runs"]} <= {"RUNNING", "PENDING"}
-    requeued = min(row["job"] for row in told["runs"] if row["job_state"] == "RUNNING")
+    assert {job["state"] for job in told["jobs"].values()} <= {"RUNNING", "PENDING"}
+    requeued = min(job["job"] for job in told["jobs"].values() if job["state"] == "RUNNING")
     subprocess.run(["scontrol", "requeue", requeued], env=cluster, check=True)
     jobs = queue(cluster, "%F")
     rows = run(study, results, cluster, *slurm)

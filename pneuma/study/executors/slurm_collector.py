@@ -1,0 +1,179 @@
+"""Collecting from Slurm: what jobs tell is handed on, and runs whose job went are seen to."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from pneuma.config import Run
+from pneuma.errors import UserError
+from pneuma.study.executors import slurm_queue
+from pneuma.study.executors.base import TRIES, Event, OnEvent
+from pneuma.study.executors.slurm_desk import Desk, alone
+from pneuma.study.executors.slurm_queue import Job
+from pneuma.study.executors.submissions import Submission, open_submissions
+from pneuma.study.locks import RunLock
+from pneuma.study.store import Status, Store, run_document
+
+TAIL_SECONDS = 1.0
+QUEUE_SECONDS = 5.0
+"""How often events are read, and how often the queue is asked: every user's squeue costs the controller."""
+MOST_LOOKS = 5
+"""How often the queue is asked, once all runs have ended, whether their jobs have gone."""
+
+
+@dataclass
+class _Followed:
+    """A submission and how far the events of each of its groups were read."""
+
+    submission: Submission
+    read: dict[int, int] = field(default_factory=dict)
+    shown: dict[int, str] = field(default_factory=dict)
+    over: set[int] = field(default_factory=set)
+    failed: bool = False
+
+
+class Collector:
+    """Hands on what jobs tell until every run that is waited for has ended."""
+
+    def __init__(self, store: Store, desk: Desk, runs: Mapping[str, Run], on_event: OnEvent) -> None:
+        self._store = store
+        self._desk = desk
+        self._waiting = dict(runs)
+        self._on_event = on_event
+        self._followed: list[_Followed] = []
+
+    def work(self) -> None:
+        """Collect; leaving by an exception loses nothing."""
+        self._find_submissions()
+        next_look = 0.0
+        while self._waiting:
+            self._read_events()
+            if self._waiting and time.monotonic() >= next_look:
+                self._look_at_queue()
+                next_look = time.monotonic() + QUEUE_SECONDS
+            if self._waiting:
+                time.sleep(TAIL_SECONDS)
+        self._close_finished()
+
+    def _find_submissions(self) -> None:
+        """Follow all submissions of runs that are waited for, those that other commands made among them."""
+        self._followed = [each for each in self._followed if each.submission.folder.is_dir()]
+        known = {each.submission.name for each in self._followed}
+        for submission in open_submissions(self._store):
+            if submission.name not in known and any(n in self._waiting for g in submission.groups for n in g):
+                self._followed.append(_Followed(submission))
+        followed = {name for each in self._followed for group in each.submission.groups for name in group}
+        for name in [name for name in self._waiting if name not in followed]:
+            if not self._collect(name):
+                text = "another command was done with its job; the same command goes on"
+                end = {"event": "end", "run_id": name, "status": "killed", "step": 0, "trained": True}
+                self._end({**end, "reason": text})
+
+    def _look_at_queue(self) -> None:
+        """See to jobs that have gone; a queue that cannot be asked now is asked later."""
+        with suppress(UserError):
+            self._find_submissions()
+            jobs = slurm_queue.jobs_of([each.submission for each in self._followed])
+            for followed in list(self._followed):
+                for i in range(len(followed.submission.groups)):
+                    if i not in followed.over:
+                        self._see_to(followed, i, jobs.get((followed.submission.name, i)))
+
+    def _see_to(self, followed: _Followed, group: int, job: Job | None) -> None:
+        if job and not job.over:
+            return self._tell_state(followed, group, job)
+        followed.over.add(group)
+        self._read_group(followed, group)  # what it told just before it went
+        names = [name for name in followed.submission.groups[group] if name in self._waiting]
+        lost = [name for name in names if not self._collect(name)]
+        if lost:
+            self._settle(followed, lost, job)
+        return None
+
+    def _tell_state(self, followed: _Followed, group: int, job: Job) -> None:
+        """Tell, to who watches, that a job's state changed."""
+        names = [name for name in followed.submission.groups[group] if name in self._waiting]
+        if names and followed.shown.get(group) != job.state:
+            followed.shown[group] = job.state
+            text = f"job {job.id} is {job.state.lower()} {job.where}".rstrip()
+            self._on_event({"event": "passing", "run_id": names[0], "text": text})
+
+    def _collect(self, name: str) -> bool:
+        """End a run that lies in the store though nobody told of it; return whether it does."""
+        status = self._store.status(name)
+        if status.finished:
+            self._end(
+                {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
+            )
+        return status.finished
+
+    def _settle(self, followed: _Followed, lost: Sequence[str], job: Job | None) -> None:
+        """Try runs again whose job went without an end of theirs; or end them."""
+        followed.failed = True
+        what = f"job {job.id} is {job.state.lower()}" if job else "their job has gone from the queue"
+        tries = followed.submission.tries + (not job or job.state != "PREEMPTED")
+        if tries <= TRIES and not (job and job.state == "CANCELLED"):
+            for name in lost:
+                self._on_event({"event": "note", "run_id": name, "text": f"{what}; tried once more"})
+            with alone(self._store):
+                again = self._desk.submit([{name: self._waiting[name]} for name in lost], tries)
+            self._followed += [_Followed(submission) for submission in again]
+            return
+        reason = f"{what}; what it printed lies in {followed.submission.jobs_folder}"
+        for name in lost:
+            self._save_end(name, reason)
+            end = {"event": "end", "run_id": name, "status": "killed", "step": 0, "trained": True}
+            self._end({**end, "reason": reason})
+
+    def _save_end(self, name: str, reason: str) -> None:
+        """Store that a run was killed, unless somebody trains it by now."""
+        files = {"run.json": run_document(self._waiting[name], name), "error.txt": reason.encode()}
+        with suppress(UserError, OSError), RunLock(self._store.run_folder(name)) as mine:
+            if mine:
+                self._store.save_run(name, Status("killed"), files)
+
+    # --- Events ------------------------------------------------------------------------------------
+
+    def _read_events(self) -> None:
+        for followed in self._followed:
+            for i, names in enumerate(followed.submission.groups):
+                if any(name in self._waiting for name in names):
+                    self._read_group(followed, i)
+
+    def _read_group(self, followed: _Followed, group: int) -> None:
+        """Hand on the whole lines that a job has written since the last look."""
+        with suppress(OSError), followed.submission.events_path(group).open("rb") as file:
+            file.seek(followed.read.get(group, 0))
+            whole, newline, _ = file.read().rpartition(b"\n")
+            followed.read[group] = followed.read.get(group, 0) + len(whole + newline)
+            for line in whole.splitlines():
+                self._take(json.loads(line))
+
+    def _take(self, event: Event) -> None:
+        if event["run_id"] not in self._waiting:
+            return
+        if event["event"] != "end":
+            self._on_event(event)
+        elif event["status"] != "stopped":  # the job goes back to the queue, or is over: the queue tells
+            self._end(event)
+
+    def _end(self, event: Event) -> None:
+        del self._waiting[event["run_id"]]
+        self._on_event(event)
+
+    def _close_finished(self) -> None:
+        """Be done with submissions whose jobs have all gone, the last of them within moments."""
+        for _ in range(MOST_LOOKS):
+            self._look_at_queue()
+            open_ones = [each for each in self._followed if len(each.over) < len(each.submission.groups)]
+            for followed in self._followed:
+                if followed not in open_ones:
+                    followed.submission.close(keep=followed.failed)
+            self._followed = open_ones
+            if not open_ones:
+                return
+            time.sleep(TAIL_SECONDS)
