@@ -37,7 +37,7 @@ EXTRAS = {
     "imageio_ffmpeg": ("video", "MP4 videos"),
     "onnx": ("onnx", "policies exported as ONNX"),
     "ray": ("ray", "runs on a cluster (--executor ray)"),
-    "slurm": ("submitit", "jobs in a queue (--executor slurm)"),
+    "submitit": ("slurm", "jobs in a queue (--executor slurm)"),
     "tensorboard": ("tensorboard", "importing old logs"),
 }
 """What each extra is for, by the module that it brings."""
