@@ -2,9 +2,9 @@
 
     stretches of signs and evaluations of a run → Diagnosis → incidence per condition
 
-A run collapses where, for a twentieth of its budget or more, its policy has no entropy and one action
-alone; or where two evaluations or more in a row kill at most half of its best, a tenth of the monsters
-less than that best, and the best had been a tenth above the random player. It has recovered where
+A run collapses where, for a twentieth of its budget or more, most updates of its policy have no entropy
+and one action alone; or where two evaluations or more in a row kill at most half of its best, a tenth of the
+monsters less than that best, and the best had been a tenth above the random player. It has recovered where
 that ends, and relearned where it then kills four fifths of its best before. Returns are not looked at:
 XP that never resets lets them sink in a straight line without any collapse.
 
@@ -38,6 +38,8 @@ SHORTEST = 0.05
 """Share of the budget that a policy of one action must last to be one."""
 GAP = 0.01
 """Share of the budget over which a sign may be interrupted."""
+MOST = 0.5
+"""Share of a spell's updates over which a sign must hold to be one of it."""
 FALLEN_TO = 0.5
 """Share of its best that a fallen run kills at most."""
 DEPTH = 0.1
@@ -81,11 +83,11 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     falls = _falls(seen, steps, shares)
     distance = _update_steps(data, run)
     gap = GAP * run.budget + (distance or 0)
-    spells = joined(_one_action(found, seen, gap) + falls, gap)
+    spells = joined(_one_action(found, seen, gap, distance or 1) + falls, gap)
     if not spells:
         return Diagnosis(False, unseen=unseen)
     onset, last = spells[0]
-    signs = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > 0.5]
+    signs = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST]
     fell = [fall for fall in falls if onset <= fall[0] <= last]
     end = min(run.end, seen.last_step)
     recovered = None if last >= end - gap or last >= max(steps, default=np.inf) else int(last)
@@ -147,13 +149,17 @@ def _clipped(found: dict[str, list[Stretch]], seen: RunView) -> dict[str, list[S
     return {sign: [(a, min(b, last)) for a, b in parts if a <= last] for sign, parts in found.items()}
 
 
-def _one_action(found: dict[str, list[Stretch]], seen: RunView, gap: float) -> list[Stretch]:
-    """Return where the policy is down to one action for long enough; by entropy alone if need be."""
+def _one_action(found: dict[str, list[Stretch]], seen: RunView, gap: float, distance: float) -> list[Stretch]:
+    """Return where the policy is down to one action for long enough; by entropy alone if need be.
+
+    Single updates that come again and again are joined, but are no collapse: most updates must show it.
+    """
     parts = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
         parts = both(parts, found[ONE_ACTION])
     shortest = SHORTEST * seen.run.budget
-    return [(first, last) for first, last in joined(parts, gap) if last - first >= shortest]
+    long_enough = [spell for spell in joined(parts, gap) if spell[1] - spell[0] >= shortest]
+    return [spell for spell in long_enough if share_held(parts, spell, distance) > MOST]
 
 
 def _falls(seen: RunView, steps: np.ndarray, shares: np.ndarray) -> list[Stretch]:

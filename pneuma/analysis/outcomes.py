@@ -111,7 +111,7 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
         return f"{data.source.what} does not tell how long the run took"
     if found.source == "signs":
         return _no_sign(data, run, name)
-    if found.source not in (*data.tables, *data.quantities):
+    if data.source.kept_outcome(run, name) is None and found.source not in (*data.tables, *data.quantities):
         return f"{data.source.what} holds no {found.source}"
     early = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
     return f"{early} has no value of its {found.source} to take {name} from"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Mapping
 
 import numpy as np
@@ -20,21 +21,32 @@ LEVELS = 1024
 def rounded(values: np.ndarray) -> np.ndarray:
     """Return a curve to a thousandth of its range: whole multiples of a power of two, which compress well.
 
-    A curve of positive values over several orders of size is rounded in proportion to each value instead.
+    One over several orders of size, none of it below zero, is rounded in proportion to each value instead.
     """
     known = values[np.isfinite(values)]
     if not len(known) or known.min() == known.max():
         return values
-    if known.min() > 0 and known.max() > LEVELS * known.min():
+    above = known[known > 0]
+    if known.min() >= 0 and known.max() > LEVELS * above.min():
         fraction, exponent = np.frexp(values)
         return np.ldexp(np.round(fraction * LEVELS) / LEVELS, exponent)
-    step = 2.0 ** math.ceil(math.log2((known.max() - known.min()) / LEVELS))
+    span = float(known.max()) - float(known.min())
+    if not sys.float_info.min * LEVELS < span < math.inf:
+        return values
+    step = 2.0 ** math.ceil(math.log2(span / LEVELS))
     return np.round(values / step) * step
 
 
 def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
-    """Return where signs hold as JSON: a unit of steps, and each sign's gaps and lengths in it, in turn."""
-    ends = [int(end) for parts in signs.values() for stretch in parts for end in stretch]
+    """Return where signs hold as JSON: a unit of steps, and each sign's gaps and lengths in it, in turn.
+
+    Raises:
+        ValueError: for a step that is no whole number.
+    """
+    steps = [end for parts in signs.values() for stretch in parts for end in stretch]
+    if any(end % 1 for end in steps):
+        raise ValueError("signs of collapse at steps that are no whole numbers")
+    ends = [*map(int, steps)]
     unit = math.gcd(*ends) or 1
     packed = {}
     for sign, parts in signs.items():

@@ -203,15 +203,18 @@ class StudyData:
         return self._settings[run.condition, run.run_id]
 
     def of_conditions(self, names: Sequence[str]) -> StudyData:
-        """Return the study with some of its conditions alone, on the same grid.
+        """Return the study with some of its conditions alone, on the same grid and for the same figure.
 
         Raises:
             UserError: when no run of theirs has finished.
         """
         runs = [run for run in self.record["runs"] if run["condition"] in names]
-        same = [group for group in self.same if set(group) <= set(names)]
+        same = [[name for name in group if name in names] for group in self.same]
+        same = [group for group in same if len(group) > 1]
         record = {**self.record, "runs": runs, "same": same, "budget": self.budget}
-        return StudyData(self.source, record, self._where)
+        some = StudyData(self.source, record, self._where)
+        some.figure = self.figure
+        return some
 
     def of_condition(self, condition: str) -> list[FinishedRun]:
         """Return the finished runs of a condition, in the selection's order."""

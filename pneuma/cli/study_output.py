@@ -130,11 +130,11 @@ def publish(
 
 def _read_curves(told: str | None) -> tuple[str, ...] | None:
     """Return the quantities named, of which `actions` is all actions' shares; None for all."""
-    if told in (None, "none"):
-        return None if told is None else ()
-    names = [name.strip() for name in str(told).split(",")]
+    if told is None:
+        return None
+    names = [] if told == "none" else [name.strip() for name in told.split(",")]
     for name in names:
-        check_choice("--curves", name, (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, "actions", "none"))
+        check_choice("--curves", name, (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, "actions"))
     return tuple(own for name in names for own in (ACTION_QUANTITIES if name == "actions" else (name,)))
 
 

@@ -88,8 +88,8 @@ class Evaluation:
             (N,) the return of each, the mean over its players.
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
-        asks = self.action_values is not None or any(":" in name for name in self.run.reward)
         policies = policy.policies if isinstance(policy, Team) else (policy,)
+        asks = policies[0].exploration is not None or any(":" in name for name in self.run.reward)
         if not asks and sum(weight.size for weight, _ in policies[0].actor) <= MOST_WEIGHTS:
             self._begin()
             return play_episodes(self.worlds, policies, self.episodes, generator)

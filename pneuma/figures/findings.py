@@ -14,20 +14,30 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from pneuma.analysis.claim_runs import MEND
 from pneuma.analysis.published import PUBLISHED
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures.judged import judged_claims
-from pneuma.figures.report_verdicts import MEANINGS, SETTINGS, Claim, Effect, Verdict, number
-from pneuma.study.store import Store
+from pneuma.figures.report_verdicts import MEANINGS, SETTINGS, Claim, Effect, Verdict
+from pneuma.study.store import Store, write_whole
 
 Claims = Mapping[str, Claim]
 
-_PART = re.compile(r"<!-- (claim|verdicts|counts)((?: [\w.-]+)*) -->\n(.*?)<!-- end -->", re.DOTALL)
+_PART = re.compile(
+    r"<!-- (claim|verdicts|counts)((?: [\w.-]+)*) -->\n((?:(?!<!--).)*)<!-- end -->", re.DOTALL
+)
+_MARK = re.compile(r"<!--\s*(?:claim|verdict|count|end)\w*\b[^>]*-->")
+
+_END = "<!-- end -->"
+
+NOT_RUN = "not run yet"
+"""What is said of a claim that lacks runs, and so is no more than untestable so far."""
 
 
 def published_claims(results: Path) -> dict[str, Claim]:
@@ -46,16 +56,23 @@ def with_verdicts(page: str, claims: Claims) -> str:
     """Return a page with everything between its marks written anew.
 
     Raises:
-        UserError: for a mark that names no claim.
+        UserError: for a mark that names no claim, has no end, or is none of those there are.
     """
+    parts = [*_PART.finditer(page)]
+    whole = {place for part in parts for place in (part.start(), part.end() - len(_END))}
+    for mark in _MARK.finditer(page):
+        if mark.start() not in whole:
+            raise UserError(f"the mark {mark[0]} is misspelt, or has no end: {_END} closes each")
 
     def write(found: re.Match[str]) -> str:
         kind, names = found[1], found[2].split()
         for name in names:
             if name not in claims:
                 raise unknown_name("claim", name, claims)
+        if (kind == "claim" and len(names) != 1) or (kind == "counts" and names):
+            raise UserError(f"<!-- {kind}{found[2]} -->: a claim's mark names one, that of counts none")
         chosen = [claims[name] for name in names or claims]
-        return f"<!-- {kind}{found[2]} -->\n{_WRITERS[kind](chosen)}<!-- end -->"
+        return f"<!-- {kind}{found[2]} -->\n{_WRITERS[kind](chosen)}{_END}"
 
     return _PART.sub(write, page)
 
@@ -73,17 +90,19 @@ def _paragraphs(claims: Sequence[Claim]) -> str:
 
 
 def _paragraph(claim: Claim) -> str:
-    quote = " ".join(claim.quote.split())
     note = f" {claim.note}" if claim.note else ""
-    head = (
-        f"**{claim.claim}**: “{quote}” ({claim.section}). Claimed: {claim.tested}, in {claim.measure}.{note}"
-    )
-    told = [f"*{SETTINGS[place]}*: {_verdict(verdict)}" for place, verdict in claim.verdicts.items()]
-    return "\n".join([head, *told])
+    head = f"**{claim.claim}**: “{claim.quote}” ({claim.section}). "
+    head += f"Claimed: {claim.tested}, in {claim.measure}.{note}"
+    told = [f"- *{SETTINGS[place]}*: {_verdict(verdict)}" for place, verdict in claim.verdicts.items()]
+    return "\n".join([head, "", *told])
 
 
 def _verdict(verdict: Verdict) -> str:
     """Return a verdict as a sentence: the word, what decides it, what is lacking."""
+    if _is_not_run(verdict):
+        command = verdict.reason.partition(MEND)[2].strip()
+        few = "" if "no runs" in verdict.reason else ", not all"
+        return f"{NOT_RUN}{few} (`{command}`)."
     words = []
     if verdict.effects and verdict.effects[0].value is not None:
         words.append(_effect(verdict.effects[0]))
@@ -94,22 +113,13 @@ def _verdict(verdict: Verdict) -> str:
     return ": ".join(filter(None, [f"**{verdict.verdict}**", "; ".join(words)])) + "."
 
 
+def _is_not_run(verdict: Verdict) -> bool:
+    return MEND in verdict.reason
+
+
 def _effect(effect: Effect) -> str:
-    ratio = "ratio " if effect.ratio else ""
-    words = f"{effect.arms} {ratio}{_interval(effect)}"
     seeds = f"n = {' and '.join(f'{count:,}' for count in effect.seeds)}" if effect.seeds else ""
-    p = "" if effect.p is None else "p < 0.001" if effect.p < 0.001 else f"p = {effect.p:.3f}"
-    return ", ".join(filter(None, [words, seeds, p]))
-
-
-def _interval(effect: Effect) -> str:
-    if effect.value is None:
-        return ""
-    shown = number(effect.value, signed=not effect.ratio)
-    if effect.interval is None:
-        return shown
-    low, high = (number(end, signed=not effect.ratio) for end in effect.interval)
-    return f"{shown} [{low}, {high}]"
+    return ", ".join(filter(None, [f"{effect.arms} {effect.told}", seeds, effect.p_told]))
 
 
 def _table(claims: Sequence[Claim]) -> str:
@@ -117,27 +127,27 @@ def _table(claims: Sequence[Claim]) -> str:
     rows = [["Claim", "Thesis", *SETTINGS.values()], ["---"] * (2 + len(SETTINGS))]
     for claim in claims:
         cells = [_cell(claim.verdicts.get(place)) for place in SETTINGS]
-        compared = claim.measure.partition(" (")[0]
-        rows.append(
-            [f"{claim.tested}, in {compared}", f"{claim.section}: “{' '.join(claim.quote.split())}”", *cells]
-        )
+        rows.append([f"{claim.tested}: {claim.compared}", f"{claim.section}: “{claim.quote}”", *cells])
     return _markdown(rows)
 
 
 def _cell(verdict: Verdict | None) -> str:
     if verdict is None:
         return "–"
+    if _is_not_run(verdict):
+        return NOT_RUN
     effect = verdict.effects[0] if verdict.effects else None
-    shown = "" if effect is None or verdict.verdict == "untestable" else _interval(effect)
+    shown = "" if effect is None or verdict.verdict == "untestable" else effect.told
     return f"**{verdict.verdict}** {shown}".strip()
 
 
 def _counts(claims: Sequence[Claim]) -> str:
     """Return how many claims have each verdict, setting by setting."""
-    rows = [["Judged in", *MEANINGS], ["---"] * (1 + len(MEANINGS))]
+    rows = [["Judged in", *MEANINGS, NOT_RUN], ["---"] * (2 + len(MEANINGS))]
     for place, label in SETTINGS.items():
-        counted = Counter(claim.verdicts[place].verdict for claim in claims if place in claim.verdicts)
-        rows.append([label, *(str(counted[word]) for word in MEANINGS)])
+        found = [claim.verdicts[place] for claim in claims if place in claim.verdicts]
+        counted = Counter(NOT_RUN if _is_not_run(one) else one.verdict for one in found)
+        rows.append([label, *(str(counted[word]) for word in (*MEANINGS, NOT_RUN))])
     return _markdown(rows)
 
 
@@ -153,19 +163,30 @@ _WRITERS: dict[str, Callable[[Sequence[Claim]], str]] = {
 
 
 def main(pages: Sequence[Path], results: Path) -> None:
-    """Write every page anew and say so."""
+    """Write every page anew, or none, and say so.
+
+    Raises:
+        UserError: for a page that cannot be read, or has a wrong mark.
+    """
     claims = published_claims(results)
-    for page in pages:
-        try:
-            text = page.read_text(encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"{page}: cannot be read ({error.strerror})") from None
-        page.write_text(with_verdicts(text, claims), encoding="utf-8")
+    written = {page: with_verdicts(_read(page), claims) for page in pages}
+    for page, text in written.items():
+        write_whole(page, text.encode())
         print(f"wrote the verdicts of {page}")
+
+
+def _read(page: Path) -> str:
+    try:
+        return page.read_bytes().decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{page}: cannot be read ({error})") from None
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("pages", nargs="+", type=Path)
     parser.add_argument("--results", type=Path, default=Path("results"))
-    main(**vars(parser.parse_args()))
+    try:
+        main(**vars(parser.parse_args()))
+    except UserError as error:
+        sys.exit(f"pneuma: {error}")

@@ -16,6 +16,16 @@ from pneuma.figures.report_verdicts import Claim, Effect, Verdict
 from pneuma.study.store import Store
 
 _COMPARED = {"mean": "mean", "spread": "deviation between seeds"}
+_LOGGED = {
+    "start": "the first return",
+    "best": "the best return",
+    "end": "the final return",
+    "length": "the final episode length",
+    "hours": "hours",
+    "steps_per_second": "steps a second",
+}
+"""What the published logs tell of a run, for people."""
+
 _CLAIMED = {
     "greater": "greater than",
     "less": "less than",
@@ -54,12 +64,13 @@ def _claim(judged: list[Judged]) -> Claim:
     verdicts = {one.place: _verdict(one) for one in judged}
     return Claim(
         claim.name,
-        claim.quote,
+        " ".join(claim.quote.split()),
         claim.section,
         claim.study,
         _measure(claim),
         verdicts,
         _tested(claim),
+        _compared(claim),
         claim.note,
     )
 
@@ -67,9 +78,18 @@ def _claim(judged: list[Judged]) -> Claim:
 def _measure(claim: StatedClaim) -> str:
     """Say what is compared, as 'mean of final-share-killed (monsters killed, last evaluation)'."""
     words = find_outcome(claim.outcome).words
+    margin = f"; margin {claim.margin:g}" if claim.margin is not None else ""
     if claim.event:
-        return f"share of runs whose {claim.outcome} is {claim.event.words} ({words})"
-    return f"{_COMPARED[claim.kind]} of {claim.outcome} ({words})"
+        return f"share of runs whose {claim.outcome} is {claim.event.words} ({words}{margin})"
+    return f"{_COMPARED[claim.kind]} of {claim.outcome} ({words}{margin})"
+
+
+def _compared(claim: StatedClaim) -> str:
+    """Say what is compared without its name, as 'monsters killed, last evaluation'."""
+    words = find_outcome(claim.outcome).words
+    if claim.event:
+        return f"share of runs, {words} {claim.event.words}"
+    return words if claim.kind == "mean" else f"{_COMPARED[claim.kind]} of {words}"
 
 
 def _tested(claim: StatedClaim) -> str:
@@ -81,29 +101,30 @@ def _tested(claim: StatedClaim) -> str:
 
 def _verdict(judged: Judged) -> Verdict:
     effects = {
-        id(pair): _effect(pair, told) for pair, told in zip(judged.pairs, _of_what(judged), strict=True)
+        id(pair): _effect(pair, told) for pair, told in zip(judged.pairs, _quantities(judged), strict=True)
     }
     first = sorted(judged.pairs, key=lambda pair: pair is not judged.told)
     ordered = tuple(effects[id(pair)] for pair in first)
     return Verdict(judged.verdict, judged.reason, ordered, judged.seeds_needed, tuple(judged.run_ids))
 
 
-def _of_what(judged: Judged) -> list[str]:
+def _quantities(judged: Judged) -> list[str]:
     """Return, for each contrast, what is compared where that is not what the claim's own runs have."""
     if judged.place != LOGS:
         return [""] * len(judged.pairs)
-    return [f" ({own.figure.replace('_', ' ')} in the logs)" for own in judged.claim.logs]
+    return [_LOGGED[own.figure] for own in judged.claim.logs]
 
 
-def _effect(pair: Pair, of_what: str) -> Effect:
+def _effect(pair: Pair, quantity: str) -> Effect:
     contrast = pair.contrast
     interval = (contrast.interval.low, contrast.interval.high) if contrast.interval.exists else None
     return Effect(
-        f"{pair.a} against {pair.b}{of_what}",
+        f"{pair.a} against {pair.b}",
         pair.verdict,
         contrast.effect if math.isfinite(contrast.effect) else None,
         interval,
         tuple(count for count in contrast.seeds if count),
         None if contrast.reason else pair.p,
         ratio=contrast.kind == "spread",
+        quantity=quantity,
     )

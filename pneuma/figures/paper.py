@@ -9,6 +9,8 @@ numbers as tables. Beside them an index: which command drew each, from which run
 
 from __future__ import annotations
 
+import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -56,6 +58,8 @@ TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
 def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     """Draw every figure, write every table and the index; return the files written.
 
+    What the index knew of and is not drawn any more is removed.
+
     Raises:
         UserError: when a published table is damaged.
     """
@@ -67,8 +71,17 @@ def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     for drawn in _each(tasks):
         entries += drawn
     index = folder / INDEX
+    gone = _indexed(index) - {entry["file"] for entry in entries}
     index.write_bytes(encode_index(entries))
+    for name in gone:
+        (folder / name).unlink(missing_ok=True)
     return [*(folder / entry["file"] for entry in entries), index]
+
+
+def _indexed(index: Path) -> set[str]:
+    """Return the files of an index, of which there may be none yet; all lie beside it or in its tables."""
+    names = (entry["file"] for entry in json.loads(index.read_bytes())["figures"]) if index.exists() else ()
+    return {name for name in names if name.removeprefix(f"{TABLES}/") == Path(name).name}
 
 
 def _each(tasks: Sequence[tuple[Path, str, str, Path]]) -> Iterator[list[dict[str, Any]]]:
@@ -76,8 +89,12 @@ def _each(tasks: Sequence[tuple[Path, str, str, Path]]) -> Iterator[list[dict[st
     if len(tasks) < FEW:
         yield from starmap(_published, tasks)
         return
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_published, *zip(*tasks, strict=True))
+    with ProcessPoolExecutor(min(len(tasks), os.cpu_count() or 1), get_context("spawn")) as pool:
+        try:
+            yield from pool.map(_published, *zip(*tasks, strict=True))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _published(results: Path, study: str, figure: str, folder: Path) -> list[dict[str, Any]]:
@@ -125,11 +142,12 @@ def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
 
 def _drawn(data: StudyData, folder: Path) -> Iterator[tuple[dict[str, Any], list[Path]]]:
     """Draw a study's figures; yield how each is drawn, and its files."""
-    contrasted = CONTRASTED.get(data.study.removesuffix("-godot"), ())
+    name = data.study.removesuffix("-godot")
+    contrasted = [own for own in CONTRASTED.get(name, ()) if data.of_condition(own)]
     yield from _curves(data, contrasted or data.conditions, folder, data.figure)
     if contrasted:
         yield from _curves(data, data.conditions, folder, f"{data.figure}-all")
-    for quantity in MORE_CURVES.get(data.study.removesuffix("-godot"), ()):
+    for quantity in MORE_CURVES.get(name, ()):
         if quantity in data.quantities:
             drawn = {"figure": "curves", **asdict(settle(data, quantities=(quantity,)))}
             yield drawn, draw_study(data, folder, quantities=(quantity,))

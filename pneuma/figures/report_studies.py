@@ -27,7 +27,7 @@ from pneuma.figures.report_html import (
     terms,
     text,
 )
-from pneuma.figures.report_verdicts import Claim, claim_list, number
+from pneuma.figures.report_verdicts import Claim, claim_list, numbers
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
@@ -254,13 +254,13 @@ def _every(part: Part, frame: pd.DataFrame) -> Html:
 
 
 def _row(row: Any) -> list[Html]:
-    numbers = [text(number(float(value))) for value in (row.value, row.low, row.high)]
+    shown = map(text, numbers(row.value, row.low, row.high))
     words = [text(row.outcome), text(row.statistic)]
-    return [name(row.condition), *words, *numbers, text(row.interval or "none"), text(int(row.runs))]
+    return [name(row.condition), *words, *shown, text(row.interval or "none"), text(int(row.runs))]
 
 
 def _cell(row: Any) -> Html:
-    value, low, high = (number(float(each)) for each in (row.value, row.low, row.high))
+    value, low, high = numbers(row.value, row.low, row.high)
     interval = "" if pd.isna(row.low) or pd.isna(row.high) else f"[{low}, {high}] "
     return join([text(value), Html("<br>"), element("small", text(f"{interval}n = {int(row.runs)}"))])
 

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from pneuma.analysis.rounding import decimals
 from pneuma.figures.report_html import (
     Column,
     Html,
@@ -50,6 +51,7 @@ class Effect:
         seeds: runs of each arm.
         p: corrected for all claims; None where nothing was tested.
         ratio: whether it is one, with 1 for no difference.
+        quantity: what it is of, where that is not the claim's own outcome.
     """
 
     arms: str
@@ -59,6 +61,23 @@ class Effect:
     seeds: tuple[int, ...] = ()
     p: float | None = None
     ratio: bool = False
+    quantity: str = ""
+
+    @property
+    def told(self) -> str:
+        """The number with its interval, as '+0.020 [+0.002, +0.039]'."""
+        if self.value is None:
+            return "no number"
+        low, high = self.interval or (math.nan, math.nan)
+        value, *ends = numbers(self.value, low, high, signed=not self.ratio)
+        interval = f" [{', '.join(ends)}]" if self.interval else ""
+        of = f" in {self.quantity}" if self.quantity else ""
+        return f"{'ratio ' if self.ratio else ''}{value}{interval}{of}"
+
+    @property
+    def p_told(self) -> str:
+        """Its p for people; empty where nothing was tested."""
+        return "" if self.p is None else "p < 0.001" if self.p < 0.001 else f"p = {self.p:.3f}"
 
 
 @dataclass(frozen=True)
@@ -89,9 +108,10 @@ class Claim:
         quote: the sentence.
         section: of the thesis.
         study: what tests it.
-        measure: what is compared, for people.
+        measure: what is compared, with the outcome's name.
         verdicts: by setting, of `SETTINGS`.
         tested: what is claimed of which arms.
+        compared: the measure in plain words.
         note: why it is tested so.
     """
 
@@ -102,6 +122,7 @@ class Claim:
     measure: str = ""
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
     tested: str = ""
+    compared: str = ""
     note: str = ""
 
     @property
@@ -175,7 +196,7 @@ def _claim(claim: Claim, studies: Collection[str]) -> Html:
     where = [text(f"thesis section {claim.section}, ")] if claim.section else []
     lines = [
         element("div", name(claim.claim), "claim"),
-        element("div", element("q", text(" ".join(claim.quote.split()))), "quote"),
+        element("div", element("q", text(claim.quote)), "quote"),
         element("div", join([*where, text("study "), study]), "note"),
     ]
     if claim.measure:
@@ -216,19 +237,12 @@ def _verdict(verdict: Verdict, runs: Collection[str]) -> Html:
 
 def _effect(effect: Effect) -> Html:
     """Return a contrast's number with its interval, then its arms, n and p."""
-    shown = "no number" if effect.value is None else number(effect.value, signed=not effect.ratio)
-    if effect.interval is not None:
-        low, high = (number(end, signed=not effect.ratio) for end in effect.interval)
-        shown += f" [{low}, {high}]"
     about = [effect.arms] if effect.arms else []
     if effect.seeds:
         about.append("n = " + " and ".join(f"{count:,}" for count in effect.seeds))
     if effect.p is not None:
-        about.append("p < 0.001" if effect.p < 0.001 else f"p = {effect.p:.3f}")
-    ratio = "ratio " if effect.ratio else ""
-    return element(
-        "div", join([text(ratio + shown), element("div", text(", ".join(about)), "note")]), "effect"
-    )
+        about.append(effect.p_told)
+    return element("div", join([text(effect.told), element("div", text(", ".join(about)), "note")]), "effect")
 
 
 def _run(run_id: str, runs: Collection[str]) -> Html:
@@ -236,17 +250,20 @@ def _run(run_id: str, runs: Collection[str]) -> Html:
     return link(anchor_name("run", run_id), label) if run_id in runs else label
 
 
-def number(value: float, signed: bool = False) -> str:
-    """Return a number with three digits that count, or a dash where there is none."""
+def numbers(value: float, low: float = math.nan, high: float = math.nan, signed: bool = False) -> list[str]:
+    """Return a number and the ends of its interval, to the digits that the interval leaves certain."""
+    places = decimals(value, low, high)
+    return [_number(own, places, signed) for own in (value, low, high)]
+
+
+def _number(value: float, places: int, signed: bool) -> str:
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    size = abs(value)
-    digits = 0 if size >= 100 else 1 if size >= 10 else 2 if size >= 1 else 3
-    shown = f"{size:,.{digits}f}" if size >= 0.001 or size == 0 else f"{size:.2g}"
-    sign = "−" if value < 0 else "+" if signed and value > 0 else ""
-    return sign + shown
+    rounded = round(value, places)
+    sign = "−" if rounded < 0 else "+" if signed and rounded > 0 else ""
+    return f"{sign}{abs(rounded):,.{max(places, 0)}f}"
 
 
 def _badge(word: str) -> Html:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pneuma.analysis import signs
-from pneuma.analysis.collapse import Diagnosis, diagnose, diagnoses, incidence
+from pneuma.analysis.collapse import Diagnosis, _one_action, diagnose, diagnoses, incidence
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.signs import NO_ENTROPY
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.study.imported import import_tensorboard
@@ -104,6 +106,19 @@ def test_one_bad_evaluation_is_no_collapse(tmp_path: Path) -> None:
 def test_a_run_that_never_learned_cannot_fall(tmp_path: Path) -> None:
     shares = np.where(np.arange(20) < 10, 0.1, 0.0)
     assert not diagnosed(tmp_path, healthy(), shares).collapsed
+
+
+@pytest.mark.parametrize(
+    ("every", "spells"), [(30, []), (3, []), (2, [(0.0, 255_744.0)]), (1, [(0.0, 255_744.0)])]
+)
+def test_single_updates_that_come_again_are_a_collapse_only_where_they_are_most(
+    every: int, spells: list[tuple[float, float]]
+) -> None:
+    """A million steps in updates of 256: signs may be interrupted for 10,256 steps, forty updates."""
+    seen = SimpleNamespace(run=SimpleNamespace(budget=1_000_000))
+    with_sign = [k for k in range(1000) if k % every == 0 or (every == 2 and k % 3 == 0)]
+    dips = [(256.0 * k, 256.0 * k) for k in with_sign]
+    assert _one_action({NO_ENTROPY: dips}, seen, 10_256, 256) == spells  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("last", "collapsed"), [(65, False), (66, True)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ PAGES = ("README.md", "docs/findings.md")
 
 BETTER = Claim(
     "tanh-better",
-    "improves\nperformance",
+    "improves performance",
     "6.2",
     "activation",
     "mean of final-share-killed (monsters killed)",
@@ -25,9 +26,12 @@ BETTER = Claim(
             "supported",
             effects=(Effect("tanh against relu", "supported", 0.05, (0.012, 0.09), (10, 9), 0.0004),),
         ),
-        "godot": Verdict("untestable", "no runs: tanh, 10 seeds"),
+        "godot": Verdict(
+            "untestable", "no runs: tanh, 10 seeds; train with: pneuma study run activation --preset claims"
+        ),
     },
     "tanh greater than relu",
+    "monsters killed",
     "Why so.",
 )
 STEADIER = Claim(
@@ -44,6 +48,7 @@ STEADIER = Claim(
         )
     },
     tested="tanh less than relu",
+    compared="deviation between seeds of monsters killed",
 )
 CLAIMS = {claim.claim: claim for claim in (BETTER, STEADIER)}
 
@@ -53,10 +58,10 @@ def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_setting() -
     assert page == (
         "Mine.\n<!-- claim tanh-better -->\n"
         "**tanh-better**: “improves performance” (6.2). Claimed: tanh greater than relu, in mean of "
-        "final-share-killed (monsters killed). Why so.\n"
-        "*The text's environment*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
+        "final-share-killed (monsters killed). Why so.\n\n"
+        "- *The text's environment*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
         "p < 0.001.\n"
-        "*The published code's*: **untestable**: no runs: tanh, 10 seeds.\n"
+        "- *The published code's*: not run yet (`pneuma study run activation --preset claims`).\n"
         "<!-- end -->\nMine too.\n"
     )
 
@@ -71,17 +76,17 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
         "<!-- verdicts tanh-better -->\n<!-- end -->\n<!-- verdicts -->\n<!-- end -->", CLAIMS
     )
     row = (
-        "| tanh greater than relu, in mean of final-share-killed | 6.2: “improves performance” | "
-        "**supported** +0.050 [+0.012, +0.090] | **untestable** | – |"
+        "| tanh greater than relu: monsters killed | 6.2: “improves performance” | "
+        "**supported** +0.050 [+0.012, +0.090] | not run yet | – |"
     )
     assert page.count(row) == 2
-    assert page.count("| tanh less than relu, in deviation between seeds of final-share-killed |") == 1
+    assert page.count("| tanh less than relu: deviation between seeds of monsters killed |") == 1
 
 
 def test_counts_are_by_setting() -> None:
     page = with_verdicts("<!-- counts -->\n<!-- end -->", CLAIMS)
-    assert "| The text's environment | 1 | 0 | 1 | 0 |" in page
-    assert "| The published code's | 0 | 0 | 0 | 1 |" in page
+    assert "| The text's environment | 1 | 0 | 1 | 0 | 0 |" in page
+    assert "| The published code's | 0 | 0 | 0 | 0 | 1 |" in page
 
 
 def test_writing_again_changes_nothing() -> None:
@@ -92,14 +97,36 @@ def test_writing_again_changes_nothing() -> None:
     assert claims_told(page) == ["tanh-better"]
 
 
-def test_a_mark_that_names_no_claim_is_refused() -> None:
-    with pytest.raises(UserError, match="unknown claim 'tanh-bettr'.*tanh-better"):
-        with_verdicts("<!-- claim tanh-bettr -->\n<!-- end -->", CLAIMS)
+@pytest.mark.parametrize(
+    ("page", "message"),
+    [
+        ("<!-- claim tanh-bettr -->\n<!-- end -->", "unknown claim 'tanh-bettr'.*tanh-better"),
+        ("<!-- claim tanh-better -->\nx\nMine.\n<!-- counts -->\n<!-- end -->", "tanh-better --> .*no end"),
+        ("<!-- claims tanh-better -->\n<!-- end -->", "claims tanh-better --> is misspelt"),
+        ("<!-- claim  tanh-better -->\n<!-- end -->", "is misspelt"),
+        ("Mine.\n<!-- end -->", "<!-- end --> is misspelt, or has no end"),
+        ("<!-- claim -->\n<!-- end -->", "names one"),
+        ("<!-- counts tanh-better -->\n<!-- end -->", "that of counts none"),
+    ],
+)
+def test_a_wrong_mark_is_refused_and_nothing_is_lost(page: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        with_verdicts(page, CLAIMS)
 
 
 def test_the_findings_have_a_paragraph_on_every_claim() -> None:
     told = claims_told((ROOT / "docs/findings.md").read_text(encoding="utf-8"))
     assert sorted(told) == sorted(load_claims().claims)
+
+
+@pytest.mark.parametrize(
+    "name", [*PAGES, *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
+)
+def test_what_a_page_links_to_is_there(name: str) -> None:
+    page = ROOT / name
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    near = [link for link in links if "://" not in link]
+    assert [link for link in near if not (page.parent / link).exists()] == []
 
 
 def test_the_pages_tell_the_verdicts_of_the_published_tables() -> None:

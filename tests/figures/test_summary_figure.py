@@ -108,6 +108,32 @@ def test_make_figures_draws_published_studies_without_their_runs(three: HandMade
 
 
 @pytest.mark.usefixtures("no_environment")
+def test_make_figures_removes_what_it_draws_no_more_and_nothing_else(tmp_path: Path) -> None:
+    mine, other = tmp_path / "mine.txt", tmp_path.parent / "other.png"
+    drawn = tmp_path / "paper" / "fig-old.png"
+    drawn.parent.mkdir()
+    for path in (mine, other, drawn):
+        path.write_bytes(b"")
+    entries = [{"file": "fig-old.png"}, {"file": "../mine.txt"}, {"file": str(other)}]
+    (tmp_path / "paper" / "index.json").write_text(json.dumps({"figures": entries}))
+    paper.draw_all(tmp_path / "paper", tmp_path / "results")
+    assert (drawn.exists(), mine.exists(), other.exists()) == (False, True, True)
+
+
+@pytest.mark.usefixtures("no_environment")
+def test_studies_drawn_at_once_are_drawn_as_alone(
+    three: HandMade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = published_path(three.store, "mine")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_study(open_study(three.store, three.record)))
+    alone = {own.name: own.read_bytes() for own in paper.draw_all(tmp_path / "alone", three.store.root)}
+    monkeypatch.setattr(paper, "FEW", 0)
+    again = {own.name: own.read_bytes() for own in paper.draw_all(tmp_path / "again", three.store.root)}
+    assert again == alone
+
+
+@pytest.mark.usefixtures("no_environment")
 def test_make_figures_says_where_nothing_is_published(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

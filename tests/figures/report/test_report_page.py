@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.figures.report import Report, report_page
 from pneuma.figures.report_html import anchor_name, text
-from pneuma.figures.report_verdicts import MEANINGS, Claim, Verdict, number
+from pneuma.figures.report_verdicts import MEANINGS, Claim, Verdict, numbers
 
 Read = Callable[[bytes], Any]
 
@@ -190,7 +190,7 @@ def test_a_claims_row_has_quote_section_and_each_settings_verdict(page: Any) -> 
     assert "All 2 contrasts" in first[1]
     assert "✘ refuted−0.001 [−0.020, +0.020]tanh against relu, n = 10 and 10, p < 0.001" in first[2]
     assert "untestable" in first[3] and "One run an arm." in first[3]
-    assert "? inconclusiveratio 1.30 [0.700, 2.40]" in second[1]  # a ratio has no sign
+    assert "? inconclusiveratio 1.30 [0.70, 2.40]" in second[1]  # a ratio has no sign
     assert "Seeds needed: 33 an arm" in second[1]
     assert [cell.partition(": ")[2] for cell in third[1:]] == ["not judged here"] * 3
 
@@ -217,12 +217,17 @@ def test_a_verdict_of_an_unknown_kind_is_shown_as_it_is(example: Report, read_pa
 @pytest.mark.parametrize(
     ("value", "shown"),
     [
-        (0.0, "0.000"), (0.1234, "0.123"), (-1.005, "−1.00"), (12.34, "12.3"), (1234.5, "1,234"),
-        (0.00012, "0.00012"), (float("nan"), "–"), (float("-inf"), "−∞"),
+        (0.0, "0"), (0.1234, "0.123"), (-1.005, "−1.00"), (12.34, "12.3"), (1234.5, "1,230"),
+        (0.00012, "0.000120"), (float("nan"), "–"), (float("-inf"), "−∞"),
     ],
 )  # fmt: skip
-def test_numbers_have_three_digits_that_count(value: float, shown: str) -> None:
-    assert number(value) == shown
+def test_numbers_alone_have_three_digits_that_count(value: float, shown: str) -> None:
+    assert numbers(value)[0] == shown
+
+
+def test_numbers_with_an_interval_have_the_digits_that_it_leaves_certain() -> None:
+    assert numbers(-0.00317, -0.00599, -0.00036, signed=True) == ["−0.0032", "−0.0060", "−0.0004"]
+    assert numbers(241.2, -3591.0, 4073.0) == ["200", "−3,600", "4,100"]
 
 
 # --- Studies ---------------------------------------------------------------------------------------
@@ -242,9 +247,9 @@ def test_conditions_are_set_against_their_base(page: Any) -> None:
 def test_the_numbers_are_in_a_table_with_interval_and_n(page: Any) -> None:
     head, tanh, _ = _cells(page, "Outcomes of activation, ")
     assert len(head) == 7
-    assert tanh[:2] == ["tanh", "0.250[0.125, 0.500] n = 3"]
+    assert tanh[:2] == ["tanh", "0.25[0.12, 0.50] n = 3"]
     _, *every = _cells(page, "Every statistic of activation's")
-    assert every[0] == ["tanh", "outcome 0", "mean", "0.250", "0.125", "0.500", "95 % t", "3"]
+    assert every[0] == ["tanh", "outcome 0", "mean", "0.25", "0.12", "0.50", "95 % t", "3"]
     assert len(every) == 12
 
 
