@@ -234,6 +234,7 @@ class PublishedRuns:
         self._head = head
         self._table = table
         self._times = times
+        self._frames: dict[str, pd.DataFrame] = {}
         self._place = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
         self.tables: tuple[str, ...] = tuple(head["tables"])
         self.windows: tuple[str, ...] = tuple(head["windows"])
@@ -261,15 +262,14 @@ class PublishedRuns:
         return tuple(name for name in names if {name, f"{name} {self.windows[0]}"} & {*held})
 
     def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
-        """Return a run's evaluations, the one table that is kept."""
-        rows = self._table[name][self._place[run.run_id]].as_py()
-        fields = self._table.schema.field(name).type.value_type
-        return pd.DataFrame(
-            {
-                field.name: pd.Series([row[field.name] for row in rows], dtype=field.type.to_pandas_dtype())
-                for field in fields
-            }
-        )
+        """Return a run's evaluations, the one table that is kept; made once."""
+        if run.run_id not in self._frames:
+            rows = self._table[name][self._place[run.run_id]].as_py()
+            fields = self._table.schema.field(name).type.value_type
+            kinds = {field.name: field.type.to_pandas_dtype() for field in fields}
+            columns = {own: np.array([row[own] for row in rows], kind) for own, kind in kinds.items()}
+            self._frames[run.run_id] = pd.DataFrame(columns)
+        return self._frames[run.run_id]
 
     def curve(self, run: FinishedRun, quantity: str, window: str, grid: np.ndarray) -> np.ndarray:
         """Return a run's curve, (points,); the grid is the one that the study was published on."""

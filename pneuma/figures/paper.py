@@ -22,8 +22,9 @@ from typing import Any
 
 from PIL import Image
 
-from pneuma.analysis.export import encode_frame, encode_table
+from pneuma.analysis.export import encode_frame
 from pneuma.analysis.sources import open_published
+from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
@@ -131,10 +132,11 @@ def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
         for path in paths:
             _shrink(path)
         entries += index_entries(paths, COMMAND, data, drawn)
+    summary = summary_table(data)
     tables = folder / TABLES
     for form, suffix in TABLE_FORMATS.items():
         path = tables / f"{data.study}{suffix}"
-        path.write_bytes(encode_table(data, "summary", form)[0])
+        path.write_bytes(encode_frame(summary, form))
         (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": form})
         entries.append({**entry, "file": f"{TABLES}/{path.name}"})
     return entries
