@@ -18,9 +18,9 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
-    "tanh": "d43d55a1f0e89855",
-    "relu": "b5f2838dbdf8ceb1",
-    "leaky-relu": "402f014a80b25a99",
+    "tanh": "ba4f2cef89464a00",
+    "relu": "915bd2377faba878",
+    "leaky-relu": "abf28460900a7ccd",
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 
