@@ -20,6 +20,8 @@ from pneuma.errors import UserError
 from pneuma.study.executors.slurm_job import Training
 from pneuma.study.executors.submissions import Submission
 
+ELSEWHERE = "use it on a machine of the cluster, such as its login node; --executor local trains here"
+
 ANSWER_SECONDS = 8.0
 USUAL_MINUTES = 60
 """A job's time where nobody says it; when it is over, the job goes back to the queue with a checkpoint."""
@@ -243,13 +245,14 @@ def _answer(command: Sequence[str], text: str = "") -> str:
             command, input=text, capture_output=True, text=True, timeout=ANSWER_SECONDS, env=environment
         )
     except FileNotFoundError:
-        raise UserError(f"there is no {name} on the path") from None
+        raise UserError(f"--executor slurm: there is no {name} on the path; {ELSEWHERE}") from None
     except subprocess.TimeoutExpired:
         raise UserError(
             f"{name}: Slurm's controller does not answer in {ANSWER_SECONDS:.0f} s; see `scontrol ping`"
         ) from None
     if done.returncode:
-        raise UserError(f"--executor slurm: {_reason(done.stderr) or f'{name} failed'}")
+        mend = f"; {ELSEWHERE}" if name == "sinfo" else ""  # what is asked first; sbatch says its own
+        raise UserError(f"--executor slurm: {_reason(done.stderr) or f'{name} failed'}{mend}")
     return done.stdout
 
 
