@@ -85,7 +85,8 @@ def draw_references(axes: Axes, levels: Mapping[str, float], percent: bool = Fal
     if far:
         axes.text(
             0.99, 0.98, told_far(far, percent), transform=axes.transAxes, ha="right", va="top",
-            fontsize="small", color="#666666",
+            fontsize="small", color="#666666", zorder=5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1},
         )  # fmt: skip
     for name, level in levels.items():
         if name not in far:
