@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from pneuma.engines.policy import Policy, flat, sizes
+from pneuma.engines.policy import LEAKY_SLOPE, Policy, flat, sizes
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
@@ -145,7 +145,7 @@ def activate(activation: int, x: Any) -> None:
             x[j] = max(x[j], np.float32(0))
     else:
         for j in range(len(x)):
-            x[j] = x[j] if x[j] > 0 else x[j] * np.float32(0.01)
+            x[j] = x[j] if x[j] > 0 else x[j] * np.float32(LEAKY_SLOPE)
 
 
 @kernel

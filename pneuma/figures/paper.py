@@ -144,12 +144,11 @@ def _study(data: StudyData, folder: Path) -> list[dict[str, Any]]:
 
 def _drawn(data: StudyData, folder: Path) -> Iterator[tuple[dict[str, Any], list[Path]]]:
     """Draw a study's figures; yield how each is drawn, and its files."""
-    name = data.study.removesuffix("-godot")
-    contrasted = [own for own in CONTRASTED.get(name, ()) if data.of_condition(own)]
+    contrasted = [own for own in CONTRASTED.get(data.own_name, ()) if data.of_condition(own)]
     yield from _curves(data, contrasted or data.conditions, folder, data.figure)
     if contrasted:
         yield from _curves(data, data.conditions, folder, f"{data.figure}-all")
-    for quantity in MORE_CURVES.get(name, ()):
+    for quantity in MORE_CURVES.get(data.own_name, ()):
         if quantity in data.quantities:
             drawn = {"figure": "curves", **asdict(settle(data, quantities=(quantity,)))}
             yield drawn, draw_study(data, folder, quantities=(quantity,))
@@ -191,7 +190,7 @@ def main(folder: Path, results: Path = RESULTS) -> None:
     written = draw_all(folder, results)
     for path in written:
         print(f"wrote {path}")
-    if not open_published(results):
+    if {path.stem for path in written if path.parent.name == TABLES} <= {SETTINGS_STEM}:
         print(f"no study is published in {results / 'published'}: its figures and tables are still to come")
 
 

@@ -43,7 +43,7 @@ MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
 def study_maps(data: StudyData) -> list[Map]:
     """Return every map that a study is for; one whose conditions were not run is left out."""
     found = []
-    for contrast in MAPS.get(data.study.removesuffix("-godot"), ()):
+    for contrast in MAPS.get(data.own_name, ()):
         try:
             found.append(robustness_map(data, *contrast))
         except UserError:
