@@ -224,7 +224,7 @@ def test_a_job_asks_for_what_people_say_and_may_always_be_requeued() -> None:
 # --- Signals -------------------------------------------------------------------------------------
 
 _JOB = """
-import os, selectors, signal, subprocess, sys
+import os, selectors, signal, subprocess, sys, time
 from pneuma.study.executors.slurm_job import JobSignals
 with JobSignals() as signals:
     child = subprocess.Popen([sys.executable, "-c", "input(); print('lives')"], stdin=-1, stdout=-1)
@@ -234,7 +234,9 @@ with JobSignals() as signals:
     waiting = selectors.DefaultSelector()
     waiting.register(signals.wakeup, selectors.EVENT_READ)
     assert waiting.select(10)
-    while len(signals.seen) < 2: pass
+    until = time.monotonic() + 10
+    while len(signals.seen) < 2 and time.monotonic() < until:
+        time.sleep(0.01)
     print(signals.count, sorted(map(int, signals.seen)), child.communicate(b"x")[0].decode().strip())
 """
 

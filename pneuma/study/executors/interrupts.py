@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from collections.abc import Iterable
 from contextlib import suppress
 from types import FrameType
 from typing import Any
@@ -25,17 +26,20 @@ class Interrupts:
         self.wakeup, self._other_end = os.pipe()
         os.set_blocking(self._other_end, False)
         self._before: dict[int, Any] = {}
+        self._woken_before: int | None = None
 
     def __enter__(self) -> Interrupts:
         """Begin to count."""
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+            self._take(SIGNALS)
         return self
 
     def __exit__(self, *_: object) -> None:
         """Give the signals back."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        if self._woken_before is not None:
+            signal.set_wakeup_fd(self._woken_before)
         os.close(self.wakeup)
         os.close(self._other_end)
 
@@ -47,6 +51,15 @@ class Interrupts:
         """Count one more, which no signal told."""
         self.count += 1
         os.write(self._other_end, b"!")
+
+    def _take(self, numbers: Iterable[int]) -> None:
+        """Have signals noted, at once.
+
+        The kernel may hand a signal to a thread of a mathematical library, which does not interrupt the main
+        thread's wait: the interpreter's own wake-up does.
+        """
+        self._before = {number: signal.signal(number, self._note) for number in numbers}
+        self._woken_before = signal.set_wakeup_fd(self._other_end, warn_on_full_buffer=False)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.count == 0:

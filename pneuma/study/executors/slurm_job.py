@@ -122,7 +122,7 @@ class JobSignals(Interrupts):
 
     def __enter__(self) -> JobSignals:
         """Begin to count."""
-        self._before = {number: signal.signal(number, self._note) for number in STOPPING}
+        self._take(STOPPING)
         signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
         threading.Thread(target=self._listen, daemon=True).start()
         return self
