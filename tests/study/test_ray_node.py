@@ -89,6 +89,32 @@ def test_a_stopped_node_sends_a_checkpoint_from_which_the_next_one_ends_alike() 
     assert {**gone_on, "provenance.json": b""} == {**files, "provenance.json": b""}
 
 
+def test_a_checkpoint_is_sent_at_once_where_other_news_never_ends() -> None:
+    node, data = Node(), b"of a run that tells steps faster than its driver hears them"
+    path = node._store.run_folder(run_id(RUN)) / "checkpoints" / file_name(64, data)
+    node._store.write(path, data)
+    node._note({"event": "step", "run_id": run_id(RUN), "step": 128})
+    assert {message["event"]: message.get("data") for message in node.news()} == {
+        "step": None,
+        "checkpoint": data,
+    }
+
+
+@pytest.mark.parametrize(
+    ("job", "reason"),
+    [
+        (replace(JOB, runs={run_id(RUN): {"steps": 64, "nonsense": 1}}), "nonsense"),
+        (replace(JOB, checkpoints=(("no-id", file_name(64, b""), b""),)), "no run's id"),
+    ],
+)
+def test_a_node_that_cannot_begin_says_why_and_leaves_nothing(job: Job, reason: str) -> None:
+    node = Node()
+    node.begin(job)
+    (gone,) = told(node)
+    assert gone["event"] == "gone" and reason in gone["reason"]
+    assert not node._folder.exists()
+
+
 def test_the_folders_of_killed_nodes_are_removed_and_no_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

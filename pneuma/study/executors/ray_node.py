@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import Run, make_run
+from pneuma.config import make_run
 from pneuma.errors import UserError
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
@@ -82,17 +82,8 @@ class Node:
         return {"node": ray.get_runtime_context().get_node_id(), "versions": versions()}
 
     def begin(self, job: Job) -> None:
-        """Begin to train a group."""
-        os.environ[CARRIED_CODE] = job.code
-        if not job.gpu:  # Ray hides GPUs from none that asked for none
-            os.environ["CUDA_VISIBLE_DEVICES"] = ""
-        for name, file, data in job.checkpoints:
-            path = self._store.run_folder(name) / CHECKPOINTS / file
-            self._store.write(path, data)
-            self._sent.add(path)
-        runs = {name: make_run(settings) for name, settings in job.runs.items()}
-        how = Supervision(1, job.checkpoint_seconds, job.timeout_seconds, job.keep)
-        threading.Thread(target=self._train, args=(runs, how), daemon=True).start()
+        """Begin to train a group; what goes wrong is told as news, as nobody waits for an answer."""
+        threading.Thread(target=self._work, args=(job,), daemon=True).start()
 
     def stop(self) -> None:
         """Let every run come to a checkpoint and end."""
@@ -102,6 +93,7 @@ class Node:
         """Return what has happened since the last news, soon after it did; the last of all is `gone`."""
         patience = time.monotonic() + SILENT_SECONDS
         with self._change:
+            self._look_for_checkpoints()  # even where other news never lets this wait
             while not self._messages and time.monotonic() < patience:
                 self._change.wait(LOOK_SECONDS)
                 self._look_for_checkpoints()
@@ -110,10 +102,10 @@ class Node:
             news, self._messages = _latest_steps(self._messages), []
         return news
 
-    def _train(self, runs: Mapping[str, Run], how: Supervision) -> None:
+    def _work(self, job: Job) -> None:
         gone: Message = {"event": "gone", "reason": ""}
         try:
-            local.run_groups([runs], self._store, how, self._note, self._interrupts)
+            self._train(job)
         except KeyboardInterrupt:
             pass
         except BaseException:
@@ -122,6 +114,18 @@ class Node:
         with self._change:
             self._messages.append(gone)
             self._change.notify()
+
+    def _train(self, job: Job) -> None:
+        os.environ[CARRIED_CODE] = job.code
+        if not job.gpu:  # Ray hides GPUs from none that asked for none
+            os.environ["CUDA_VISIBLE_DEVICES"] = ""
+        for name, file, data in job.checkpoints:
+            path = self._store.run_folder(name) / CHECKPOINTS / file
+            self._sent.add(path)
+            self._store.write(path, data)
+        runs = {name: make_run(settings) for name, settings in job.runs.items()}
+        how = Supervision(1, job.checkpoint_seconds, job.timeout_seconds, job.keep)
+        local.run_groups([runs], self._store, how, self._note, self._interrupts)
 
     def _note(self, event: Event) -> None:
         """Take one event of the local executor; an end takes the run's files along."""
