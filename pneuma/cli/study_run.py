@@ -206,13 +206,22 @@ def _kept_steps(status: Status) -> int:
     return 0 if status.finished else status.step
 
 
+def _by_value(values: Mapping[str, Any]) -> str:
+    """Return each value of a setting with the conditions that have it."""
+    having: dict[str, list[str]] = {}
+    for condition, value in values.items():
+        having.setdefault("none" if value is None else str(value), []).append(condition)
+    return "; ".join(f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
+
+
 def _print_plan(
     planned: plan.Plan, statuses: Mapping[str, Status], seconds: Mapping[str, float | None]
 ) -> None:
     for note in planned.notes:
         print(f"Note: {note}.")
     for key, values in plan.differing_settings(planned).items():
-        print(f"Conditions differ in {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
+        print(f"Conditions differ in {key}: {_by_value(values)}")
+    width = max(18, *(len(cell.condition) for cell in planned.cells))
     for cell in planned.cells:
         status, expected = statuses[cell.run_id], seconds[cell.run_id]
         state = _state(status)
@@ -222,7 +231,7 @@ def _print_plan(
             state = f"partial, {status.step:,} steps"
         time = duration(expected) if expected is not None and not status.finished else ""
         budget = f"{cell.run.steps:>12,} steps"
-        print(f"{cell.condition:<18} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
+        print(f"{cell.condition:<{width}} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
     counts = Counter("failed" if status.failed else _state(status) for status in statuses.values())
     told = {"stored": "stored", "partial": "partial", "failed": "failed", "to-train": "to train"}
     print(", ".join(f"{counts[state]} {words}" for state, words in told.items() if counts[state]) + ".")

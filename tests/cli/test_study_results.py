@@ -137,7 +137,7 @@ def test_plan_tells_what_is_stored_and_what_is_not(trained: Trained) -> None:
 
 def test_a_plan_says_in_what_the_conditions_differ(trained: Trained) -> None:
     called = _call("study", "plan", "activation", *TINY, "--seeds", "3", "--results", trained.results)
-    assert "Conditions differ in activation: tanh (tanh), relu (relu)" in called.out
+    assert "Conditions differ in activation: tanh (tanh); relu (relu)" in called.out
     assert "4 stored, 2 to train." in called.out
 
 
