@@ -42,8 +42,12 @@ BEGUN: list[subprocess.Popen[str]] = []
 
 @pytest.fixture(autouse=True)
 def no_command_is_left() -> Iterator[None]:
-    """End what a failed test began."""
     yield
+    end_begun()
+
+
+def end_begun() -> None:
+    """End what a failed test began."""
     while BEGUN:
         process = BEGUN.pop()
         process.kill()
@@ -80,10 +84,13 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
     """Two nodes of one CPU each, which have compiled what the tests train."""
     process, nodes = start_nodes(2)
     folder = tmp_path_factory.mktemp("compiled")
-    first = begin(folder, write_study(folder), "--address", nodes.address)
-    assert first.wait(timeout=240) == 0
-    yield nodes
-    end_nodes(process)
+    try:
+        first = begin(folder, write_study(folder), "--address", nodes.address)
+        assert first.wait(timeout=240) == 0
+        yield nodes
+    finally:
+        end_begun()
+        end_nodes(process)
 
 
 def begin(

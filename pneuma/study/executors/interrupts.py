@@ -40,8 +40,10 @@ class Interrupts:
             signal.signal(number, handler)
         if self._woken_before is not None:
             signal.set_wakeup_fd(self._woken_before)
-        os.close(self.wakeup)
-        os.close(self._other_end)
+        ends = self.wakeup, self._other_end
+        self.wakeup = self._other_end = -1  # who interrupts too late is to write into nothing else
+        for end in ends:
+            os.close(end)
 
     def wake(self) -> None:
         """Take note of what made `wakeup` readable."""
@@ -50,7 +52,8 @@ class Interrupts:
     def interrupt(self) -> None:
         """Count one more, which no signal told."""
         self.count += 1
-        os.write(self._other_end, b"!")
+        with suppress(OSError):
+            os.write(self._other_end, b"!")
 
     def _take(self, numbers: Iterable[int]) -> None:
         """Have signals noted, at once.

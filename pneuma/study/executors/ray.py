@@ -19,7 +19,6 @@ from typing import Any
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import checkpoint_files, read_checkpoint
 from pneuma.study.executors.base import OnEvent, Place, Supervision
 from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.executors.local import BUSY_SECONDS
@@ -32,11 +31,11 @@ from pneuma.study.executors.ray_cluster import (
     refuse_unlike_nodes,
     unlike,
 )
+from pneuma.study.executors.ray_home import Home
 from pneuma.study.executors.ray_node import Job, Message, Node
-from pneuma.study.kept import KeptCheckpoints
 from pneuma.study.locks import RunLock
 from pneuma.study.provenance import carried_code
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Status, Store
 from pneuma.study.trust import own_things
 
 LOSSES = 3
@@ -105,7 +104,7 @@ class _Away:
         awaited: a reference to what its node tells next.
         locks: by run id, of those that have not ended.
         since: when it was sent.
-        node: the address of its node; empty while it waits for one.
+        gone: why its node has ended, which is nothing where all went well; None until then.
     """
 
     task: _Task
@@ -114,11 +113,10 @@ class _Away:
     locks: dict[str, ExitStack]
     gpu: bool
     since: float = field(default_factory=time.monotonic)
-    node: str = ""
     begun: bool = False
     told_waiting: bool = False
     asked_to_stop: bool = False
-    gone: bool = False
+    gone: str | None = None
 
 
 class _Driver:
@@ -136,6 +134,7 @@ class _Driver:
         self._tasks = deque(_Task(group) for group in groups)
         self._cluster = cluster
         self._store = store
+        self._home = Home(store, supervision.keep_checkpoints, self._note)
         self._how = supervision
         self._on_event = on_event
         self._interrupts = interrupts
@@ -168,15 +167,18 @@ class _Driver:
     # --- Sending --------------------------------------------------------------------------------------
 
     def _send_what_may(self) -> None:
+        if len(self._away) >= self._how.workers:
+            return
         now = time.monotonic()
+        gpus = max(1, self._cluster.count("GPU")) if self._how.on_gpu else 0
         for task in [task for task in self._tasks if task.not_before <= now]:
             gpu = any(name in self._how.on_gpu for name in task.group)
-            if len(self._away) < self._how.workers and (not gpu or self._gpu_is_free()):
+            if len(self._away) < self._how.workers and (not gpu or self._on_gpu() < gpus):
                 self._tasks.remove(task)
                 self._send(task, gpu)
 
-    def _gpu_is_free(self) -> bool:
-        return sum(away.gpu for away in self._away) < max(1, self._cluster.count("GPU"))
+    def _on_gpu(self) -> int:
+        return sum(away.gpu for away in self._away)
 
     def _send(self, task: _Task, gpu: bool) -> None:
         """Lock the runs of a group and ask for a node for those that are free and not finished."""
@@ -197,9 +199,15 @@ class _Driver:
         self._away.append(_Away(task, actor, actor.about.remote(), locks, gpu))
 
     def _lock(self, task: _Task, name: str) -> ExitStack | None:
-        """Return the lock of a run that is to be trained; None where it is another's, or finished."""
+        """Return the lock of a run that is to be trained; None where it is another's, or has ended."""
         with ExitStack() as stack:
-            if not stack.enter_context(RunLock(self._store.run_folder(name))):
+            try:
+                free = stack.enter_context(RunLock(self._store.run_folder(name)))
+            except OSError as error:
+                reason = f"{self._store.run_folder(name)}: cannot be written ({error.strerror})"
+                self._end(name, Status("crashed"), trained=True, reason=reason)
+                return None
+            if not free:
                 self._tasks.append(
                     _Task({name: task.group[name]}, task.losses, time.monotonic() + BUSY_SECONDS)
                 )
@@ -211,7 +219,7 @@ class _Driver:
             if status.finished:
                 self._end(name, status, trained=False)
                 return None
-            KeptCheckpoints(self._store, name, task.group[name], self._how.keep_checkpoints).sweep()
+            self._home.sweep(name, task.group[name])
             return stack.pop_all()
 
     def _begin(self, away: _Away) -> None:
@@ -219,7 +227,9 @@ class _Driver:
         runs = {name: away.task.group[name] for name in away.locks}
         job = Job(
             runs={name: as_settings(run) for name, run in runs.items()},
-            checkpoints=tuple(file for name, run in runs.items() for file in self._checkpoints(name, run)),
+            checkpoints=tuple(
+                file for name, run in runs.items() for file in self._home.checkpoints(name, run)
+            ),
             checkpoint_seconds=self._how.checkpoint_seconds,
             timeout_seconds=self._how.timeout_seconds,
             keep=self._how.keep_checkpoints,
@@ -230,18 +240,6 @@ class _Driver:
         away.begun = True
         away.awaited = away.actor.news.remote()
 
-    def _checkpoints(self, name: str, run: Run) -> list[tuple[str, str, bytes]]:
-        """Return the latest whole checkpoint of a run, and that of its parent where it is a fork."""
-        kept = KeptCheckpoints(self._store, name, run, self._how.keep_checkpoints)
-        while (file := kept.latest) and read_checkpoint(file) is None:
-            self._note(name, f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
-            kept.drop_latest()
-        files = [(name, file)] if file else []
-        if run.parent:
-            parents = checkpoint_files(self._store.run_folder(run.parent))
-            files += [(run.parent, each) for each in parents if each.step == run.fork_step]
-        return [(owner, each.path.name, each.path.read_bytes()) for owner, each in files]
-
     # --- Hearing --------------------------------------------------------------------------------------
 
     def _hear(self, away: _Away) -> None:
@@ -251,17 +249,19 @@ class _Driver:
         try:
             told = ray.get(away.awaited)
         except ray.exceptions.RayError as error:
-            self._lose(away, " ".join(str(error).split()))
+            self._lose(away, "was lost", " ".join(str(error).split()))
             return
         if not away.begun:
             self._welcome(away, told)
             return
         for message in told:
             self._take(away, message)
-        if away.gone:
-            self._leave(away)
-        else:
+        if away.gone is None:
             away.awaited = away.actor.news.remote()
+        elif away.locks:  # an end that its node did not tell: it failed as a whole
+            self._lose(away, f"failed ({_last_line(away.gone)})", away.gone)
+        else:
+            self._leave(away)
 
     def _welcome(self, away: _Away, about: Mapping[str, Any]) -> None:
         """Begin on a node, unless its versions are others: one that joined since they were compared."""
@@ -278,50 +278,35 @@ class _Driver:
         Raises:
             UserError: where there is no other node.
         """
-        nodes = {each["NodeID"]: each["NodeManagerAddress"] for each in self._cluster.nodes()}
+        nodes = {each["NodeID"]: each["NodeManagerAddress"] for each in self._cluster.trainers()}
         self._unlike.add(node)
         if nodes.keys() <= self._unlike:
             raise UserError(unlike(nodes.get(node, node), told))
         for name in away.locks:
             self._note(name, f"not on the node {nodes.get(node, node)}, which has {told}")
-        self._tasks.appendleft(away.task)
-        self._leave(away)
+        self._send_again(away)
 
     def _take(self, away: _Away, message: Message) -> None:
         kind = message["event"]
         if kind == "checkpoint":
-            self._take_checkpoint(away, message)
+            name = message["run_id"]
+            away.task.losses = 0
+            self._home.take_checkpoint(name, away.task.group[name], message["file"], message["data"])
         elif kind == "gone":
-            away.gone = True
-            for name in [*away.locks]:  # an end that its node did not tell: it failed as a whole
-                self._end_unsaid(away, name, message["reason"])
+            away.gone = message["reason"]
         elif kind != "end":
             self._on_event(message)
         elif message["run_id"] in away.locks:
             self._take_end(away, message)
 
-    def _take_checkpoint(self, away: _Away, message: Message) -> None:
-        name = message["run_id"]
-        run = away.task.group[name]
-        away.task.losses = 0
-        try:
-            kept = KeptCheckpoints(self._store, name, run, self._how.keep_checkpoints)
-            kept.write(message["file"], message["data"])
-        except UserError as error:
-            self._note(name, f"no checkpoint of it here: {error}")
-
     def _take_end(self, away: _Away, message: Message) -> None:
         """Store how a run ended, then let go of it and say so."""
         name, files = message["run_id"], message.pop("files")
         status = Status(message["status"], message["step"])
-        run = away.task.group[name]
-        if files:
-            try:
-                self._store.save_run(name, status, {**files, "run.json": run_document(run, name)})
-                if status.finished:
-                    KeptCheckpoints(self._store, name, run, self._how.keep_checkpoints).finish()
-            except UserError as error:
-                message = {**message, "status": "crashed", "reason": str(error)}
+        try:
+            self._home.take_end(name, away.task.group[name], status, files)
+        except UserError as error:
+            message = {**message, "status": "crashed", "reason": str(error)}
         away.locks.pop(name).close()
         self._on_event(message)
 
@@ -329,25 +314,27 @@ class _Driver:
         """End a run of which its node told no end."""
         status = Status("stopped" if self._interrupts.count else "killed")
         if status.name == "killed":
-            files = {"run.json": run_document(away.task.group[name], name), "error.txt": reason.encode()}
-            with suppress(UserError):
-                self._store.save_run(name, status, files)
+            self._home.save_killed(name, away.task.group[name], reason)
         away.locks.pop(name).close()
         self._end(name, status, trained=True)
 
     # --- Losing ---------------------------------------------------------------------------------------
 
-    def _lose(self, away: _Away, reason: str) -> None:
-        """Send what was on a lost node to another, each run from its newest checkpoint."""
+    def _lose(self, away: _Away, what: str, reason: str) -> None:
+        """Send what was on a lost or failed node to another, each run from its newest checkpoint."""
         names = [*away.locks]
         away.task.losses += 1
         final = away.task.losses >= LOSSES
         for name in names:
             if self._interrupts.count or final:
-                self._end_unsaid(away, name, f"the node was lost {away.task.losses} times: {reason}")
+                self._end_unsaid(away, name, f"its node {what}, as did {LOSSES - 1} before it: {reason}")
             else:
                 step = self._store.status(name).step
-                self._note(name, f"its node was lost; goes on elsewhere from step {step:,}")
+                self._note(name, f"its node {what}; goes on elsewhere from step {step:,}")
+        self._send_again(away)
+
+    def _send_again(self, away: _Away) -> None:
+        """Let go of a node; runs that it has not ended go to another."""
         left = {name: away.task.group[name] for name in away.locks}
         self._leave(away)
         if left:
@@ -392,6 +379,10 @@ class _Driver:
     def _note(self, name: str, text: str) -> None:
         self._on_event({"event": "note", "run_id": name, "text": text})
 
-    def _end(self, name: str, status: Status, trained: bool) -> None:
-        about = {"status": status.name, "step": status.step, "trained": trained}
-        self._on_event({"event": "end", "run_id": name, **about})
+    def _end(self, name: str, status: Status, trained: bool, **about: str) -> None:
+        told = {"status": status.name, "step": status.step, "trained": trained, **about}
+        self._on_event({"event": "end", "run_id": name, **told})
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or [""])[-1]

@@ -48,6 +48,10 @@ class Cluster:
 
         return [node for node in ray.nodes() if node["Alive"]]
 
+    def trainers(self) -> list[dict[str, Any]]:
+        """Return those that have a CPU to train on; the head, or the command's own, may have none."""
+        return [node for node in self.nodes() if node["Resources"].get("CPU", 0.0) >= 1]
+
     def count(self, resource: str) -> int:
         """Return how many CPUs or GPUs all nodes have together."""
         return int(sum(node["Resources"].get(resource, 0.0) for node in self.nodes()))
@@ -96,7 +100,7 @@ def mismatch(there: Versions, here: Versions | None = None) -> str:
 
 
 def refuse_unlike_nodes(cluster: Cluster) -> None:
-    """Compare the versions of all nodes with this process's.
+    """Compare the versions of all nodes that can train with this process's.
 
     Raises:
         UserError: naming the first node that differs, and in what.
@@ -106,7 +110,7 @@ def refuse_unlike_nodes(cluster: Cluster) -> None:
 
     probe = ray.remote(versions)
     asked = {}
-    for node in cluster.nodes():
+    for node in cluster.trainers():
         there = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
         asked[probe.options(num_cpus=0, max_retries=0, scheduling_strategy=there).remote()] = node
     answered, _ = ray.wait([*asked], num_returns=len(asked), timeout=PROBE_SECONDS)
@@ -134,13 +138,13 @@ def refuse_lacking_resources(cluster: Cluster, on_gpu: int) -> None:
     Raises:
         UserError: naming what is lacking.
     """
-    kinds = [node["Resources"] for node in cluster.nodes()]
-    if not any(kind.get("CPU", 0.0) >= 1 for kind in kinds):
+    kinds = [node["Resources"] for node in cluster.trainers()]
+    if not kinds:
         raise UserError(
             f"--executor ray: {cluster.where} has no node with a free CPU to give; start one with "
             "`ray start --address HOST:PORT --num-cpus N`"
         )
-    if on_gpu and not any(kind.get("GPU", 0.0) >= 1 and kind.get("CPU", 0.0) >= 1 for kind in kinds):
+    if on_gpu and not any(kind.get("GPU", 0.0) >= 1 for kind in kinds):
         runs = "1 run wants" if on_gpu == 1 else f"{on_gpu} runs want"
         raise UserError(
             f"--executor ray: {runs} a GPU each and {cluster.where} has no node with one; give the --address "
