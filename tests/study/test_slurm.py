@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,9 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
-from pneuma.study.executors import local, slurm, slurm_collector, slurm_queue
+from pneuma.study.executors import local, slurm, slurm_collector, slurm_job, slurm_queue
 from pneuma.study.executors.base import Detached, Event, Place, Supervision
-from pneuma.study.executors.slurm_job import Training
+from pneuma.study.executors.slurm_job import Teller, Training
 from pneuma.study.executors.slurm_queue import Job
 from pneuma.study.executors.submissions import (
     Submission,
@@ -96,6 +97,36 @@ def collect(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision 
 
 def ends(events: Sequence[Event]) -> dict[str, str]:
     return {event["run_id"]: event["status"] for event in events if event["event"] == "end"}
+
+
+def notes(events: Sequence[Event]) -> list[str]:
+    return [event["text"] for event in events if event["event"] == "note"]
+
+
+def answer_in_turn(queue: Queue, monkeypatch: pytest.MonkeyPatch, *answers: Callable[[], str | None]) -> None:
+    """Let the queue say the state of the jobs of the first submission by one answer after another.
+
+    The first is for who submits, the next for who collects; the last is for all that ask later.
+    """
+    left = list(answers)
+
+    def jobs_of(submissions: Sequence[Submission]) -> dict[tuple[str, int], Job]:
+        if not submissions:
+            return {}
+        state = (left.pop(0) if len(left) > 1 else left[0])()
+        names = [submission.name for submission, _ in queue.submitted]
+        states = [state, *["RUNNING"] * (len(names) - 1)]
+        return {
+            (name, 0): Job(f"{i}_0", told)
+            for i, (name, told) in enumerate(zip(names, states, strict=True))
+            if told
+        }
+
+    monkeypatch.setattr(slurm_queue, "jobs_of", jobs_of)
+
+
+def no_answer() -> str | None:
+    raise UserError("squeue: Slurm's controller does not answer")
 
 
 # --- Jobs of submitit's local executor -----------------------------------------------------------
@@ -191,6 +222,133 @@ def test_runs_that_another_command_collected_are_not_waited_for(
 
     monkeypatch.setattr(slurm_queue, "submit", submit_and_lose)
     assert ends(collect([group(7, 8)], store)) == {done: "done", lost: "killed"}
+
+
+def test_half_a_line_that_a_killed_job_left_harms_no_other(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = group(5, 6)
+    first, second = runs
+    submission = new_submission(store, [list(runs)], 1)
+    submission.events_path(0).write_text('3\n{"event": "step", "run_i')
+    with submission.events_path(0).open("a") as file:
+        teller = Teller(file)
+        for name in (first, second):
+            teller.tell({"event": "end", "run_id": name, "status": "done", "step": 500, "trained": True})
+    queue = Queue(monkeypatch, ["COMPLETED"])
+    queue.submitted.append((submission, []))
+    monkeypatch.setattr(slurm_queue, "jobs_by_run", lambda _: dict.fromkeys(runs, Job("7_0", "RUNNING")))
+    assert ends(collect([runs], store)) == {first: "done", second: "done"}
+
+
+def test_a_run_that_is_refused_when_it_is_to_be_tried_again_is_not_waited_for(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["NODE_FAIL"])
+    submit = queue.submit
+
+    def submit_once(submission: Submission, *about: Any) -> None:
+        if queue.submitted:
+            submission.close(keep=False)
+            raise UserError("sbatch: QOSMaxSubmitJobPerUserLimit")
+        submit(submission, *about)
+
+    monkeypatch.setattr(slurm_queue, "submit", submit_once)
+    (name,) = group(9)
+    events = collect([group(9)], store)
+    assert ends(events) == {name: "killed"}
+    assert "could not be submitted again (sbatch: QOSMax" in events[-1]["reason"]
+
+
+def test_of_two_commands_that_see_a_job_die_one_submits_again(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["-"])
+    (name,) = group(10)
+
+    def die_while_another_submits_again() -> str:
+        queue.submitted.append((new_submission(store, [[name]], 2), []))
+        return "NODE_FAIL"
+
+    def die() -> str:
+        return "NODE_FAIL"
+
+    def end_under_the_other() -> str:
+        store.save_run(name, Status("done", 500), {"run.json": b"{}"})
+        queue.submitted[1][0].events_path(0).write_text(
+            json.dumps({"event": "end", "run_id": name, "status": "done", "step": 500, "trained": True})
+            + "\n"
+        )
+        return "NODE_FAIL"
+
+    answer_in_turn(
+        queue, monkeypatch, lambda: "PENDING", die_while_another_submits_again, die, die, end_under_the_other
+    )
+    assert ends(collect([group(10)], store)) == {name: "done"}
+    assert len(queue.submitted) == 2
+
+
+def test_a_job_that_the_queue_is_only_about_to_know_is_not_submitted_again(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["-"])
+    (name,) = group(11)
+    answer_in_turn(
+        queue,
+        monkeypatch,
+        lambda: "PENDING",
+        lambda: None,
+        lambda: "PENDING",
+        lambda: "RUNNING",
+        lambda: "CANCELLED",
+    )
+    events = collect([group(11)], store)
+    assert ends(events) == {name: "killed"}
+    assert "is cancelled" in events[-1]["reason"] and not notes(events)
+    assert len(queue.submitted) == 1
+
+
+def test_a_queue_that_does_not_answer_is_said_once_and_asked_again(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even the first look, after which jobs that cannot run are taken back, ends the command."""
+    queue = Queue(monkeypatch, ["-"])
+    (name,) = group(12)
+    answer_in_turn(queue, monkeypatch, no_answer, no_answer, no_answer, lambda: "CANCELLED")
+    events = collect([group(12)], store)
+    assert ends(events) == {name: "killed"}
+    (note,) = notes(events)
+    assert "does not answer; it is asked again" in note
+
+
+# --- GPUs ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "marked", "has_one"),
+    [
+        ({}, False, False),
+        ({}, True, True),
+        ({"gpus-per-node": "1"}, False, True),
+        ({"gres": "gpu:a100:1"}, False, True),
+        ({"gres": "license:1", "partition": "gpu"}, False, False),
+    ],
+)
+def test_a_job_sees_gpus_only_where_it_asked_for_one(
+    options: dict[str, str], marked: bool, has_one: bool, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["RUNNING"])
+    runs = group(13)
+    place = Place("slurm", slurm=tuple(options.items()), detach=True)
+    with pytest.raises(Detached):
+        collect([runs], store, Supervision(2, place=place, on_gpu=frozenset(runs if marked else ())))
+    ((_, (work,)),) = queue.submitted
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "all of the node's")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(store.root))
+    seen: list[str] = []
+    monkeypatch.setattr(local, "run_groups", lambda *_: seen.append(os.environ["CUDA_VISIBLE_DEVICES"]))
+    slurm_job.train(work)
+    assert seen == ["all of the node's" if has_one else ""]
 
 
 # --- What is asked of the queue ------------------------------------------------------------------

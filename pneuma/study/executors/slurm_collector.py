@@ -45,6 +45,7 @@ class Collector:
         self._waiting = dict(runs)
         self._on_event = on_event
         self._followed: list[_Followed] = []
+        self._told_silence = False
 
     def work(self) -> None:
         """Collect; leaving by an exception loses nothing."""
@@ -75,13 +76,22 @@ class Collector:
 
     def _look_at_queue(self) -> None:
         """See to jobs that have gone; a queue that cannot be asked now is asked later."""
-        with suppress(UserError):
-            self._find_submissions()
+        self._find_submissions()
+        try:
             jobs = slurm_queue.jobs_of([each.submission for each in self._followed])
-            for followed in list(self._followed):
-                for i in range(len(followed.submission.groups)):
-                    if i not in followed.over:
-                        self._see_to(followed, i, jobs.get((followed.submission.name, i)))
+        except UserError as error:
+            return self._tell_silence(error)
+        for followed in list(self._followed):
+            for i in range(len(followed.submission.groups)):
+                if i not in followed.over:
+                    self._see_to(followed, i, jobs.get((followed.submission.name, i)))
+        return None
+
+    def _tell_silence(self, error: UserError) -> None:
+        """Say once why the queue cannot be asked."""
+        if self._waiting and not self._told_silence:
+            self._told_silence = True
+            self._note(next(iter(self._waiting)), f"{error}; it is asked again every few seconds")
 
     def _see_to(self, followed: _Followed, group: int, job: Job | None) -> None:
         if job and not job.over:
@@ -91,7 +101,7 @@ class Collector:
         names = [name for name in followed.submission.groups[group] if name in self._waiting]
         lost = [name for name in names if not self._collect(name)]
         if lost:
-            self._settle(followed, lost, job)
+            self._settle(followed, group, lost, job)
         return None
 
     def _tell_state(self, followed: _Followed, group: int, job: Job) -> None:
@@ -111,23 +121,44 @@ class Collector:
             )
         return status.finished
 
-    def _settle(self, followed: _Followed, lost: Sequence[str], job: Job | None) -> None:
+    def _settle(self, followed: _Followed, group: int, lost: Sequence[str], job: Job | None) -> None:
         """Try runs again whose job went without an end of theirs; or end them."""
         followed.failed = True
         what = f"job {job.id} is {job.state.lower()}" if job else "their job has gone from the queue"
         tries = followed.submission.tries + (not job or job.state != "PREEMPTED")
         if tries <= TRIES and not (job and job.state == "CANCELLED"):
-            for name in lost:
-                self._on_event({"event": "note", "run_id": name, "text": f"{what}; tried once more"})
-            with alone(self._store):
-                again = self._desk.submit([{name: self._waiting[name]} for name in lost], tries)
-            self._followed += [_Followed(submission) for submission in again]
-            return
+            try:
+                return self._try_again(followed, group, lost, tries, what)
+            except UserError as error:
+                what = f"{what}, and could not be submitted again ({error})"
         reason = f"{what}; what it printed lies in {followed.submission.jobs_folder}"
         for name in lost:
             self._save_end(name, reason)
             end = {"event": "end", "run_id": name, "status": "killed", "step": 0, "trained": True}
             self._end({**end, "reason": reason})
+        return None
+
+    def _try_again(self, followed: _Followed, group: int, lost: Sequence[str], tries: int, what: str) -> None:
+        """Submit runs once more, but for those that another command has submitted meanwhile.
+
+        Raises:
+            UserError: when they are refused.
+        """
+        with alone(self._store):
+            submissions = open_submissions(self._store)
+            jobs = slurm_queue.jobs_of(submissions)
+            live = slurm_queue.live_runs(submissions, jobs)
+            again = [name for name in lost if name not in live]
+            made = self._desk.submit([{name: self._waiting[name]} for name in again], tries)
+        job = jobs.get((followed.submission.name, group))
+        if job and not job.over:  # it was being submitted when the queue was asked
+            followed.over.discard(group)
+        for name in again:
+            self._note(name, f"{what}; tried once more")
+        self._followed += [_Followed(submission) for submission in made]
+
+    def _note(self, name: str, text: str) -> None:
+        self._on_event({"event": "note", "run_id": name, "text": text})
 
     def _save_end(self, name: str, reason: str) -> None:
         """Store that a run was killed, unless somebody trains it by now."""
@@ -151,7 +182,8 @@ class Collector:
             whole, newline, _ = file.read().rpartition(b"\n")
             followed.read[group] = followed.read.get(group, 0) + len(whole + newline)
             for line in whole.splitlines():
-                self._take(json.loads(line))
+                if event := _read_event(line):
+                    self._take(event)
 
     def _take(self, event: Event) -> None:
         if event["run_id"] not in self._waiting:
@@ -177,3 +209,12 @@ class Collector:
             if not open_ones:
                 return
             time.sleep(TAIL_SECONDS)
+
+
+def _read_event(line: bytes) -> Event | None:
+    """Return what a line tells; None for what a job that was killed while it wrote has left of one."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None

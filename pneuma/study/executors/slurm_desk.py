@@ -89,6 +89,7 @@ class Desk:
                 "checkpoint_seconds": self._how.checkpoint_seconds,
                 "timeout_seconds": self._how.timeout_seconds,
                 "keep_checkpoints": self._how.keep_checkpoints,
+                "gpu": gpu or slurm_queue.ask_for_gpu(self._options),
             }
             for i, group in enumerate(groups)
         ]

@@ -39,7 +39,8 @@ class Training:
     """A job: plain data on which runs to train and where, in the form that submitit asks for.
 
     Attributes:
-        work: `results`, `events`, `runs` by id, `checkpoint_seconds`, `timeout_seconds`, `keep_checkpoints`.
+        work: `results`, `events`, `runs` by id, `checkpoint_seconds`, `timeout_seconds`, `keep_checkpoints`,
+            and `gpu`: whether the job has one.
     """
 
     work: Mapping[str, Any]
@@ -60,6 +61,8 @@ def train(work: Mapping[str, Any]) -> None:
         RuntimeError: when the job's time was over before any run came to a checkpoint.
     """
     _use_cache_of_this_processor()
+    if not work["gpu"]:  # where Slurm does not confine jobs, each sees all GPUs of its node
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
     runs = {name: make_run(settings) for name, settings in work["runs"].items()}
     cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
     how = Supervision(cores, work["checkpoint_seconds"], work["timeout_seconds"], work["keep_checkpoints"])
@@ -93,6 +96,8 @@ class Teller:
     def __init__(self, file: TextIO) -> None:
         self._file = file
         self._next = 0.0
+        if file.tell():  # what was written before may end within a line, if that job was killed
+            file.write("\n")
         self.progressed = False
 
     def tell(self, event: Event) -> None:

@@ -40,6 +40,8 @@ NEVER = re.compile(
 """Reasons for which a job waits that waiting does not mend."""
 OWN = ("array_parallelism", "job_name", "map_count", "nodes", "ntasks_per_node", "signal_delay_s", "use_srun")
 """What a job is made of here, and nobody else sets."""
+GENERIC = ("gres", "tres_per_job", "tres_per_node", "tres_per_task")
+"""Options that ask for anything that a node has, by its name."""
 
 Options = Mapping[str, str]
 
@@ -89,7 +91,11 @@ def jobs_by_run(submissions: Sequence[Submission]) -> dict[str, Job]:
     Raises:
         UserError: when the queue cannot be asked.
     """
-    jobs = jobs_of(submissions)
+    return live_runs(submissions, jobs_of(submissions))
+
+
+def live_runs(submissions: Sequence[Submission], jobs: Mapping[tuple[str, int], Job]) -> dict[str, Job]:
+    """Return those of jobs that are queued or running by the ids of the runs that they train."""
     return {
         name: job
         for submission in submissions
@@ -105,7 +111,11 @@ def refuse_hopeless(submission: Submission) -> None:
     Raises:
         UserError: when it is so, with the queue's reason.
     """
-    for job in jobs_of([submission]).values():
+    try:
+        jobs = jobs_of([submission])
+    except UserError:  # they are in the queue, whether or not it can be asked just now
+        return
+    for job in jobs.values():
         if job.hopeless:
             _answer(["scancel", f"--name={submission.name}"])
             submission.close(keep=False)
@@ -172,9 +182,15 @@ def parameters(name: str, options: Options, at_once: int, gpu: bool) -> dict[str
         (own if key in defaults else others)[key] = {"true": True}.get(text, text)
     own["time"] = read_minutes(options["time"]) if "time" in options else USUAL_MINUTES
     own["setup"] = [*_environment(), *([own["setup"]] if "setup" in own else [])]
-    if gpu and not {"gpus_per_node", "gpus_per_task", "gres"} & {*own}:
+    if gpu and not ask_for_gpu(options):
         own["gpus_per_node"] = 1
     return {**own, "job_name": name, "array_parallelism": at_once, "additional_parameters": others}
+
+
+def ask_for_gpu(options: Options) -> bool:
+    """Tell whether people's own options ask for a GPU."""
+    named = {key.replace("-", "_"): text for key, text in options.items()}
+    return any(key.startswith("gpus") or (key in GENERIC and "gpu" in text) for key, text in named.items())
 
 
 def read_minutes(text: str) -> int:
