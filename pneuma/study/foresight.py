@@ -72,7 +72,7 @@ def measured_runs(plan: Plan, statuses: Mapping[str, Status], store: Store) -> l
     """Return how fast the finished runs of a plan were; not those that changed processors on their way."""
     runs = {cell.run_id: cell.run for cell in plan.cells if statuses[cell.run_id].finished}
     found = []
-    for name, origin in stored_origins(store, runs).items():
+    for name, origin in stored_origins(store, runs):
         seconds, trained_on = origin.get("wall_seconds"), processors(origin)
         if isinstance(seconds, int | float) and seconds > 0 and len(trained_on) == 1:
             run = runs[name]

@@ -49,11 +49,12 @@ class RunLock:
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 stale = _is_stale(self._descriptor)
+                if stale and self._is_there():  # and not that of who broke it just before
+                    self._path.unlink(missing_ok=True)
                 os.close(self._descriptor)
                 self._descriptor = -1
                 if not stale:
                     return False
-                self._path.unlink(missing_ok=True)
                 continue
             except OSError:
                 return True

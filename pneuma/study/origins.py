@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pneuma.errors import UserError
@@ -13,31 +13,34 @@ from pneuma.study.store import Store
 PROCESSOR, PACKAGES = "other processor", "other packages"
 
 
-def stored_origins(store: Store, run_ids: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return the provenance of those runs that have one, by id; it may be a stranger's."""
-    found = {}
+def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the ids of those runs that have a provenance, each with it; it may be a stranger's.
+
+    One at a time: a run that was requeued every hour tells of hundreds of machines.
+    """
     for name in run_ids:
         try:
             told = json.loads(store.read_file(name, "provenance.json"))
         except (UserError, ValueError, RecursionError):
             continue
         if isinstance(told, dict) and "imported" not in told:
-            found[name] = told
-    return found
+            yield name, told
 
 
-def unusual_origins(origins: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, str]:
     """Say in a word which runs were trained on another kind of processor, or with other packages, than most.
 
     Of two that are as frequent the one of the run that was begun first counts as the usual.
     """
-    by_start = sorted(origins, key=lambda name: (str(origins[name].get("started")), name))
+    by_start = sorted(
+        (str(told.get("started")), name, {PROCESSOR: processors(told), PACKAGES: _packages(told)})
+        for name, told in origins
+    )
     marks: dict[str, list[str]] = {}
-    for word, told in ((PROCESSOR, processors), (PACKAGES, _packages)):
-        own = {name: told(origins[name]) for name in by_start}
-        for usual, _ in Counter(own.values()).most_common(1):
-            for name in by_start:
-                if own[name] != usual:
+    for word in (PROCESSOR, PACKAGES):
+        for usual, _ in Counter(own[word] for _, _, own in by_start).most_common(1):
+            for _, name, own in by_start:
+                if own[word] != usual:
                     marks.setdefault(name, []).append(word)
     return {name: ", ".join(words) for name, words in marks.items()}
 

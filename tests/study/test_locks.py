@@ -93,3 +93,25 @@ def test_a_holder_renews_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         while (tmp_path / ".lock").stat().st_mtime == 0 and time.monotonic() < until:
             time.sleep(0.01)
         assert (tmp_path / ".lock").stat().st_mtime > 0
+
+
+def test_who_breaks_a_dead_machines_lock_leaves_that_of_who_broke_it_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another breaks it, and takes its place, between this one's look at it and its removal."""
+    dead, first, judge = RunLock(tmp_path), RunLock(tmp_path), locks._is_stale
+    assert dead.__enter__()
+    (tmp_path / ".lock").write_text("elsewhere")
+    os.utime(tmp_path / ".lock", (0, 0))
+
+    def judge_late(descriptor: int) -> bool:
+        monkeypatch.setattr(locks, "_is_stale", judge)
+        assert first.__enter__()
+        return True
+
+    monkeypatch.setattr(locks, "_is_stale", judge_late)
+    with RunLock(tmp_path) as second:
+        assert not second and is_held(tmp_path)
+    first.__exit__()
+    dead.__exit__()
+    assert not is_held(tmp_path)

@@ -260,6 +260,28 @@ def test_a_run_that_is_refused_when_it_is_to_be_tried_again_is_not_waited_for(
     assert "could not be submitted again (sbatch: QOSMax" in events[-1]["reason"]
 
 
+def test_where_an_array_is_refused_those_submitted_before_it_are_taken_back(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["PENDING"])
+    submit, taken_back = queue.submit, list[Sequence[str]]()
+
+    def refuse_gpus(submission: Submission, works: Sequence[Mapping[str, Any]], *about: object) -> None:
+        if about[-1]:
+            submission.close(keep=False)
+            raise UserError("sbatch: Invalid generic resource (gres) specification")
+        submit(submission, works)
+
+    monkeypatch.setattr(slurm_queue, "submit", refuse_gpus)
+    monkeypatch.setattr(slurm_queue, "_answer", taken_back.append)
+    groups = [group(14), group(15)]
+    with pytest.raises(UserError, match="Invalid generic resource"):
+        collect(groups, store, replace(HOW, on_gpu=frozenset(groups[1])))
+    ((first, _),) = queue.submitted
+    assert taken_back == [["scancel", f"--name={first.name}"]]
+    assert not open_submissions(store)
+
+
 def test_of_two_commands_that_see_a_job_die_one_submits_again(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,7 @@ need. Whatever one does, it keeps these promises:
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -119,6 +120,15 @@ class Executor(Protocol):
         Raises:
             KeyboardInterrupt: after Ctrl-C, when every worker has gone; `Detached` where they go on.
         """
+
+
+def read_event(line: bytes) -> Event | None:
+    """Return the event that a line tells; None for any other, whose writer has gone astray or was killed."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None
 
 
 def load_executor(place: Place) -> Executor:

@@ -19,11 +19,11 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
-from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision
+from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision, read_event
 from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.locks import RunLock
 from pneuma.study.store import Status, Store, run_document
@@ -218,12 +218,10 @@ class _Supervisor:
             self._selector.unregister(worker.events)
             self._bury(worker)
             return
-        try:
-            event = json.loads(line)
-        except ValueError:
+        event = read_event(line)
+        if event is None or event["run_id"] not in worker.task.group:
             worker.process.kill()  # it has gone astray; reading on finds its end
-            return
-        if event["event"] == "busy":
+        elif event["event"] == "busy":
             self._wait_for_another(worker, event["run_id"])
         elif event["event"] == "end":
             self._end(worker, event)
@@ -239,7 +237,7 @@ class _Supervisor:
             text = "another process trains this run; waiting for it"
             self._on_event({"event": "note", "run_id": name, "text": text})
 
-    def _end(self, worker: _Worker, event: dict[str, Any]) -> None:
+    def _end(self, worker: _Worker, event: Event) -> None:
         """Take the end of a run; crashes and time-outs are judged when the worker, and its lock, has gone."""
         name, status = event["run_id"], event["status"]
         worker.ended.add(name)

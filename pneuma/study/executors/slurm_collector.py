@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -11,7 +10,7 @@ from dataclasses import dataclass, field
 from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.study.executors import slurm_queue
-from pneuma.study.executors.base import TRIES, Event, OnEvent
+from pneuma.study.executors.base import TRIES, Event, OnEvent, read_event
 from pneuma.study.executors.slurm_desk import Desk, alone
 from pneuma.study.executors.slurm_queue import Job
 from pneuma.study.executors.submissions import Submission, open_submissions
@@ -182,7 +181,7 @@ class Collector:
             whole, newline, _ = file.read().rpartition(b"\n")
             followed.read[group] = followed.read.get(group, 0) + len(whole + newline)
             for line in whole.splitlines():
-                if event := _read_event(line):
+                if event := read_event(line):  # a job that was killed while it wrote leaves half a line
                     self._take(event)
 
     def _take(self, event: Event) -> None:
@@ -209,12 +208,3 @@ class Collector:
             if not open_ones:
                 return
             time.sleep(TAIL_SECONDS)
-
-
-def _read_event(line: bytes) -> Event | None:
-    """Return what a line tells; None for what a job that was killed while it wrote has left of one."""
-    try:
-        event = json.loads(line)
-    except ValueError:
-        return None
-    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None

@@ -70,13 +70,18 @@ class Desk:
         """Submit groups as arrays of jobs, those that want a GPU by themselves.
 
         Raises:
-            UserError: when they are refused.
+            UserError: when one is refused; those that were taken before it are taken back.
         """
-        made = []
+        made: list[Submission] = []
         for gpu in (False, True):
             alike = [group for group in groups if (next(iter(group)) in self._how.on_gpu) == gpu]
             for first in range(0, len(alike), MOST_IN_ARRAY):
-                made.append(self._submit_array(alike[first : first + MOST_IN_ARRAY], tries, gpu))
+                try:
+                    made.append(self._submit_array(alike[first : first + MOST_IN_ARRAY], tries, gpu))
+                except UserError:
+                    for submission in made:
+                        slurm_queue.take_back(submission)
+                    raise
         return made
 
     def _submit_array(self, groups: Sequence[Group], tries: int, gpu: bool) -> Submission:

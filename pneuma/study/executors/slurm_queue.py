@@ -117,12 +117,21 @@ def refuse_hopeless(submission: Submission) -> None:
         return
     for job in jobs.values():
         if job.hopeless:
-            _answer(["scancel", f"--name={submission.name}"])
-            submission.close(keep=False)
+            take_back(submission)
             raise UserError(
                 f"--executor slurm: the queue would never run these jobs {job.where}: they are taken back; "
                 "give another time, partition or size by --slurm"
             )
+
+
+def take_back(submission: Submission) -> None:
+    """Take the jobs of a submission out of the queue again.
+
+    Raises:
+        UserError: when the queue does not answer.
+    """
+    _answer(["scancel", f"--name={submission.name}"])
+    submission.close(keep=False)
 
 
 def total_cores(options: Options) -> int:

@@ -1,0 +1,40 @@
+"""The local executor beside workers that are none: what they say is never taken for an event."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from pneuma.config import make_run
+from pneuma.study.executors import local
+from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.identity import run_id
+from pneuma.study.store import Store
+
+RUN = make_run({"steps": 2048})
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Welcome!",
+        "3",
+        "null",
+        '{"event": "step"}',
+        '{"event": "end", "run_id": "another", "status": "done", "step": 1}',
+    ],
+)
+def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "no-worker"
+    program.write_text(f"#!/bin/sh\necho '{line}'\nexec sleep 60\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    events: list[Event] = []
+    local.run_groups([{run_id(RUN): RUN}], Store(tmp_path / "results"), Supervision(1), events.append)
+    note, end = events
+    assert "was killed by SIGKILL" in note["text"] and note["text"].endswith("tried once more")
+    assert (end["event"], end["run_id"], end["status"]) == ("end", run_id(RUN), "killed")
