@@ -141,8 +141,8 @@ class StudyData:
                 raise UserError(
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
-        self.own_name, setting = split_setting(self.study)
-        self.figure = in_setting(self.figure, setting)  # both have figures
+        self.own_name, self.setting = split_setting(self.study)
+        self.figure = in_setting(self.figure, self.setting)  # both have figures
         self.same: list[list[str]] = record["same"]
         self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in record["runs"]))
         self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in record["runs"]))

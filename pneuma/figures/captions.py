@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pneuma.analysis import EPISODE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
+from pneuma.analysis.coverage import coverage
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.panel import is_log, shows_runs
+from pneuma.figures.panel import far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
+
+_WORLDS = {"godot": "in the published code's world"}
+"""Of settings that are not the usual one."""
 
 _EPISODES = {
     WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
@@ -21,10 +26,24 @@ _EPISODES = {
 }
 
 
-def headline_of(data: StudyData) -> str:
-    """Return a study's title, and which of its conditions are one configuration."""
+def headline_of(data: StudyData, shown: str = "") -> str:
+    """Return a study's title, where it is played, and which of its conditions are one configuration.
+
+    Args:
+        data: the study.
+        shown: what the figure shows of it, such as 'every condition'; where left out, the thesis's figure
+            that it is the counterpart of, if it has one.
+    """
+    plain = data.title.removesuffix(f" ({data.setting})")
+    world = " ".join(filter(None, [plain, _WORLDS.get(data.setting, "")]))
     same = "; ".join(" = ".join(names) for names in data.same)
-    return data.title + (f"   (A/A: {same} are one configuration)" if same else "")
+    told = ": ".join(filter(None, [world, shown or _counterpart(data)]))
+    return told + (f"   (A/A: {same} are one configuration)" if same else "")
+
+
+def _counterpart(data: StudyData) -> str:
+    found = re.match(r"fig-(\d)-(\d)(?!\d|-all)", data.figure)
+    return f"as in the thesis's Fig. {found[1]}.{found[2]}" if found else ""
 
 
 def legend_title_of(band: str) -> str:
@@ -55,13 +74,24 @@ def _lines(drawn: Sequence[Curve], band: str) -> list[str]:
     if any((curve.count < len(curve.runs)).any() for curve in drawn):
         bare = ", and without a band," if BANDS[band].about_mean else ""
         words.append(f"Lines are faint{bare} where not all n runs have a value.")
-    if BANDS[band].edges is not None and any(shows_runs(curve, band) for curve in drawn):
-        words.append("Of so few runs the band may cover the mean less often than 90 %: thin lines are runs.")
+    words += _worth([curve for curve in drawn if shows_runs(curve, band)], band)
     if band == "variance":
         words.append(
             "A variance is in the square of the axis's unit: how wide this band looks means nothing."
         )
     return words
+
+
+def _worth(few: Sequence[Curve], band: str) -> list[str]:
+    """Say once how often the bands of few runs cover the mean, which is why their runs are drawn too."""
+    if not few or BANDS[band].edges is None:
+        return []
+    covered = {runs: coverage(band, runs) for runs in sorted({len(curve.runs) for curve in few})}
+    known = [f"{worth:.0%} (n = {runs})".replace("%", " %") for runs, worth in covered.items() if worth]
+    told = f"cover the mean at worst {' or '.join(known)} of the time" if known else ""
+    none = "of two runs say little" if not all(covered.values()) else ""
+    worth = ", and those ".join(filter(None, [told, none]))
+    return [f"Bands {worth}, so each run is drawn too, as a thin line."]
 
 
 def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
@@ -89,9 +119,19 @@ def _marks(
     step = common_step(data)
     if step is not None:
         words.append(f"Upright line: {step:,} steps, the most that all runs were to reach: compare there.")
+    words += [_above(data, name, group) for name, group in curves.items()]
     if any(reference_levels(data, name) and not shared_levels(data, name) for name in curves):
         words.append("Random player and scripted hunter differ between conditions, and are not drawn.")
+    words = [word for word in words if word]
     logs = [curve for name, group in curves.items() if is_log(look_of(name), group) for curve in group]
     if any((curve.band(band)[0] <= 0).any() for curve in logs):
         words.append("What of a band lies below zero is cut off from a logarithmic axis.")
     return words
+
+
+def _above(data: StudyData, name: str, curves: Sequence[Curve]) -> str:
+    """Tell the players whose level is too far above the curves to be drawn."""
+    far = far_references(shared_levels(data, name), highest_point(curves))
+    percent = look_of(name).percent
+    told = [f"{player} {level:.0%}" if percent else f"{player} {level:g}" for player, level in far.items()]
+    return f"Above the axis: {' and '.join(told)}.".replace("%", " %") if told else ""

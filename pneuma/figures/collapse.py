@@ -10,16 +10,26 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, PercentFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter
 
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import diagnoses, incidence
 from pneuma.analysis.run_view import Series, view
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.figures.style import condition_look, house_style, save_figure
+from pneuma.figures.captions import headline_of
+from pneuma.figures.looks import condition_looks
+from pneuma.figures.panel import per_cent, whole_ticks
+from pneuma.figures.sizes import SIZES
+from pneuma.figures.style import house_style, save_figure
+from pneuma.figures.words import Words
 
-WIDTH_INCHES, HEIGHT_INCHES = 7.0, 4.6
-BAR_INCHES = 0.24
+SIZE = SIZES["page"]
+PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
+"""Heights of the panels: the usual one, the greatest with which a figure fits a page, and a condition's."""
+FEW_ROWS, MOST_ROWS = 10, 24
+"""Conditions up to which their names have a line of their own, and up to which all are shown."""
+LEAST_SHOWN = 0.01
+"""What every vertical axis reaches to, so that nothing is seen to be nothing."""
 
 PANELS = {
     "entropy": "Entropy (nats)",
@@ -43,13 +53,14 @@ def draw_collapse(
     """Draw a study's collapses; return the files written.
 
     On the left every run that collapsed, its steps counted from its onset; on the right the share of
-    each condition's runs that did, with its interval.
+    each condition's runs that did, with its interval. Of many conditions those of which none did are
+    left out on the right, and the caption says so.
     """
     found, shares = diagnoses(data), incidence(data)
-    with house_style():
-        height = max(HEIGHT_INCHES, 1.6 + BAR_INCHES * len(shares))
-        figure = Figure(figsize=(WIDTH_INCHES, height), layout="constrained")
-        figure.get_layout_engine().set(rect=(0, 0.54 / height, 1, 1 - 0.87 / height))  # type: ignore[union-attr, call-arg]
+    shown = shares if len(shares) <= MOST_ROWS else shares[shares["collapsed"] > 0]
+    words = Words(headline_of(data, _told(shares)), "", _caption(data, len(shares) - len(shown)))
+    with house_style(SIZE.type_points):
+        figure = Figure(layout="constrained")
         panels = figure.subplot_mosaic(
             [["entropy", "action", "bars"], ["dead_units", "share_killed", "bars"]],
             width_ratios=(1, 1, 0.9),
@@ -58,37 +69,43 @@ def draw_collapse(
         for name, title in PANELS.items():
             _draw_panel(panels[name], data, collapsed, name)
             panels[name].set_title(title)
-        _draw_bars(panels["bars"], data, shares)
-        figure.text(0.01, 1 - 0.2 / height, f"{data.title}: {_headline(shares)}", fontsize=10)
-        figure.text(0.01, 0.07 / height, _CAPTION, fontsize=6.2, color="#444444", linespacing=1.4)
-        return save_figure(figure, folder, stem, formats)
+        _draw_bars(panels["bars"], data, shown)
+        words.put(figure, SIZE, max(PANELS_INCHES, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES)), {})
+        return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
 
 
-_CAPTION = (
-    "Left: each run that collapsed, by its steps before and after the onset; means over 5 % of the budget, "
-    "and\nsingle evaluations. Right: share of each condition's runs that collapsed; lines: 95 % intervals "
-    "(Clopper and\nPearson). Hollow: the share that recovered."
-)
-
-
-def _headline(shares: pd.DataFrame) -> str:
+def _told(shares: pd.DataFrame) -> str:
     return f"{shares['collapsed'].sum()} of {shares['runs'].sum()} runs collapsed"
+
+
+def _caption(data: StudyData, left_out: int) -> list[str]:
+    none = f"Of {left_out} other conditions no run did." if left_out else ""
+    return [
+        f"{', '.join(data.environments)}. Left: each run that collapsed, in its condition's colour, by its "
+        "steps before and after the onset; means over 5 % of the budget, and single evaluations. Right: "
+        "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson). "
+        "Hollow: the share "
+        f"that recovered. {none}"
+    ]
 
 
 def _draw_panel(axes: Axes, data: StudyData, collapsed: dict[str, Any], name: str) -> None:
     axes.axvline(0, color="#333333", linewidth=0.8)
+    looks = condition_looks(data.conditions)
+    faint = 0.8 if len(collapsed) < 20 else 0.4
     for run in data.runs:
         if run.run_id not in collapsed:
             continue
         step, values = _series(data, run, name)
-        look = condition_look(data.conditions.index(run.condition))
-        mark = {"markersize": 2.2} if name == "share_killed" else {"marker": ""}
-        shown = {**look, **mark, "linewidth": 1.0, "alpha": 0.75}
-        axes.plot(step - collapsed[run.run_id]["onset_step"], values, **shown)
+        colour, onset = looks[run.condition]["color"], collapsed[run.run_id]["onset_step"]
+        axes.plot(step - onset, values, color=colour, linewidth=0.7, alpha=faint)
+    axes.xaxis.set_major_locator(whole_ticks(4))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.yaxis.set_major_locator(whole_ticks(5))
     if name != "entropy":
-        axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0, symbol=" %"))
-    axes.set_ylim(bottom=0)
+        axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
+    top = max(axes.dataLim.y1 * 1.05, LEAST_SHOWN) if collapsed else 1
+    axes.set_ylim(-0.02 * top, top)  # what is 0 throughout is still seen
     axes.set_xlabel("Steps from onset")
     if not collapsed:
         axes.text(0.5, 0.5, "no run collapsed", transform=axes.transAxes, ha="center", color="#666666")
@@ -109,16 +126,20 @@ def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
 
 def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
     rows: Sequence[dict[Any, Any]] = shares.to_dict("records")
+    looks = condition_looks(data.conditions)
     for place, row in enumerate(rows):
-        colour = condition_look(data.conditions.index(row["condition"]))["color"]
+        colour = looks[row["condition"]]["color"]
         axes.barh(place, row["share"], height=0.55, color=colour, alpha=0.6)
         again = row["recovered"] / row["runs"] if row["runs"] else 0
         axes.barh(
             place, again, left=row["share"] - again, height=0.55, color="white", edgecolor=colour, linewidth=1
         )
         axes.plot([row["low"], row["high"]], [place, place], color="#222222", linewidth=1.1)
-    names = [f"{row['condition']}\n{row['collapsed']} of {row['runs']}" for row in rows]
-    axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) < 12 else 5)
+    gap = "\n" if len(rows) <= FEW_ROWS else ": "
+    names = [f"{row['condition']}{gap}{row['collapsed']} of {row['runs']}" for row in rows]
+    points = 72 * LONGEST_INCHES / max(len(rows), 1)
+    axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(5.5, 0.8 * points))
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")
-    axes.xaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0, symbol=" %"))
+    axes.set_xticks((0, 0.5, 1))
+    axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
     axes.grid(visible=False, axis="y")

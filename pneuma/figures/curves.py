@@ -19,8 +19,16 @@ from pneuma.analysis.references import PLAYERS, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import caption_of, headline_of, legend_title_of
+from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.multiples import draw_multiples
-from pneuma.figures.panel import draw_common_step, draw_curve, draw_references, label_of, set_axes
+from pneuma.figures.panel import (
+    draw_common_step,
+    draw_curve,
+    draw_references,
+    highest_point,
+    label_of,
+    set_axes,
+)
 from pneuma.figures.quantities import look_of
 from pneuma.figures.sizes import SIZES, Size
 from pneuma.figures.style import house_style, save_figure
@@ -29,7 +37,6 @@ from pneuma.figures.words import Words
 USUAL_BAND = {"pneuma": "ci", "thesis": "minmax"}
 """Of each layout; the author's own script drew the least and the greatest."""
 USUAL_QUANTITIES = ("share_killed", "return")
-MOST_IN_A_PANEL = 8
 ALONE = 1.3
 """How much higher a panel is that stands alone."""
 THESIS_WINDOW = "trailing-100"
@@ -57,6 +64,7 @@ def draw_study(
     quantities: Sequence[str] = (),
     layout: str = "pneuma",
     size: str = "page",
+    shown: str = "",
 ) -> list[Path]:
     """Draw a study's curves from its finished runs; return the files written.
 
@@ -70,6 +78,7 @@ def draw_study(
             is, and the first of them alone where each condition has a panel.
         layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
         size: one of `SIZES`.
+        shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
 
     Raises:
         UserError: for a quantity or window that the study's data does not have, data without curves, or
@@ -78,7 +87,7 @@ def draw_study(
     drawing = settle(data, band, window, quantities=quantities, layout=layout, size=size)
     curves = study_curves(data, drawing.quantities, drawing.window)
     caption = caption_of(data, curves, drawing.band, drawing.window)
-    words = Words(headline_of(data), legend_title_of(drawing.band), caption)
+    words = Words(headline_of(data, shown), legend_title_of(drawing.band), caption)
     draw = draw_multiples if len(data.conditions) > MOST_IN_A_PANEL else draw_panels
     how = SIZES[size]
     with house_style(how.type_points):
@@ -147,11 +156,11 @@ def draw_panels(
 
 def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], band: str) -> None:
     """Draw one quantity of all conditions, with its reference lines and title."""
-    look = look_of(name, data.averaged_over)
+    look, looks = look_of(name, data.averaged_over), condition_looks(data.conditions)
+    shade = 0.16 if len(curves) < 5 else 0.09
     for curve in curves:
-        place = data.conditions.index(curve.condition)
-        draw_curve(axes, curve, band, place, label_of(data, curve, band), 0.16 if len(curves) < 5 else 0.09)
-    draw_references(axes, shared_levels(data, name), look.percent)
+        draw_curve(axes, curve, band, looks[curve.condition], label_of(data, curve), shade)
+    draw_references(axes, shared_levels(data, name), highest_point(curves))
     draw_common_step(axes, common_step(data))
     axes.set(title=look.title, ylabel=look.label)
     set_axes(axes, look, data.budget, curves)

@@ -7,34 +7,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.ticker import FixedLocator
 
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
+from pneuma.figures.looks import condition_looks
 from pneuma.figures.panel import (
     draw_common_step,
     draw_curve,
     draw_references,
-    far_references,
+    highest_point,
     label_of,
     set_axes,
-    told_far,
-    worth_of,
+    whole_ticks,
 )
 from pneuma.figures.quantities import look_of
 from pneuma.figures.sizes import Size
-from pneuma.figures.style import condition_look
-from pneuma.figures.words import Words, wrap_label
+from pneuma.figures.words import Entry, Words, wrap_label
 
+LINE = 0.75
+"""Width of a condition's mean, in that of a larger panel's."""
 OTHERS_COLOUR = "#C4C4C4"
 BASELINE_COLOUR = "#222222"
 
@@ -61,9 +62,8 @@ def draw_multiples(
     """Draw each quantity as a block of small panels, one to a condition."""
     figure = Figure(figsize=(size.width, size.height or size.width))
     count = max(len(group) for group in curves.values())
-    rows = -(-count // min(size.small_columns, count))
-    columns = -(-count // rows)  # the last row as full as it can be
-    entries = _entries(data, curves, band)
+    rows, columns = _grid(count, size.small_columns)
+    entries = _entries(data, curves)
     wanted = rows * size.small_height + 4 * size.line_inches  # the block's title, ticks and label
     low, high = words.put(figure, size, len(curves) * wanted, entries)
     size.check_room(len(curves) * rows, high - low - 4 * size.line_inches * len(curves))
@@ -74,13 +74,29 @@ def draw_multiples(
     return figure
 
 
-def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str) -> dict[str, Artist]:
+def _grid(count: int, most: int) -> tuple[int, int]:
+    """Return rows and columns of a number of panels, at most so many columns: without holes if that may be.
+
+    Nine are three rows of three, not five and four; what leaves a hole anyway takes the fewest rows.
+    """
+    fewest = -(-count // most)
+    for rows in (fewest, fewest + 1):
+        if count % rows == 0:
+            return rows, count // rows
+    return fewest, -(-count // fewest)
+
+
+def _small(look: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a condition's look in a panel of its own: its colour alone, for the title says which it is."""
+    return {**look, "linestyle": "-", "marker": "", "linewidth": LINE * mpl.rcParams["lines.linewidth"]}
+
+
+def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]]) -> dict[str, Entry]:
     """Return what the legend holds: the lines that every panel has."""
-    look = condition_look(0)
-    fewest = min(len(curve.runs) for group in curves.values() for curve in group)
-    worth = worth_of(band, fewest)
-    entries = {
-        f"the panel's condition{f' ({worth})' if worth else ''}": Line2D([], [], **look),
+    looks = condition_looks(data.conditions).values()
+    colours = list(dict.fromkeys(look["color"] for look in looks))[:3]
+    entries: dict[str, Entry] = {
+        "the panel's condition": tuple(Line2D([], [], color=colour) for colour in colours),
         "the others": Line2D([], [], color=OTHERS_COLOUR),
     }
     if data.record.get("baseline") in data.conditions:
@@ -89,8 +105,7 @@ def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str) 
     scratch = Figure().subplots()
     for name, group in curves.items():
         for levels in reference_levels(data, name).values():
-            far = far_references(levels, _top(group))
-            draw_references(scratch, {player: level for player, level in levels.items() if player not in far})
+            draw_references(scratch, levels, highest_point(group))
     handles, labels = scratch.get_legend_handles_labels()
     return {**entries, **dict(zip(labels, handles, strict=True))}
 
@@ -104,30 +119,19 @@ def _draw_block(
         0.07 / width, (block.top - 0.3 * line) / height, look.title, weight="bold", size="large", va="top"
     )
     panels = _place_panels(figure, len(curves), block, size)
-    told: set[str] = set()
+    looks = condition_looks(data.conditions)
     for axes, curve in zip(panels, curves, strict=True):
         _draw_others(axes, curves, curve, data.record.get("baseline"))
-        draw_curve(axes, curve, band, 0)
-        own = levels.get(curve.condition, {})
-        far = far_references(own, _top(curves))
-        told |= {told_far(far, look.percent)}
-        draw_references(axes, {player: level for player, level in own.items() if player not in far})
+        draw_curve(axes, curve, band, _small(looks[curve.condition]))
+        draw_references(axes, levels.get(curve.condition, {}), highest_point(curves))
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
         _name(axes, label_of(data, curve), size, block.columns)
     _align(panels, block.columns, look.log)
-    if len(told) == 1:  # else they differ between conditions, and the caption says so
-        place = (1 - 0.1 / width, (block.top - 0.3 * line) / height)
-        figure.text(*place, told.pop(), fontsize="small", color="#666666", ha="right", va="top")
     bottom = (block.top - block.height) / height
     figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
     middle = (block.top - block.height / 2) / height
     figure.text(0.03 / width, middle, look.label, rotation=90, va="center")
-
-
-def _top(curves: Sequence[Curve]) -> float:
-    """Return the highest point of any run, which no panel's axis ends below."""
-    return float(np.nanmax(np.concatenate([[-np.inf], *(curve.runs.ravel() for curve in curves)])))
 
 
 def _place_panels(figure: Figure, count: int, block: _Block, size: Size) -> list[Axes]:
@@ -177,11 +181,11 @@ def _align(panels: Sequence[Axes], columns: int, log: bool) -> None:
     low = min(axes.get_ylim()[0] for axes in panels)
     high = max(axes.get_ylim()[1] for axes in panels)
     right = panels[0].get_xlim()[1]
-    steps = np.asarray(MaxNLocator(3).tick_values(0, right))
+    steps = np.asarray(whole_ticks(3).tick_values(0, right))
     for place, axes in enumerate(panels):
         axes.set_ylim(low, high)
         axes.xaxis.set_major_locator(FixedLocator(steps[steps <= right].tolist()))
         if not log:
-            ticks = np.asarray(MaxNLocator(4).tick_values(low, high))
+            ticks = np.asarray(whole_ticks(4).tick_values(low, high))
             axes.yaxis.set_major_locator(FixedLocator(ticks[(ticks >= low) & (ticks <= high)].tolist()))
         axes.tick_params(labelleft=place % columns == 0, labelbottom=place + columns >= len(panels))

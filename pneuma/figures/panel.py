@@ -8,43 +8,46 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import EngFormatter, FuncFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator
 
 from pneuma.analysis.bands import BANDS
-from pneuma.analysis.coverage import coverage, is_trusted
+from pneuma.analysis.coverage import is_trusted
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.quantities import Look
-from pneuma.figures.style import condition_look
+from pneuma.figures.style import MARKERS
 
 MARKED_POINTS = 8
 """About so many markers a line, so that lines are told apart in grey."""
 FAR = 3.0
 """How many times as high as the highest point a level is for its line to be left out."""
+RUN_WIDTH, RUN_ALPHA = 0.2, 0.4
+"""Of a single run's line, in widths of a mean's: there may be thirty behind one mean."""
 REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
-def draw_curve(axes: Axes, curve: Curve, band: str, place: int, label: str = "", shade: float = 0.16) -> None:
+def draw_curve(
+    axes: Axes, curve: Curve, band: str, look: Mapping[str, Any], label: str = "", shade: float = 0.16
+) -> None:
     """Draw a condition's mean and band, faint where not all of its runs have a value.
 
     Args:
         axes: where.
         curve: what; runs that diverged end in a cross.
         band: one of `BANDS`; where it covers the mean too rarely, the runs are drawn as well.
-        place: of the condition in the study, which gives its look.
+        look: of the condition, as `condition_looks` gives it.
         label: for the legend; '' for none.
         shade: of the band, 0 to 1: lighter where many overlap.
     """
-    look = condition_look(place)
     colour, width = look["color"], mpl.rcParams["lines.linewidth"]
-    marks = {"markersize": 1.7 * width, "markevery": _marked(len(curve.step), place)}
+    marks = {"markersize": 1.7 * width, "markevery": _marked(len(curve.step), look["marker"])}
     low, high = curve.band(band)
     if BANDS[band].about_mean:  # those that are left where others diverged are no sample
         low = np.where(curve.count == curve.count.max(initial=0), low, np.nan)
     axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
     if shows_runs(curve, band):
         for run in curve.runs:
-            axes.plot(curve.step, run, color=colour, linewidth=0.3 * width, alpha=0.55, zorder=1.4)
+            axes.plot(curve.step, run, color=colour, linewidth=RUN_WIDTH * width, alpha=RUN_ALPHA, zorder=1.4)
     of_all = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
     (line,) = axes.plot(curve.step, of_all, label=label, clip_on=False, **marks, **look)
     line.set_in_layout(False)  # it may reach over the edge, and may be empty
@@ -58,36 +61,21 @@ def shows_runs(curve: Curve, band: str) -> bool:
     return BANDS[band].edges is None or (len(curve.runs) > 1 and not is_trusted(band, len(curve.runs)))
 
 
-def label_of(data: StudyData, curve: Curve, band: str = "") -> str:
-    """Return a condition's words in the legend: its name, of how many runs, and what a band is worth."""
+def label_of(data: StudyData, curve: Curve) -> str:
+    """Return a condition's words in the legend: its name, and of how many runs."""
     runs = data.of_condition(curve.condition)
     longest = max(run.budget for run in runs)  # other conditions may go further
     at_end = sum(run.status == "done" and run.end >= longest for run in runs)
     fewer = f", {at_end} at the end" if at_end < len(runs) else ""
-    worth = worth_of(band, len(runs)) if band else ""
-    return f"{curve.condition} (n = {len(runs)}{fewer}{f'; {worth}' if worth else ''})"
+    return f"{curve.condition} (n = {len(runs)}{fewer})"
 
 
-def worth_of(band: str, runs: int) -> str:
-    """Return how often a band of so many runs covers the mean, where that is too rarely."""
-    if runs < 2 or is_trusted(band, runs):
-        return ""
-    covered = coverage(band, runs)
-    return f"band covers {covered:.0%} at worst".replace("%", " %") if covered else "too few for a band"
-
-
-def draw_references(axes: Axes, levels: Mapping[str, float], percent: bool = False) -> None:
+def draw_references(axes: Axes, levels: Mapping[str, float], top: float) -> None:
     """Draw the levels of players of known skill as grey lines.
 
-    One that is so far above all that is drawn that its line would flatten it is named in the corner.
+    One that is so far above the highest point that its line would flatten it is the caption's to tell.
     """
-    far = far_references(levels, axes.dataLim.y1)
-    if far:
-        axes.text(
-            0.99, 0.98, told_far(far, percent), transform=axes.transAxes, ha="right", va="top",
-            fontsize="small", color="#666666", zorder=5,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1},
-        )  # fmt: skip
+    far = far_references(levels, top)
     for name, level in levels.items():
         if name not in far:
             axes.axhline(
@@ -107,12 +95,10 @@ def far_references(levels: Mapping[str, float], top: float) -> dict[str, float]:
     return {name: level for name, level in levels.items() if level > FAR * max(top, 0.01)}
 
 
-def told_far(levels: Mapping[str, float], percent: bool) -> str:
-    """Name levels that are not drawn, as 'scripted hunter: 100 %, above'."""
-    shown = {
-        name: f"{level:.0%}".replace("%", " %") if percent else f"{level:g}" for name, level in levels.items()
-    }
-    return "\n".join(f"{name}: {told}, above" for name, told in shown.items())
+def highest_point(curves: Sequence[Curve]) -> float:
+    """Return the highest point of any run, which no panel's axis ends below; -inf where there is none."""
+    values = np.concatenate([[-np.inf], *(curve.runs.ravel() for curve in curves)])
+    return float(np.nanmax(values))
 
 
 def draw_common_step(axes: Axes, step: float | None) -> None:
@@ -131,9 +117,15 @@ def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> No
         axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
     elif look.percent:
         axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
+        axes.yaxis.set_major_locator(whole_ticks(6))
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
     elif np.ptp(axes.get_ylim()) > 5000:
         axes.yaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def whole_ticks(most: int) -> MaxNLocator:
+    """Return what places few ticks at round numbers, whose labels do not meet."""
+    return MaxNLocator(most, steps=[1, 2, 5, 10])
 
 
 def is_log(look: Look, curves: Sequence[Curve]) -> bool:
@@ -159,7 +151,8 @@ def per_cent(share: float, _: Any) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _marked(points: int, place: int) -> tuple[int, int]:
-    """Return the first marked point and the distance to the next; no two conditions' fall together."""
+def _marked(points: int, marker: str) -> tuple[int, int]:
+    """Return the first marked point and the distance to the next; no two kinds of marker fall together."""
     every = max(points // MARKED_POINTS, 1)
+    place = MARKERS.index(marker) if marker in MARKERS else 0
     return (place * every // 5) % every + every // 2, every

@@ -6,9 +6,12 @@ evaluations are held.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -24,13 +27,16 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import headline_of
-from pneuma.figures.panel import per_cent
+from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
+from pneuma.figures.panel import per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES, Size
-from pneuma.figures.style import condition_look, house_style, save_figure
+from pneuma.figures.style import house_style, save_figure
 from pneuma.figures.words import Words
 
 WITHOUT_EVALUATIONS = "final-return"
-MOST_PROFILES = 8
+LONGEST_INCHES = 7.6
+"""Of the rows: with what is said around them a figure still fits a page."""
+ROW_LINES = 1.6
 _STATISTICS = {"mean": ("D", 0.14), "iqm": ("s", -0.14)}
 """Marker of a statistic, and where it lies beside the condition's row."""
 _INK = "#222222"
@@ -68,9 +74,10 @@ def shown_outcome(data: StudyData) -> str:
 def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> Figure:
     figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
     values = {name: _known(data, name, outcome) for name in data.conditions}
-    rows_inches = size.line_inches * 1.6 * len(data.conditions) + 0.75
+    pitch = min(ROW_LINES * size.line_inches, LONGEST_INCHES / len(data.conditions))
+    rows_inches = pitch * len(data.conditions) + 0.75
     improved = table[table["statistic"] == "improvement"]
-    profiled = len(data.conditions) <= MOST_PROFILES
+    profiled = len(data.conditions) <= MOST_IN_A_PANEL
     panels = [
         rows_inches,
         *([rows_inches] if len(improved) else []),
@@ -83,12 +90,13 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
         squeeze=False,
         height_ratios=panels if stacked else None,
     ).ravel()
-    _draw_runs(places[0], data, values, table, outcome)
-    if len(improved):
-        _draw_improvement(places[1], data, improved, labelled=stacked)
+    with _dense(pitch / (ROW_LINES * size.line_inches)):
+        _draw_runs(places[0], data, values, table, outcome)
+        if len(improved):
+            _draw_improvement(places[1], data, improved, labelled=stacked)
     if profiled:
         _draw_profiles(places[-1], data, values, outcome)
-    words = Words(headline_of(data), "", _caption(data, outcome, values, profiled))
+    words = Words(headline_of(data, "at the end of training"), "", _caption(data, outcome, values))
     entries = {
         "a run": Line2D([], [], color="#777777", marker="o", linestyle="", markersize=3),
         "mean, 95 % interval (Student's t)": Line2D([], [], color=_INK, marker="D", markersize=4),
@@ -101,6 +109,22 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
     return figure
 
 
+@contextmanager
+def _dense(share: float) -> Iterator[None]:
+    """Draw rows that are closer than usual in smaller type and with smaller marks.
+
+    Args:
+        share: of the usual distance between two rows, up to 1.
+    """
+    label, mark = mpl.rcParams["ytick.labelsize"], mpl.rcParams["lines.markersize"]
+    smaller: Any = {
+        "ytick.labelsize": max(min(1.0, 1.4 * share) * label, 4.0),
+        "lines.markersize": share * mark,
+    }
+    with mpl.rc_context(smaller):
+        yield
+
+
 def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
     values = outcome_values(data, condition, outcome, common_step(data))
     return values[np.isfinite(values)]
@@ -109,10 +133,12 @@ def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
 def _draw_runs(
     axes: Axes, data: StudyData, values: dict[str, np.ndarray], table: pd.DataFrame, outcome: str
 ) -> None:
+    looks, mark = condition_looks(data.conditions), mpl.rcParams["lines.markersize"]
     for row, condition in enumerate(data.conditions):
-        runs, colour = values[condition], condition_look(row)["color"]
+        runs, colour = values[condition], looks[condition]["color"]
         places = np.full(len(runs), float(row))
-        axes.plot(runs, places, "o", color=colour, markersize=3, alpha=0.7, markeredgewidth=0)
+        faint = 0.7 if len(runs) < 20 else 0.4
+        axes.plot(runs, places, "o", color=colour, markersize=0.5 * mark, alpha=faint, markeredgewidth=0)
         for statistic, (marker, beside) in _STATISTICS.items():
             found = table[(table["condition"] == condition) & (table["statistic"] == statistic)]
             for one in found.itertuples():
@@ -122,30 +148,33 @@ def _draw_runs(
     _label_rows(axes, labels)
     known = find_outcome(outcome)
     shares = known.bounds == (0.0, 1.0)
-    axes.set(title="At the end", xlabel="Share killed" if shares else "Return of an episode")
+    axes.set(title="Every run", xlabel="Share killed" if shares else "Return of an episode")
+    axes.xaxis.set_major_locator(whole_ticks(5))
     if shares:
         axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
         axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
 
 
 def _draw_improvement(axes: Axes, data: StudyData, table: pd.DataFrame, labelled: bool) -> None:
+    looks = condition_looks(data.conditions)
     for one in table.itertuples():
         row = data.conditions.index(str(one.condition))
-        _draw_interval(axes, one, row, "o", condition_look(row)["color"])
+        _draw_interval(axes, one, row, "o", looks[str(one.condition)]["color"])
     axes.axvline(0.5, color="#666666", linewidth=0.9, zorder=1.2)
-    axes.set(xlim=(0, 1), title="Improvement", xlabel="P(better than baseline)")
+    axes.set(xlim=(0, 1), title="Against the baseline", xlabel="Probability of being better")
     _label_rows(axes, data.conditions if labelled else ["" for _ in data.conditions])
 
 
 def _draw_interval(axes: Axes, row: object, place: float, marker: str, face: str) -> None:
     low, high, value = (float(getattr(row, name)) for name in ("low", "high", "value"))
-    axes.plot([low, high], [place, place], color=_INK, linewidth=1.2, solid_capstyle="butt", clip_on=False)
+    mark = mpl.rcParams["lines.markersize"]
+    axes.plot([low, high], [place, place], color=_INK, linewidth=0.2 * mark, solid_capstyle="butt")
     axes.plot(
         value,
         place,
         marker,
         color=_INK,
-        markersize=4.2,
+        markersize=0.7 * mark,
         markerfacecolor=face,
         markeredgewidth=0.8,
         clip_on=False,
@@ -153,7 +182,7 @@ def _draw_interval(axes: Axes, row: object, place: float, marker: str, face: str
 
 
 def _label_rows(axes: Axes, labels: Sequence[str]) -> None:
-    axes.set_yticks(range(len(labels)), labels)
+    axes.set_yticks(range(len(labels)), labels, fontsize=mpl.rcParams["ytick.labelsize"])
     axes.set_ylim(len(labels) - 0.4, -0.6)  # the first on top
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
@@ -166,18 +195,20 @@ def _draw_profiles(axes: Axes, data: StudyData, values: dict[str, np.ndarray], o
         return
     shares = find_outcome(outcome).bounds == (0.0, 1.0)
     levels = np.linspace(0 if shares else pooled.min(), pooled.max(), 201)
-    for row, condition in enumerate(data.conditions):
+    looks = condition_looks(data.conditions)
+    for condition in data.conditions:
         if len(values[condition]):
-            look = {**condition_look(row), "marker": ""}
+            look = {**looks[condition], "marker": ""}
             axes.step(levels, performance_profile(values[condition], levels), where="post", **look)
-    axes.set(title="Profile", xlabel="Share killed" if shares else "Return of an episode")
-    axes.set(ylabel="Runs above it", ylim=(0, 1.02))
+    axes.set(title="Runs above a level", xlabel="Share killed" if shares else "Return of an episode")
+    axes.set(ylabel="Share of runs", ylim=(0, 1.02))
+    axes.xaxis.set_major_locator(whole_ticks(4))
     axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
     if shares:
         axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
 
 
-def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], profiled: bool) -> list[str]:
+def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray]) -> list[str]:
     shown = find_outcome(outcome).words
     words = [f"{', '.join(data.environments)}. {shown[:1].upper()}{shown[1:]}."]
     step = common_step(data)
@@ -185,9 +216,7 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], profi
         words.append(f"All as they stood at {step:,} steps, the most that all runs were to reach.")
     if data.record.get("baseline") in data.conditions and len(data.conditions) > 1:
         baseline = data.record["baseline"]
-        words.append(
-            f"Improvement: the probability that a run is better than one of {baseline}, the baseline."
-        )
+        words.append(f"Against the baseline: the probability that a run is better than one of {baseline}.")
     for name, known in values.items():
         total = len(data.of_condition(name))
         if len(known) < total:
@@ -199,6 +228,4 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], profi
         words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
     if any(count >= 3 and not is_trusted("bootstrap", count) for count in counts):
         words.append("Of so few runs bootstrap intervals cover less often than they say.")
-    if not profiled:
-        words.append(f"Of more than {MOST_PROFILES} conditions no profiles are drawn.")
     return words

@@ -8,10 +8,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.textpath import text_to_path
 
 from pneuma.figures.sizes import Size
@@ -21,6 +23,8 @@ _HANDLE, _HANDLE_GAP, _COLUMN_GAP = 3.2, 0.8, 1.4
 """Widths of a legend's entry beside its text, in sizes of type."""
 _HEADLINE, _CAPTION = 1.25, 0.78
 """Sizes of type, in that of the figure."""
+
+Entry = Artist | tuple[Artist, ...]
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Words:
     caption: Sequence[str]
 
     def put(
-        self, figure: Figure, size: Size, panels_inches: float, entries: Mapping[str, Artist]
+        self, figure: Figure, size: Size, panels_inches: float, entries: Mapping[str, Entry]
     ) -> tuple[float, float]:
         """Put the words and a legend above and below the panels, and give the figure its size.
 
@@ -46,7 +50,7 @@ class Words:
             figure: what is written on.
             size: of the figure.
             panels_inches: height of the panels, where it is free.
-            entries: of the legend.
+            entries: of the legend; of several artists each has its share of the handle.
 
         Returns:
             From where to where the panels may reach, in inches from below; a constrained layout knows.
@@ -80,10 +84,12 @@ class Words:
         )
         return below, height - above
 
-    def _legend(self, figure: Figure, entries: Mapping[str, Artist], columns: int, top: float) -> None:
+    def _legend(self, figure: Figure, entries: Mapping[str, Entry], columns: int, top: float) -> None:
+        handles: list[Any] = list(entries.values())  # matplotlib's own types know of single artists alone
         figure.legend(
-            list(entries.values()),
+            handles,
             list(entries),
+            handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
             loc="upper left",
             bbox_to_anchor=(0.0, top),
             ncols=columns,

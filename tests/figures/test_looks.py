@@ -87,11 +87,10 @@ def test_random_player_and_hunter_are_lines_of_their_own(
     assert len(drawn[0].axes[1].get_lines()) == 4  # of returns there is no record
 
 
-def test_a_level_far_above_all_curves_is_named_and_flattens_nothing() -> None:
+def test_a_level_far_above_all_curves_flattens_nothing() -> None:
     axes = Figure().subplots()
     axes.plot([0, 1], [0.0, 0.1])
-    draw_references(axes, {"random player": 0.29, "scripted hunter": 0.31}, percent=True)
-    assert [text.get_text() for text in axes.texts] == ["scripted hunter: 31 %, above"]
+    draw_references(axes, {"random player": 0.29, "scripted hunter": 0.31}, 0.1)
     assert axes.get_ylim()[1] < 0.31
     assert axes.get_legend_handles_labels()[1] == ["random player"]
 
@@ -180,8 +179,7 @@ def test_a_level_above_all_panels_is_told_once(tmp_path: Path, drawn: list[Figur
     for number in range(9):
         study.add(f"condition-{number}", 0, evaluations=(0.01, 0.02, 0.02, 0.03), hunter=1.0)
     study.draw(tmp_path, formats=("svg",))
-    told = [text.get_text() for text in drawn[0].texts]
-    assert told.count("scripted hunter: 100 %, above") == 1
+    assert _caption(drawn[0]).count("Above the axis: scripted hunter 100 %.") == 1
     assert not [text for axes in drawn[0].axes for text in axes.texts]
     assert "scripted hunter" not in legend(drawn[0])
 
@@ -209,8 +207,8 @@ def test_a_band_that_covers_too_rarely_is_drawn_with_its_runs_and_marked(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.draw(tmp_path, band="se", formats=("svg",))
-    assert legend(drawn[0])[0] == "tanh (n = 2; too few for a band)"
-    assert "thin lines are runs" in _caption(drawn[0])
+    assert legend(drawn[0])[0] == "tanh (n = 2)"
+    assert "Bands of two runs say little, so each run is drawn too, as a thin line." in _caption(drawn[0])
     assert _thin_lines(drawn[0].axes[1]) == 4
     study.draw(tmp_path, band="std", formats=("svg",))
     assert legend(drawn[1])[0] == "tanh (n = 2)"
@@ -270,7 +268,7 @@ def test_equal_values_are_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
         study.add("tanh", seed, evaluations=(0.0,) * 4, returns=0.0)
     study.draw(tmp_path, formats=("svg",))
     assert drawn[0].axes[0].get_ylim()[0] == 0
-    assert legend(drawn[0])[0] == "tanh (n = 3; band covers 82 % at worst)"
+    assert "Bands cover the mean at worst 82 % (n = 3) of the time" in _caption(drawn[0])
 
 
 def test_different_budgets_are_compared_where_all_were(

@@ -1,0 +1,48 @@
+"""Small pictures: they look the same, and the same picture gives the same bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pneuma.figures.shrink import DOTS_PER_INCH, shrink, shrunk_svg
+
+
+def _save(path: Path, dots: int) -> bytes:
+    """Store a red square within a white one, of one inch."""
+    pixels = np.full((dots, dots, 3), 255, np.uint8)
+    pixels[: dots // 2, : dots // 2] = (255, 0, 0)
+    Image.fromarray(pixels).save(path, dpi=(dots, dots))
+    shrink(path)
+    return path.read_bytes()
+
+
+def test_a_png_has_a_palette_and_as_many_dots_as_a_page_shows(tmp_path: Path) -> None:
+    path = tmp_path / "square.png"
+    assert _save(path, 2 * DOTS_PER_INCH) == _save(path, 2 * DOTS_PER_INCH)
+    with Image.open(path) as image:
+        assert (image.size, image.mode) == ((DOTS_PER_INCH,) * 2, "P")
+        assert round(image.info["dpi"][0]) == DOTS_PER_INCH
+        shown = image.convert("RGB")
+    assert (shown.getpixel((10, 10)), shown.getpixel((140, 140))) == ((255, 0, 0), (255, 255, 255))
+
+
+def test_a_png_of_few_dots_keeps_them(tmp_path: Path) -> None:
+    path = tmp_path / "square.png"
+    _save(path, 100)
+    with Image.open(path) as image:
+        assert image.size == (100, 100)
+
+
+def test_paths_of_an_svg_lie_on_hundredths_and_nothing_else_changes() -> None:
+    drawing = b'<g id="d1.23456"><path id="m" d="M 1.23456 -0.001 \nL 100.5 7.999 "/><use x="1.23456"/></g>'
+    assert shrunk_svg(drawing) == drawing.replace(b"M 1.23456 -0.001", b"M 1.23 -0").replace(b"7.999", b"8")
+
+
+def test_other_files_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "words.txt"
+    path.write_bytes(b' d="1.23456"')
+    shrink(path)
+    assert path.read_bytes() == b' d="1.23456"'
