@@ -21,13 +21,15 @@ from pneuma.figures.looks import condition_looks
 from pneuma.figures.panel import per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import house_style, save_figure
-from pneuma.figures.words import Words
+from pneuma.figures.words import Words, wrap_label
 
 SIZE = SIZES["page"]
 PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
 """Heights of the panels: the usual one, the greatest with which a figure fits a page, and a condition's."""
 FEW_ROWS, MOST_ROWS = 10, 24
-"""Conditions up to which their names have a line of their own, and up to which all are shown."""
+"""Conditions up to which their names have the usual size, and up to which all are shown."""
+LABEL_CHARACTERS = 32
+"""Of a line of a condition's name, so that it leaves room for the panels."""
 LEAST_SHOWN = 0.01
 """What every vertical axis reaches to, so that nothing is seen to be nothing."""
 
@@ -79,7 +81,7 @@ def _told(shares: pd.DataFrame) -> str:
 
 
 def _caption(data: StudyData, left_out: int) -> list[str]:
-    none = f"Of {left_out} other conditions no run did." if left_out else ""
+    none = f"In {left_out} other conditions no run collapsed." if left_out else ""
     return [
         f"{', '.join(data.environments)}. Left: each run that collapsed, in its condition's colour, by its "
         "steps before and after the onset; means over 5 % of the budget, and single evaluations. Right: "
@@ -135,11 +137,17 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
             place, again, left=row["share"] - again, height=0.55, color="white", edgecolor=colour, linewidth=1
         )
         axes.plot([row["low"], row["high"]], [place, place], color="#222222", linewidth=1.1)
-    gap = "\n" if len(rows) <= FEW_ROWS else ": "
-    names = [f"{row['condition']}{gap}{row['collapsed']} of {row['runs']}" for row in rows]
+    names = [_bar_label(row) for row in rows]
     points = 72 * LONGEST_INCHES / max(len(rows), 1)
     axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(5.5, 0.8 * points))
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")
     axes.set_xticks((0, 0.5, 1))
     axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
     axes.grid(visible=False, axis="y")
+
+
+def _bar_label(row: dict[Any, Any]) -> str:
+    """Return a condition, broken where it would take the panels' room, and how many of its runs collapsed."""
+    count = f"{row['collapsed']} of {row['runs']}".replace(" ", "\u00a0")
+    lines = wrap_label(str(row["condition"]), LABEL_CHARACTERS)
+    return "\n".join([*lines[:-1], *wrap_label(f"{lines[-1]}: {count}", LABEL_CHARACTERS)])

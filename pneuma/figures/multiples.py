@@ -36,7 +36,15 @@ from pneuma.figures.words import Entry, Words, wrap_label
 
 LINE = 0.75
 """Width of a condition's mean, in that of a larger panel's."""
+MORE_ROWS = 2
+"""So many at most, if panels then leave no hole."""
+LONGEST_INCHES = 7.6
+"""Of a block of panels: with what is said around them a figure still fits a page."""
+MOST_OTHERS = 24
+"""Panels up to which all other means stand behind each; of more they would be a grey blur."""
 OTHERS_COLOUR = "#C4C4C4"
+NAME_LINES = 2
+"""For which there is room above a panel."""
 BASELINE_COLOUR = "#222222"
 
 
@@ -64,7 +72,9 @@ def draw_multiples(
     count = max(len(group) for group in curves.values())
     rows, columns = _grid(count, size.small_columns)
     entries = _entries(data, curves)
-    wanted = rows * size.small_height + 4 * size.line_inches  # the block's title, ticks and label
+    wanted = (
+        min(rows * size.small_height, LONGEST_INCHES) + 4 * size.line_inches
+    )  # the block's title, ticks and label
     low, high = words.put(figure, size, len(curves) * wanted, entries)
     size.check_room(len(curves) * rows, high - low - 4 * size.line_inches * len(curves))
     height = (high - low) / len(curves)
@@ -80,7 +90,7 @@ def _grid(count: int, most: int) -> tuple[int, int]:
     Nine are three rows of three, not five and four; what leaves a hole anyway takes the fewest rows.
     """
     fewest = -(-count // most)
-    for rows in (fewest, fewest + 1):
+    for rows in range(fewest, fewest + MORE_ROWS + 1):
         if count % rows == 0:
             return rows, count // rows
     return fewest, -(-count // fewest)
@@ -97,8 +107,9 @@ def _entries(data: StudyData, curves: Mapping[str, Sequence[Curve]]) -> dict[str
     colours = list(dict.fromkeys(look["color"] for look in looks))[:3]
     entries: dict[str, Entry] = {
         "the panel's condition": tuple(Line2D([], [], color=colour) for colour in colours),
-        "the others": Line2D([], [], color=OTHERS_COLOUR),
     }
+    if max(len(group) for group in curves.values()) <= MOST_OTHERS:
+        entries["the others"] = Line2D([], [], color=OTHERS_COLOUR)
     if data.record.get("baseline") in data.conditions:
         words = f"{data.record['baseline']} (baseline)"
         entries[words] = Line2D([], [], color=BASELINE_COLOUR, linestyle="--", linewidth=1)
@@ -127,6 +138,9 @@ def _draw_block(
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
         _name(axes, label_of(data, curve), size, block.columns)
+    told = _told_levels([curve.condition for curve in curves], size, block.columns)
+    place = (1 - 0.1 / width, (block.top - 0.3 * line) / height)
+    figure.text(*place, told, fontsize="small", color="#666666", ha="right", va="top")
     _align(panels, block.columns, look.log)
     bottom = (block.top - block.height) / height
     figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
@@ -157,7 +171,7 @@ def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str 
     """Draw the other conditions' means behind, and the baseline's in front of them."""
     thin = 0.4 * mpl.rcParams["lines.linewidth"]
     others = [curve for curve in curves if curve.condition not in (own.condition, baseline)]
-    if others:  # as one line with gaps
+    if others and len(curves) <= MOST_OTHERS:  # as one line with gaps
         step = np.concatenate([np.append(curve.step, np.nan) for curve in others])
         mean = np.concatenate([np.append(curve.mean, np.nan) for curve in others])
         axes.plot(step, mean, color=OTHERS_COLOUR, linewidth=thin, zorder=1.1)
@@ -168,10 +182,27 @@ def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str 
             )
 
 
+def _characters(size: Size, columns: int) -> int:
+    """Return how many characters a panel's name has room for in one line."""
+    return int(size.width * 72 / columns * 0.85 / (0.56 * size.small_points))
+
+
+def _told_levels(conditions: Sequence[str], size: Size, columns: int) -> str:
+    """Name the factors whose levels alone head the panels, where their names have no room there."""
+    factors = {
+        part.partition("=")[0]: None for name in conditions for part in name.split(", ") if "=" in part
+    }
+    long = any(len(wrap_label(name, _characters(size, columns))) > NAME_LINES for name in conditions)
+    return f"panels: {', '.join(factors)}" if factors and long else ""
+
+
 def _name(axes: Axes, label: str, size: Size, columns: int) -> None:
-    points = size.small_points
-    characters = int(size.width * 72 / columns * 0.85 / (0.56 * points))
+    """Head a panel with its condition; where that is too long, with the levels of its factors alone."""
+    points, characters = size.small_points, _characters(size, columns)
     lines = wrap_label(label, characters)
+    if len(lines) > NAME_LINES:
+        levels = [part.rpartition("=")[2] for part in label.partition(" (")[0].split(", ")]
+        lines = wrap_label(", ".join(levels) + label[len(label.partition(" (")[0]) :], characters)
     axes.set_title("\n".join(lines), fontsize=points, weight="normal", pad=2, linespacing=1.05)
     axes.tick_params(labelsize=points, length=2, pad=1.5)
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -105,18 +106,19 @@ class Words:
 
 
 def wrap_label(label: str, characters: int) -> list[str]:
-    """Break a condition's label into lines; "n = 3" stays whole."""
+    """Break a condition's label into lines; "n = 3" and "non-stationary" stay whole."""
     unbroken = label.replace(" = ", "\u00a0=\u00a0")
-    return [line.replace("\u00a0", " ") for line in textwrap.wrap(unbroken, characters)]
+    lines = textwrap.wrap(unbroken, characters, break_on_hyphens=False)
+    return [line.replace("\u00a0", " ") for line in lines]
 
 
 def legend_columns(size: Size, labels: Sequence[str]) -> int:
     """Return the number of columns that need fewest rows, each as wide as its longest label."""
     for rows in range(1, len(labels) + 1):
         columns = -(-len(labels) // rows)
-        filled = [labels[first : first + rows] for first in range(0, len(labels), rows)]
-        widths = [max(_entry_points(label, size) for label in column) for column in filled]
-        if len(filled) == columns and sum(widths) <= _room_points(size):
+        filled = np.array_split(np.asarray(labels, object), columns)  # as matplotlib fills them
+        widths = [max(_entry_points(str(label), size) for label in column) for column in filled]
+        if sum(widths) <= _room_points(size):
             return columns
     return 1
 

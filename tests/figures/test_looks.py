@@ -15,6 +15,7 @@ from pneuma.analysis.curves import curve_names
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import settle
+from pneuma.figures.multiples import _grid
 from pneuma.figures.panel import draw_references
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, condition_look
@@ -286,3 +287,27 @@ def test_engines_that_are_mixed_are_told(study: HandMade, tmp_path: Path, drawn:
         run["run"]["engine"] = ("batched", "sb3")[place % 2]
     study.draw(tmp_path, formats=("svg",))
     assert "Engines are mixed (batched, sb3): no contrast holds" in _caption(drawn[0])
+
+
+# --- A page ----------------------------------------------------------------------------------------
+
+
+def test_panels_leave_no_hole_where_that_may_be() -> None:
+    assert [_grid(count, 6) for count in (9, 10, 12, 16, 32)] == [(3, 3), (2, 5), (2, 6), (4, 4), (8, 4)]
+    assert [_grid(count, 6) for count in (11, 13)] == [(2, 6), (3, 5)]  # these cannot but have one
+
+
+def test_long_names_of_crossed_conditions_head_panels_by_their_levels(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study = HandMade(tmp_path)
+    for reward in ("thesis", "pygame", "godot", "kills"):
+        for scale in ("unit", "map", "raw"):
+            for kind in ("stationary", "non-stationary"):
+                study.add(f"reward={reward}, scale={scale}, activation=tanh, {kind}", 0)
+    study.draw(tmp_path, formats=("svg",))
+    titles = [axes.get_title(loc="left") for axes in drawn[0].axes]
+    assert titles[1].replace("\n", " ") == "thesis, unit, tanh, non-stationary (n = 1)"
+    assert max(title.count("\n") for title in titles) <= 2
+    assert "panels: reward, scale, activation" in words(drawn[0])
+    assert drawn[0].get_size_inches()[1] < 10
