@@ -241,23 +241,33 @@ def test_half_a_line_that_a_killed_job_left_harms_no_other(
     assert ends(collect([runs], store)) == {first: "done", second: "done"}
 
 
-def test_a_run_that_is_refused_when_it_is_to_be_tried_again_is_not_waited_for(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("refusals", "reason"),
+    [
+        (11, "job 7_0 is cancelled"),
+        (12, "could not be submitted again (sbatch: QOSMaxSubmitJobPerUserLimit)"),
+    ],
+)
+def test_a_run_that_is_refused_when_it_is_to_be_tried_again_is_not_waited_for_without_end(
+    refusals: int, reason: str, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    queue = Queue(monkeypatch, ["NODE_FAIL"])
-    submit = queue.submit
+    queue = Queue(monkeypatch, ["NODE_FAIL", "CANCELLED"])
+    monkeypatch.setattr(slurm_collector, "QUEUE_SECONDS", 0.0)
+    monkeypatch.setattr(slurm_collector, "TAIL_SECONDS", 0.0)
+    submit, left = queue.submit, [None, *[UserError("sbatch: QOSMaxSubmitJobPerUserLimit")] * refusals, None]
 
-    def submit_once(submission: Submission, *about: Any) -> None:
-        if queue.submitted:
+    def submit_or_refuse(submission: Submission, *about: Any) -> None:
+        if error := left.pop(0):
             submission.close(keep=False)
-            raise UserError("sbatch: QOSMaxSubmitJobPerUserLimit")
+            raise error
         submit(submission, *about)
 
-    monkeypatch.setattr(slurm_queue, "submit", submit_once)
+    monkeypatch.setattr(slurm_queue, "submit", submit_or_refuse)
     (name,) = group(9)
     events = collect([group(9)], store)
     assert ends(events) == {name: "killed"}
-    assert "could not be submitted again (sbatch: QOSMax" in events[-1]["reason"]
+    assert reason in events[-1]["reason"]
+    assert len(notes(events)) == (refusals == 11)
 
 
 def test_where_an_array_is_refused_those_submitted_before_it_are_taken_back(

@@ -85,16 +85,21 @@ def wait_until(happened: Callable[[], object]) -> None:
         time.sleep(0.2)
 
 
+def checkpointed(results: Path) -> set[str]:
+    """Return the runs that have something to go on from."""
+    return {path.parent.parent.name for path in results.glob("runs/*/checkpoints/*.safetensors")}
+
+
 def test_jobs_go_on_when_the_command_is_left_and_when_they_are_requeued_to_the_same_bits(
     cluster: dict[str, str], study: Path, tmp_path: Path
 ) -> None:
     results = tmp_path / "results"
     slurm = ("--executor", "slurm", "--checkpoint-seconds", "1")
     assert {row["trained"] for row in run(study, results, cluster, *slurm, "--detach")} == {False}
-    wait_until(lambda: list(results.glob("runs/*/checkpoints/*.safetensors")))
+    wait_until(lambda: checkpointed(results))
     told = json.loads(pneuma(["study", "status", study, "--results", results, "--json"], cluster).stdout)
     assert {job["state"] for job in told["jobs"].values()} <= {"RUNNING", "PENDING"}
-    requeued = min(job["job"] for job in told["jobs"].values() if job["state"] == "RUNNING")
+    requeued = next(job["job"] for name, job in told["jobs"].items() if name in checkpointed(results))
     subprocess.run(["scontrol", "requeue", requeued], env=cluster, check=True)
     jobs = queue(cluster, "%F")
     rows = run(study, results, cluster, *slurm)

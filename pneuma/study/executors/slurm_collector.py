@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,17 +21,20 @@ from pneuma.study.store import Status, Store, run_document
 TAIL_SECONDS = 1.0
 QUEUE_SECONDS = 5.0
 """How often events are read, and how often the queue is asked: every user's squeue costs the controller."""
+MOST_REFUSALS = 12
+"""How often, a look at the queue apart, runs that are to be tried again may be refused: for a minute."""
 MOST_LOOKS = 5
 """How often the queue is asked, once all runs have ended, whether their jobs have gone."""
 
 
 @dataclass
 class _Followed:
-    """A submission and how far the events of each of its groups were read."""
+    """A submission and, by group, how far its events were read, what was shown, how often it was refused."""
 
     submission: Submission
     read: dict[int, int] = field(default_factory=dict)
     shown: dict[int, str] = field(default_factory=dict)
+    refused: Counter[int] = field(default_factory=Counter)
     over: set[int] = field(default_factory=set)
     failed: bool = False
 
@@ -128,7 +132,10 @@ class Collector:
         if tries <= TRIES and not (job and job.state == "CANCELLED"):
             try:
                 return self._try_again(followed, group, lost, tries, what)
-            except UserError as error:
+            except UserError as error:  # what is refused now, by a busy controller say, may not be later
+                followed.refused[group] += 1
+                if followed.refused[group] < MOST_REFUSALS:
+                    return followed.over.discard(group)
                 what = f"{what}, and could not be submitted again ({error})"
         reason = f"{what}; what it printed lies in {followed.submission.jobs_folder}"
         for name in lost:
