@@ -11,7 +11,6 @@ from matplotlib.patches import Circle, FancyArrowPatch
 
 from pneuma.env.render import Renderer
 from pneuma.env.watch import fight_worlds, level_worlds
-from pneuma.figures.shrink import DOTS_PER_INCH
 from pneuma.figures.style import COLOURS, house_style, save_figure
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
@@ -80,9 +79,9 @@ def draw_screens(folder: Path) -> list[Path]:
     for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds())):
         frame: np.ndarray = Renderer(worlds, "follow").frame(0)
         with house_style():
-            figure = Figure(figsize=(frame.shape[1] / DOTS_PER_INCH, frame.shape[0] / DOTS_PER_INCH))
+            figure = Figure(figsize=(frame.shape[1] / 200, frame.shape[0] / 200))
             axes = figure.add_axes((0, 0, 1, 1))
             axes.imshow(frame, interpolation="none")
             axes.axis("off")
-            paths += save_figure(figure, folder, stem, ("png",), dots_per_inch=DOTS_PER_INCH)
+            paths += save_figure(figure, folder, stem, ("png",), dots_per_inch=200)
     return paths

@@ -25,7 +25,6 @@ from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import INDEX, encode_index
 from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
 from pneuma.figures.settings_table import settings_table
-from pneuma.figures.shrink import shrink
 
 RESULTS = Path("results")
 FEW = 4
@@ -86,13 +85,11 @@ def _draw_one(results: Path, study: str, figure: str, folder: Path) -> list[dict
 
 
 def _draw_environment(folder: Path) -> list[dict[str, Any]]:
-    """Draw what the thesis shows of the environment itself."""
+    """Draw what the thesis shows of the environment itself, which has more colours than a palette."""
     sources = {
         "pneuma/Mailman-v0": draw_mailman(folder),
         "pneuma/Pneuma-v0, level thesis": [*draw_screens(folder), *draw_level(folder)],
     }
-    for path in (path for paths in sources.values() for path in paths):
-        shrink(path)
     return [
         {"file": path.name, "command": COMMAND, "from": source, "runs": {}}
         for source, paths in sources.items()

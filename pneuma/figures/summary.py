@@ -149,7 +149,7 @@ def _draw_runs(
     known = find_outcome(outcome)
     shares = known.bounds == (0.0, 1.0)
     axes.set(title="Every run", xlabel="Share killed" if shares else "Return of an episode")
-    axes.xaxis.set_major_locator(whole_ticks(5))
+    axes.xaxis.set_major_locator(whole_ticks(4))
     if shares:
         axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
         axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
