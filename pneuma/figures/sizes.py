@@ -50,7 +50,7 @@ class Size:
         Raises:
             UserError: when they would be lower than four lines of text.
         """
-        if inches < rows * 4 * self.line_inches:
+        if self.height is not None and inches < rows * 4 * self.line_inches:
             raise UserError(
                 f"{rows} rows of panels do not fit a height of {self.height} inches: ask for fewer "
                 "quantities or conditions, or for --size page, which is as high as it needs"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,19 @@ def test_many_conditions_are_rows_without_profiles(tmp_path: Path, drawn: list[F
     draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
     (runs,) = drawn[0].axes
     assert len(runs.get_yticklabels()) == 9
+
+
+def test_as_many_conditions_as_the_robustness_study_has_fit_a_page(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study = HandMade(tmp_path)
+    for number in range(90):
+        study.add(f"learning_rate=1e-4, reward=thesis, scale=raw, condition-{number}", 0)
+    draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
+    labels = drawn[0].axes[0].get_yticklabels()
+    boxes = [label.get_window_extent() for label in labels]
+    assert len(labels) == 90 and drawn[0].get_size_inches()[1] < 10
+    assert all(above.y0 >= below.y1 - 1 for above, below in pairwise(boxes))  # of 300 pixels an inch
 
 
 @pytest.fixture
