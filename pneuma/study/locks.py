@@ -24,6 +24,40 @@ STALE_SECONDS = 600.0
 """Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 
 
+class _Renewal:
+    """Renews all locks that this process holds, in one thread: the driver of a cluster holds thousands."""
+
+    def __init__(self) -> None:
+        self._held: set[int] = set()
+        self._changing = threading.Lock()
+        self._done = threading.Event()
+
+    def add(self, descriptor: int) -> None:
+        """Renew a lock from now on."""
+        with self._changing:
+            self._held.add(descriptor)
+            if len(self._held) == 1:
+                self._done = threading.Event()
+                threading.Thread(target=self._renew, args=(self._done,), daemon=True).start()
+
+    def remove(self, descriptor: int) -> None:
+        """Renew a lock no more; its descriptor may be closed then."""
+        with self._changing:
+            self._held.discard(descriptor)
+            if not self._held:
+                self._done.set()
+
+    def _renew(self, done: threading.Event) -> None:
+        while not done.wait(RENEW_SECONDS):
+            with self._changing:
+                for descriptor in self._held:
+                    with suppress(OSError):
+                        os.utime(descriptor)
+
+
+_RENEWAL = _Renewal()
+
+
 class RunLock:
     """The lock of one run; a context manager that tells whether it was free.
 
@@ -36,8 +70,6 @@ class RunLock:
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".lock"
         self._descriptor = -1
-        self._done = threading.Event()
-        self._renewing: threading.Thread | None = None
 
     def __enter__(self) -> bool:
         """Take the lock if nobody holds it; return whether that was so."""
@@ -76,19 +108,11 @@ class RunLock:
         with suppress(OSError):
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, socket.gethostname().encode(), 0)
-        self._renewing = threading.Thread(target=self._renew, daemon=True)
-        self._renewing.start()
-
-    def _renew(self) -> None:
-        while not self._done.wait(RENEW_SECONDS):
-            with suppress(OSError):
-                os.utime(self._descriptor)
+        _RENEWAL.add(self._descriptor)
 
     def __exit__(self, *_: object) -> None:
         """Let go."""
-        self._done.set()
-        if self._renewing:
-            self._renewing.join()
+        _RENEWAL.remove(self._descriptor)
         if self._descriptor >= 0:
             if self._is_there():  # and not another's, who broke this one
                 self._path.unlink(missing_ok=True)

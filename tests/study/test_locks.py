@@ -5,7 +5,9 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -115,3 +117,13 @@ def test_who_breaks_a_dead_machines_lock_leaves_that_of_who_broke_it_first(
     first.__exit__()
     dead.__exit__()
     assert not is_held(tmp_path)
+
+
+def test_a_hundred_locks_take_one_thread_that_goes_with_the_last(tmp_path: Path) -> None:
+    before = {*threading.enumerate()}
+    with ExitStack() as held:
+        for i in range(100):
+            assert held.enter_context(RunLock(tmp_path / f"{i}"))
+        (renewing,) = {*threading.enumerate()} - before
+    renewing.join(timeout=10)
+    assert not renewing.is_alive()
