@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
-from pneuma.study.executors.base import Event, Supervision, load_executor
+from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
@@ -101,7 +101,7 @@ def execute(
             on_progress(Progress(cell, *told, passing=event["event"] == "passing"))
 
     how = _with_gpus(plan, supervision)
-    if todo:
+    if todo or how.place.executor == SLURM:  # whose jobs may have ended, and wait to be put away
         load_executor(how.place).run_groups(groups(todo, how), store, how, report)
     return [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
 

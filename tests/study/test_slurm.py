@@ -16,6 +16,7 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
+from pneuma.study.execute import execute
 from pneuma.study.executors import local, slurm, slurm_collector, slurm_job, slurm_queue
 from pneuma.study.executors.base import Detached, Event, Place, Supervision
 from pneuma.study.executors.slurm_job import Teller, Training
@@ -27,6 +28,8 @@ from pneuma.study.executors.submissions import (
     submissions_folder,
 )
 from pneuma.study.identity import run_id
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
 submitit = pytest.importorskip("submitit")
@@ -383,6 +386,45 @@ def test_a_job_sees_gpus_only_where_it_asked_for_one(
     assert seen == ["all of the node's" if has_one else ""]
 
 
+def test_what_ended_while_nobody_waited_is_put_away_by_the_same_command(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command was left, and all runs lie in the store when it is given again: none is to be trained."""
+    queue = Queue(monkeypatch, ["RUNNING"])
+    groups = [group(11), group(12)]
+    detached = replace(HOW, place=Place("slurm", detach=True))
+    with pytest.raises(Detached, match="2 jobs in Slurm's queue go on"):
+        collect(groups, store, detached)
+    for name in group(11):
+        store.save_run(name, Status("done", 500), {"run.json": b"{}"})
+    with pytest.raises(Detached, match="1 job in Slurm's queue go"):
+        collect([group(12)], store, detached)
+    for name in group(12):
+        store.save_run(name, Status("done", 500), {"run.json": b"{}"})
+    collect([], store, detached)
+    assert open_submissions(store)  # its last job is still ending
+    queue.states = ["COMPLETED"]
+    collect([], store, detached)
+    assert len(queue.submitted) == 1 and not queue.submitted[0][0].folder.exists()
+
+
+def test_a_study_that_is_stored_whole_still_has_its_jobs_put_away(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(slurm, "run_groups", lambda groups, *_: asked.append(groups))
+    monkeypatch.setattr(local, "run_groups", lambda *_: pytest.fail("nothing is to be trained here"))
+    planned = make_plan(load_study("activation"), Selection(seeds=(0,), steps=256))
+    for how in (HOW, replace(HOW, place=Place())):
+        execute(planned, {}, store, how, lambda progress: None)
+    assert asked == [[]]
+
+
+def test_a_folder_of_results_that_nothing_was_submitted_from_gets_no_folder_beside_it(store: Store) -> None:
+    assert collect([], store) == []
+    assert not submissions_folder(store).exists()
+
+
 # --- What is asked of the queue ------------------------------------------------------------------
 
 
@@ -409,6 +451,40 @@ def test_a_job_asks_for_what_people_say_and_may_always_be_requeued() -> None:
     assert (told["time"], told["array_parallelism"]) == (60, 8)
     with pytest.raises(UserError, match="job_name=x: is set by Pneuma"):
         slurm_queue.parameters("mine", {"job-name": "x"}, 1, False)
+
+
+def test_an_option_that_sbatch_does_not_have_is_told_with_the_nearest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sbatch = tmp_path / "sbatch"
+    sbatch.write_text("#!/bin/sh\necho \"sbatch: unrecognized option '--partitoin=short'\" >&2\nexit 1\n")
+    sbatch.chmod(0o755)
+    (tmp_path / "srun").symlink_to(sbatch)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(UserError) as told:
+        slurm_queue.check_submission(tmp_path, {"partitoin": "short"}, False)
+    assert str(told.value).startswith(
+        "--slurm partitoin=short: sbatch has no such option (did you mean partition?)"
+    )
+
+
+def test_what_is_wrong_without_asking_is_told_before_the_queue_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slurm_queue, "check_programs", lambda: None)
+    monkeypatch.setattr(slurm_queue, "_answer", lambda *_: pytest.fail("the queue was asked"))
+    with pytest.raises(UserError, match="--slurm time=soon"):
+        slurm.most_workers(Place("slurm", slurm=(("time", "soon"),)))
+
+
+def test_a_job_that_nobody_looked_at_yet_has_no_reason_to_wait(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submission = new_submission(store, [["a"], ["b"]], 1)
+    lines = [f"{submission.name}|7|{i}|7_{i}|PENDING|({why})" for i, why in enumerate(["None", "Priority"])]
+    monkeypatch.setattr(slurm_queue, "_answer", lambda *_: "\n".join(lines))
+    found = slurm_queue.jobs_of([submission])
+    assert [job.where for job in found.values()] == ["", "(Priority)"]
 
 
 # --- Signals -------------------------------------------------------------------------------------

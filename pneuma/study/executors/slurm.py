@@ -10,14 +10,17 @@ them by their names, submits none twice, and hands on what they tell.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pneuma.config import Run
+from pneuma.errors import UserError
 from pneuma.study.executors import slurm_queue
 from pneuma.study.executors.base import Detached, OnEvent, Place, Supervision
 from pneuma.study.executors.slurm_collector import Collector
 from pneuma.study.executors.slurm_desk import Desk, Group, alone
+from pneuma.study.executors.submissions import open_submissions
 from pneuma.study.store import Store
 
 MOST_AT_ONCE = 256
@@ -26,6 +29,7 @@ MOST_AT_ONCE = 256
 def most_workers(place: Place) -> int:
     """Return how many jobs run at once where nobody says it: one a core of the partition."""
     slurm_queue.check_programs()
+    slurm_queue.parameters("pneuma-check", dict(place.slurm), 1, False)  # what is wrong without asking
     return min(MOST_AT_ONCE, slurm_queue.total_cores(dict(place.slurm)))
 
 
@@ -46,6 +50,8 @@ def run_groups(groups: Iterable[Group], store: Store, supervision: Supervision, 
     """
     wanted = list(groups)
     runs = {name: run for group in wanted for name, run in group.items()}
+    if not runs:
+        return _put_away(store, supervision)
     desk = Desk(store, supervision)
     collector = Collector(store, desk, runs, on_event)
     try:
@@ -58,3 +64,11 @@ def run_groups(groups: Iterable[Group], store: Store, supervision: Supervision, 
     except KeyboardInterrupt:
         pass
     raise Detached(desk.farewell(runs))
+
+
+def _put_away(store: Store, supervision: Supervision) -> None:
+    """Be done with submissions whose runs all came to the store while nobody waited for them."""
+    with suppress(UserError):  # a queue that does not answer now is asked next time
+        if open_submissions(store):
+            with alone(store):
+                Desk(store, supervision).under_way()

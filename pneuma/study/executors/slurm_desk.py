@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from pneuma.config import Run, as_settings
@@ -59,11 +59,10 @@ class Desk:
         live = {*slurm_queue.jobs_by_run(submissions)}
         for submission in submissions:
             if not any(name in live for group in submission.groups for name in group):
-                submission.close(keep=not self._all_finished(submission))
+                submission.close(keep=not all(map(self._finished, submission.groups)))
         return live
 
-    def _all_finished(self, submission: Submission) -> bool:
-        names = (name for group in submission.groups for name in group)
+    def _finished(self, names: Iterable[str]) -> bool:
         return all(self._store.status(name).finished for name in names)
 
     def submit(self, groups: Sequence[Group], tries: int) -> list[Submission]:
@@ -105,7 +104,7 @@ class Desk:
     def farewell(self, runs: Mapping[str, Run]) -> str:
         """Say what goes on when the command is left."""
         own = [s for s in open_submissions(self._store) if any(n in runs for g in s.groups for n in g)]
-        count = sum(len(submission.groups) for submission in own)
+        count = sum(not self._finished(group) for submission in own for group in submission.groups)
         names = ",".join(submission.name for submission in own)
         jobs = "1 job" if count == 1 else f"{count} jobs"
         return (

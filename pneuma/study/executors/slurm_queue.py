@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError
+from pneuma.errors import UserError, nearest_name
 from pneuma.study.executors.slurm_job import Training
 from pneuma.study.executors.submissions import Submission
 
@@ -38,6 +38,7 @@ NEVER = re.compile(
     r"Invalid(Account|QOS)|\w+PerJob(Limit)?)\)"
 )
 """Reasons for which a job waits that waiting does not mend."""
+UNKNOWN_OPTION = re.compile(r"unrecognized option '--([\w-]+)")
 OWN = ("array_parallelism", "job_name", "map_count", "nodes", "ntasks_per_node", "signal_delay_s", "use_srun")
 """What a job is made of here, and nobody else sets."""
 GENERIC = ("gres", "tres_per_job", "tres_per_node", "tres_per_task")
@@ -81,6 +82,7 @@ def jobs_of(submissions: Sequence[Submission]) -> dict[tuple[str, int], Job]:
     jobs = {}
     for line in printed.splitlines():
         name, _, place, job, state, where = line.strip().split("|", 5)
+        where = "" if where == "(None)" else where  # nobody has looked yet why it waits
         jobs[name, int(place) if place.isdigit() else 0] = Job(job, state, where)
     return jobs
 
@@ -154,7 +156,21 @@ def check_submission(folder: Path, options: Options, gpu: bool) -> None:
         UserError: with the reason, when it would not.
     """
     script = _executor(folder, parameters("pneuma-check", options, 1, gpu))._make_submission_file_text("", "")
-    _answer(["sbatch", "--test-only"], script)
+    try:
+        _answer(["sbatch", "--test-only"], script)
+    except UserError as error:
+        if match := UNKNOWN_OPTION.search(str(error)):
+            raise _unknown_option(match[1].replace("-", "_"), options) from None
+        raise
+
+
+def _unknown_option(key: str, options: Options) -> UserError:
+    """Build the error for an option that sbatch does not have, with the nearest that submitit names."""
+    known = sorted(import_module("submitit").SlurmExecutor._valid_parameters() - {*OWN})
+    return UserError(
+        f"--slurm {key}={options.get(key, '')}: sbatch has no such option{nearest_name(key, known)}; "
+        "`sbatch --help` lists them"
+    )
 
 
 def submit(
