@@ -39,11 +39,13 @@ _STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed
 
 
 @selects
+@places
 def plan_(
     name: StudyName,
     selection: Selected = None,
     setting: SettingName = None,
     workers: Workers = None,
+    place: Place = HERE,
     calibrate: Annotated[
         bool,
         typer.Option(help="Train a few seconds of runs of which no stored one tells how long they take."),
@@ -56,7 +58,7 @@ def plan_(
 
     selection = selection or plan.Selection()
     planned = plan.make_plan(spec.load_study(name, setting), selection)
-    at_once = read_workers(workers)
+    at_once = read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)

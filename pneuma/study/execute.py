@@ -48,7 +48,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Todo:
-    """What `prepare` found to be done: runs to train, by id, and sentences about damage and failures."""
+    """What `prepare` found: runs to train, by id, and sentences about damage, failures and the place."""
 
     runs: Mapping[str, Run]
     notes: tuple[str, ...]
@@ -72,12 +72,13 @@ def prepare(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
+    told = ""
     if supervision and todo:
         how = _with_gpus(plan, supervision)
-        load_executor(how.place).check(todo, how)
+        told = load_executor(how.place).check(todo, how)
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
-    return Todo(todo, tuple(_notes(plan, statuses, todo)))
+    return Todo(todo, (*_notes(plan, statuses, todo), *([told] if told else [])))
 
 
 def execute(

@@ -147,6 +147,23 @@ def steps_stored(store: Store, name: str) -> list[int]:
     return [file.step for file in checkpoint_files(store.run_folder(name))]
 
 
+# --- What is said before runs are sent ---------------------------------------------------------------
+
+
+def test_it_is_said_what_cluster_runs_go_to(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", Ray([]))
+    monkeypatch.setattr(ray, "refuse_unlike_nodes", lambda cluster: None)
+    monkeypatch.setattr(ray, "join", lambda address: Cluster(f"the cluster at {address}"))
+    told = ray.check(runs(0), Supervision(1, place=Place("ray", "10.0.0.5:6379")))
+    assert told == "runs are sent to the cluster at 10.0.0.5:6379: 2 CPUs on 2 nodes"  # and not on its head
+
+
+def test_a_cluster_of_its_own_is_not_started_to_be_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray, "join", lambda address: pytest.fail("a cluster was started"))
+    monkeypatch.setattr(ray, "available_cores", lambda: 5)
+    assert ray.most_workers(Place("ray")) == 5
+
+
 # --- Nodes that fail ---------------------------------------------------------------------------------
 
 

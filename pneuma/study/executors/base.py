@@ -97,8 +97,11 @@ class Executor(Protocol):
             UserError: within ten seconds, where the place cannot be reached.
         """
 
-    def check(self, runs: Mapping[str, Run], supervision: Supervision) -> None:
+    def check(self, runs: Mapping[str, Run], supervision: Supervision) -> str:
         """Refuse runs, by id, that cannot be trained at the place; nothing has been written yet.
+
+        Returns:
+            What people should know of the place before runs go there; empty where that is nothing.
 
         Raises:
             UserError: within ten seconds, with the mend.

@@ -21,7 +21,7 @@ from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 from pneuma.study.executors.base import OnEvent, Place, Supervision
 from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.executors.local import BUSY_SECONDS
+from pneuma.study.executors.local import BUSY_SECONDS, available_cores
 from pneuma.study.executors.ray_cluster import (
     NODE_LABEL,
     Cluster,
@@ -52,11 +52,16 @@ def most_workers(place: Place) -> int:
     Raises:
         UserError: where the cluster cannot be joined.
     """
+    if place.address is None:  # a cluster of its own is not started only to be counted
+        return available_cores()
     return max(1, join(place.address).count("CPU"))
 
 
-def check(runs: Mapping[str, Run], supervision: Supervision) -> None:
+def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
     """Refuse runs that need what does not go to the nodes, and clusters that are not fit for them.
+
+    Returns:
+        Which cluster it is and how much room it has: the first run may take a while to tell anything.
 
     Raises:
         UserError: with the mend.
@@ -70,6 +75,7 @@ def check(runs: Mapping[str, Run], supervision: Supervision) -> None:
     cluster = join(supervision.place.address)
     refuse_lacking_resources(cluster, sum(name in supervision.on_gpu for name in runs))
     refuse_unlike_nodes(cluster)
+    return f"runs are sent to {cluster.where}: {cluster.room()}"
 
 
 def run_groups(
@@ -366,14 +372,14 @@ class _Driver:
     # --- Telling --------------------------------------------------------------------------------------
 
     def _tell_waiting(self) -> None:
-        """Say once of a group that no node has had room for it."""
+        """Say once of a group that no node has taken it up: it lacks room, or is long in starting."""
         for away in self._away:
             if away.begun or away.told_waiting or time.monotonic() < away.since + TOLD_SECONDS:
                 continue
             away.told_waiting = True
             what = "a GPU" if away.gpu else "a CPU"
             for name in away.locks:
-                text = f"waits for a node of {self._cluster.where} with {what} free"
+                text = f"waits until a node of {self._cluster.where} has {what} free and is ready"
                 self._on_event({"event": "passing", "run_id": name, "text": text})
 
     def _note(self, name: str, text: str) -> None:

@@ -56,6 +56,13 @@ class Cluster:
         """Return how many CPUs or GPUs all nodes have together."""
         return int(sum(node["Resources"].get(resource, 0.0) for node in self.nodes()))
 
+    def room(self) -> str:
+        """Tell for people how much there is to train on, and on how many nodes."""
+        nodes = sum(node["Resources"].get("CPU", 0.0) >= 1 for node in self.nodes())
+        kinds = {kind: self.count(kind) for kind in ("CPU", "GPU")}
+        counts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in kinds.items() if count]
+        return f"{' and '.join(counts)} on {nodes} node{'s' * (nodes > 1)}"
+
 
 @cache
 def join(address: str | None) -> Cluster:

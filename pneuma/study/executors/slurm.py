@@ -33,12 +33,13 @@ def most_workers(place: Place) -> int:
     return min(MOST_AT_ONCE, slurm_queue.total_cores(dict(place.slurm)))
 
 
-def check(runs: Mapping[str, Run], supervision: Supervision) -> None:
+def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
     """Ask sbatch whether it would take the jobs of these runs."""
     slurm_queue.check_programs()
     for gpu in sorted({name in supervision.on_gpu for name in runs}):
         with TemporaryDirectory() as folder:
             slurm_queue.check_submission(Path(folder), dict(supervision.place.slurm), gpu)
+    return ""
 
 
 def run_groups(groups: Iterable[Group], store: Store, supervision: Supervision, on_event: OnEvent) -> None:
