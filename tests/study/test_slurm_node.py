@@ -122,7 +122,7 @@ def test_jobs_go_on_when_the_command_is_left_and_when_they_are_requeued_to_the_s
     ("options", "told"),
     [
         (["partition=nope"], "--slurm partition=nope: there is none"),
-        (["partiton=main"], "unrecognized option '--partiton=main'"),
+        (["partiton=main"], "sbatch has no such option (did you mean partition?)"),
         (["mem=900GB"], "Requested node configuration is not available"),
         (["time=5:00:00"], "the queue would never run these jobs"),
     ],
