@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import select
+import signal
+import threading
 
 import pytest
 
@@ -22,3 +25,18 @@ def test_one_that_comes_too_late_is_written_into_no_other_file() -> None:
     finally:
         os.close(reader)
         os.close(writer)
+
+
+def test_one_that_another_thread_takes_wakes_the_wait() -> None:
+    # Like a thread of a mathematical library, it does not block what the main thread does.
+    other = threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGTERM])
+    with Interrupts() as interrupts:
+        other.start()
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+        try:
+            assert select.select([interrupts.wakeup], [], [], 5)[0]
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+            other.join()
+        interrupts.wake()
+        assert interrupts.count == 1
