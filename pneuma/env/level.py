@@ -4,7 +4,7 @@ A level's name is one of
 
     thesis              a level that comes with the package, as a folder of CSV layers
     path/to/folder      a user's own folder
-    path/to/map.tmx     a map as the editor Tiled saves it; see `tiled.py`
+    path/to/map.tmx     a map as the editor Tiled saves it; see `tiled_map.py`
     random:train:17     an island drawn from a number; see `random_level.py`
 
 A folder holds one CSV file a layer, as Tiled exports them: ground, obstacles and entities, described
@@ -36,6 +36,7 @@ import numpy as np
 
 from pneuma.env import rules, tiled
 from pneuma.env.tiled import WATER, Entity, Header, Layers
+from pneuma.env.tiled_map import read_tmx
 from pneuma.errors import UserError, unknown_name
 from pneuma.values import Number, Reader, Several, Text
 
@@ -111,7 +112,7 @@ def load_level(name: str, monster_codes: dict[int, str], body: tuple[float, floa
     if name.startswith(RANDOM):
         return _random_level(name, monster_codes, body)
     path = _level_path(name)
-    layers = (_read_folder if path.is_dir() else tiled.read_tmx)(path, monster_codes)
+    layers = (_read_folder if path.is_dir() else read_tmx)(path, monster_codes)
     starts = [entity for entity in layers.entities if entity.kind == tiled.START]
     monsters = [entity for entity in layers.entities if entity.kind != tiled.START]
     left, top = layers.header.corner(layers.ground.shape)

@@ -1,4 +1,4 @@
-"""Tiles as the map editor Tiled leaves them: layers of codes, and whole .tmx maps.
+"""Layers of tile codes, as the map editor Tiled leaves them, and what they come to together.
 
 A layer is known by the last word of its name, in upper or lower case (`island_Ground`):
 
@@ -6,24 +6,16 @@ A layer is known by the last word of its name, in upper or lower case (`island_G
     obstacles     (or floorblocks, blocks) code 395 where something stands in the way, empty elsewhere
     entities      optional: at the centre of its tile stands a start place (400) or a monster (390 ...)
 
-In a .tmx map start places and monsters may also be objects, classed or named `start`, `bamboo` ...
-or made of a tile with such a code; `title`, `coast` and `obstacles` (codes, with commas between)
-are properties of the map, and the origin is its centre.
-
 Everything but who can walk where is checked here: what is wrong is told with file, row and column.
-`level.py` reads folders of CSV layers with these parts, and makes levels.
+`level.py` reads folders of CSV layers with these parts, `tiled_map.py` whole .tmx maps.
 """
 
 from __future__ import annotations
 
 import re
-from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -46,9 +38,9 @@ CODES = {
 }
 """What the two lists of codes beside the layers may hold."""
 
-_CODE_BITS = 0x0FFFFFFF  # Tiled keeps how a tile is flipped or turned in the four bits above
-_PIXELS = Number(-1e9, 1e9)
-_STRAY = -2  # in place of a tile's code: of no tileset
+CODE_BITS = 0x0FFFFFFF
+"""Tiled keeps how a tile is flipped or turned in the four bits above."""
+
 _LAYERS = {"floorblocks": "obstacles", "blocks": "obstacles"}
 _LAYERS |= {name: name for name in ("ground", "obstacles", "entities", "objects")}
 
@@ -127,9 +119,6 @@ class Layers:
     entities: tuple[Entity, ...]
 
 
-# --- Layers of tiles -----------------------------------------------------------------------------
-
-
 def layer_name(title: str) -> str | None:
     """Return which layer is meant by the last word of a file's or layer's name; None for no layer."""
     return _LAYERS.get(re.split(r"[\W_]+", title.strip().lower())[-1])
@@ -143,6 +132,18 @@ def kinds_by_code(monster_codes: Mapping[int, str]) -> dict[int, str]:
 def listed(values: Iterable[object]) -> str:
     """Return values as an error lists them."""
     return ", ".join(str(value) for value in values)
+
+
+def place_of(where: str, row: int, column: int) -> str:
+    """Return the place of a tile as people count, from 1."""
+    return f"{where}, row {row + 1}, column {column + 1}"
+
+
+def refuse_other_size(grid: Grid, shape: tuple[int, ...], reference: str) -> None:
+    """Refuse a layer that has not as many rows and columns as the one it is compared with."""
+    if grid.codes.shape != shape:
+        have, want = (f"{rows} x {columns}" for rows, columns in (grid.codes.shape, shape))
+        raise UserError(f"{grid.where}: {have} tiles, where {reference} has {want}")
 
 
 def read_text(path: Path) -> str:
@@ -198,7 +199,7 @@ def join_layers(
     obstacles, ground = grids["obstacles"], grids.get("ground")
     reference = ground or obstacles
     for grid in grids.values():
-        _refuse_other_size(grid, reference.codes.shape, Path(reference.where).name)
+        refuse_other_size(grid, reference.codes.shape, Path(reference.where).name)
     blocking = (OBSTACLE_CODE, *header.obstacles)
     _refuse_unknown(obstacles, (EMPTY, *blocking), "; list it as `obstacles` if it blocks")
     if ground and header.ground is not None:
@@ -215,10 +216,10 @@ def _tile_code(cell: str, where: str, row: int, column: int) -> int:
     text = cell.strip()
     if len(text) <= 11 and re.fullmatch(r"-?[0-9]+", text):
         number = int(text)
-        code = number if number == EMPTY else number & _CODE_BITS
+        code = number if number == EMPTY else number & CODE_BITS
         if -(2**31) <= number < 2**32 and code <= MAX_CODE:
             return code
-    raise UserError(f"{_at(where, row, column)}: {cell!r} is not a tile code")
+    raise UserError(f"{place_of(where, row, column)}: {cell!r} is not a tile code")
 
 
 def _entities(grid: Grid | None, monster_codes: Mapping[int, str], header: Header) -> list[Entity]:
@@ -232,175 +233,12 @@ def _entities(grid: Grid | None, monster_codes: Mapping[int, str], header: Heade
     for row, column in np.argwhere(grid.codes != EMPTY).tolist():
         kind = kinds[int(grid.codes[row, column])]
         x, y = left + (column + 0.5) * header.tile, top + (row + 0.5) * header.tile
-        entities.append(Entity(kind, x, y, f"{_at(grid.where, row, column)}: the {kind}"))
+        entities.append(Entity(kind, x, y, f"{place_of(grid.where, row, column)}: the {kind}"))
     return entities
-
-
-def _refuse_other_size(grid: Grid, shape: tuple[int, ...], reference: str) -> None:
-    if grid.codes.shape != shape:
-        have, want = (f"{rows} x {columns}" for rows, columns in (grid.codes.shape, shape))
-        raise UserError(f"{grid.where}: {have} tiles, where {reference} has {want}")
 
 
 def _refuse_unknown(grid: Grid, known: Sequence[int], hint: str = "") -> None:
     """Refuse the first tile, row by row, whose code is none of `known`."""
     for row, column in np.argwhere(~np.isin(grid.codes, known)).tolist():
         told = f"unknown code {grid.codes[row, column]}; known are {listed(known)}{hint}"
-        raise UserError(f"{_at(grid.where, row, column)}: {told}")
-
-
-def _at(where: str, row: int, column: int) -> str:
-    """Return the place of a tile as people count, from 1."""
-    return f"{where}, row {row + 1}, column {column + 1}"
-
-
-# --- Tiled's own maps ----------------------------------------------------------------------------
-
-
-def read_tmx(path: Path, monster_codes: Mapping[int, str]) -> Layers:
-    """Read a level from a finite orthogonal .tmx map whose layers are stored as CSV.
-
-    Raises:
-        UserError: naming file, layer, row and column, or object, of what is wrong.
-    """
-    root = _parse_map(path)
-    header = _map_header(root, path)
-    sides = Number(1, MAX_SIDE, whole=True)
-    shape = tuple(int(_number(root, key, str(path), sides)) for key in ("height", "width"))
-    first_ids = _take_tilesets(root, path)
-    grids: dict[str, Grid] = {}
-    for layer in root.iter("layer"):
-        where, name = f"{path}, layer {layer.get('name', '')!r}", layer_name(layer.get("name", ""))
-        if name in grids:
-            raise UserError(f"{where}: the second layer named {name}; keep one")
-        if name and name != "objects":
-            grids[name] = _map_grid(layer, shape, first_ids, where)
-    for name in ("obstacles", "ground") if header.coast else ("obstacles",):
-        if name not in grids:
-            raise UserError(f"{path}: no layer of tiles named {name}")
-    objects = _map_objects(root, path, header.corner(shape), first_ids, kinds_by_code(monster_codes))
-    return join_layers(header, grids, objects, monster_codes, str(path))
-
-
-def _parse_map(path: Path) -> Element:
-    """Parse a map, but none that declares entities: those of a stranger's file may expand without end."""
-    text = read_text(path)
-    if re.search(r"<!(doctype|entity)", text, re.IGNORECASE):
-        raise UserError(f"{path}: a DOCTYPE or entities are declared, which no map of Tiled's needs")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise UserError(f"{path}: not XML: {error}") from None
-    if root.tag != "map" or root.get("orientation", "orthogonal") != "orthogonal":
-        raise UserError(f"{path}: not an orthogonal map of Tiled's")
-    if root.get("infinite", "0") != "0":
-        raise UserError(f"{path}: the map is infinite; untick Infinite in Tiled's map properties")
-    for group in root.iter("group"):
-        _refuse_shift(group, f"{path}, group {group.get('name', '')!r}")
-    return root
-
-
-def _map_header(root: Element, path: Path) -> Header:
-    """Read the size of a map's tiles and its properties."""
-    tile, height = (_number(root, key, str(path), TILE_PIXELS) for key in ("tilewidth", "tileheight"))
-    if tile != height:
-        raise UserError(f"{path}: tiles of {tile:g} x {height:g} px; they must be square")
-    found = root.findall("properties/property")
-    properties = {each.get("name", ""): each.get("value", each.text or "") for each in found}
-    codes = {key: _property_codes(properties[key], key, path) for key in CODES if key in properties}
-    return Header(properties.get("title") or path.stem, tile, **codes)
-
-
-def _property_codes(text: str, key: str, path: Path) -> Any:
-    try:
-        return CODES[key].read([int(code) for code in text.split(",")] if text.strip() else [])
-    except ValueError:
-        raise UserError(f"{path}: {key} = {text!r} is not allowed: codes with commas between") from None
-
-
-def _take_tilesets(root: Element, path: Path) -> list[int]:
-    """Return the tilesets' first global tile ids, rising, and take them out: they hold objects too."""
-    tilesets = root.findall("tileset")
-    for tileset in tilesets:
-        root.remove(tileset)
-    whole = Number(1, MAX_CODE, whole=True)
-    return sorted(int(_number(tileset, "firstgid", f"{path}, tileset", whole)) for tileset in tilesets)
-
-
-def _map_grid(layer: Element, shape: tuple[int, ...], first_ids: list[int], where: str) -> Grid:
-    """Read a layer of a map, and its global tile ids as each tileset's own codes."""
-    _refuse_shift(layer, where)
-    data = layer.find("data")
-    if data is None or data.get("encoding") != "csv":
-        raise UserError(f"{where}: not stored as CSV; set Tile Layer Format to CSV in Tiled's map properties")
-    lines = (data.text or "").strip().splitlines()
-    grid = read_grid([line.strip().removesuffix(",").split(",") for line in lines], where)
-    _refuse_other_size(grid, shape, "the map")
-    tiles, which = np.unique(grid.codes, return_inverse=True)
-    codes = np.array([_local_code(int(tile), first_ids) for tile in tiles])[which].reshape(shape)
-    for row, column in np.argwhere(codes == _STRAY).tolist():
-        raise UserError(f"{_at(where, row, column)}: tile {grid.codes[row, column]} belongs to no tileset")
-    return Grid(codes, where)
-
-
-def _local_code(tile: int, first_ids: list[int]) -> int:
-    """Return the code that a global tile id has in the tileset that it belongs to."""
-    tilesets_below = bisect_right(first_ids, tile)
-    if tile == 0:
-        return EMPTY
-    return tile - first_ids[tilesets_below - 1] if tilesets_below else _STRAY
-
-
-def _map_objects(
-    root: Element, path: Path, corner: tuple[float, float], first_ids: list[int], kinds: Mapping[int, str]
-) -> list[Entity]:
-    """Read the objects of all layers of objects; whatever is no start place or monster is refused."""
-    entities: list[Entity] = []
-    for group in root.iter("objectgroup"):
-        _refuse_shift(group, f"{path}, layer {group.get('name', '')!r}")
-        for item in group.findall("object"):
-            where = f"{path}, object {item.get('id', len(entities) + 1)}"
-            kind = _object_kind(item, where, first_ids, kinds)
-            x, y = _object_middle(item, where)
-            entities.append(Entity(kind, corner[0] + x, corner[1] + y, f"{where}: the {kind}"))
-    return entities
-
-
-def _object_kind(item: Element, where: str, first_ids: list[int], kinds: Mapping[int, str]) -> str:
-    """Return what an object is by its class (`type` to most versions of Tiled), name or tile."""
-    by_name = {kind.lower(): kind for kind in kinds.values()}
-    words = [item.get(key, "").strip() for key in ("type", "class", "name")]
-    tile = int(_number(item, "gid", where, Number(0, 2**32, whole=True), "0")) & _CODE_BITS
-    named = (by_name[word.lower()] for word in words if word.lower() in by_name)
-    kind = next(named, None) or kinds.get(_local_code(tile, first_ids))
-    if kind is None:
-        called = next((f" {word!r}" for word in words if word), "")
-        told = f"class or name it one of {listed(by_name.values())}, or use a tile of code {listed(kinds)}"
-        raise UserError(f"{where}:{called} is neither a start nor a monster; {told}")
-    return kind
-
-
-def _object_middle(item: Element, where: str) -> tuple[float, float]:
-    """Return the middle of an object in pixels from the map's upper left corner.
-
-    Tiled places an object made of a tile by its lower left corner, any other by its upper left.
-    """
-    x, y = (_number(item, key, where, _PIXELS) for key in ("x", "y"))
-    width, height = (_number(item, key, where, Number(0), "0") for key in ("width", "height"))
-    if (width or height) and _number(item, "rotation", where, _PIXELS, "0"):
-        raise UserError(f"{where}: turned by an angle; turn it back")
-    return x + width / 2, y + (height if item.get("gid") is None else -height) / 2
-
-
-def _number(element: Element, key: str, where: str, allowed: Number, default: str = "") -> float:
-    """Read an attribute as a number."""
-    text = element.get(key, default)
-    try:
-        return float(allowed.read(float(text)) or 0)
-    except ValueError:
-        raise UserError(f"{where}: {key} = {text!r} is not allowed: {allowed.allowed}") from None
-
-
-def _refuse_shift(element: Element, where: str) -> None:
-    if any(element.get(key, "0") != "0" for key in ("offsetx", "offsety")):
-        raise UserError(f"{where}: shifted against the tiles; set its offset to 0")
+        raise UserError(f"{place_of(grid.where, row, column)}: {told}")
