@@ -31,6 +31,7 @@ from pneuma.analysis.signs import Stretch
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
+from pneuma.study.tables import from_parquet
 
 SCHEMA = 2
 PUBLISHED = "published"
@@ -216,7 +217,7 @@ def read_published(store: Store, study: str) -> PublishedRuns:
     if len(sums) != 1 or _digest(_SUM.sub(_NO_SUM.encode(), data)) != sums[0].decode():
         raise UserError(f"{path}: damaged; take it from version control again, or publish the study anew")
     try:
-        table = pq.read_table(io.BytesIO(data), use_threads=False)  # as in pneuma.study.tables
+        table = from_parquet(data)
         head = json.loads(table.schema.metadata[b"pneuma"])
     except (pa.ArrowException, TypeError, KeyError, ValueError):
         raise UserError(f"{path}: is no published table of a study") from None

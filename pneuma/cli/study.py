@@ -15,6 +15,7 @@ from pneuma.cli import (
     study_plot,
     study_run,
     study_summary,
+    study_trajectories,
     study_verify,
 )
 from pneuma.cli.options import (
@@ -51,6 +52,7 @@ app.command()(study_summary.summary)
 app.command()(study_summary.collapse)
 app.command()(study_map.robustness)
 app.command()(study_effects.effects)
+app.command()(study_trajectories.trajectories)
 app.command()(study_verify.verify)
 
 

@@ -21,6 +21,7 @@ from typing import Any
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.sources import open_published
 from pneuma.analysis.tables import tell_figures_apart
+from pneuma.analysis.trajectories import read_trajectories
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import INDEX, encode_index
 from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
@@ -81,7 +82,7 @@ def _draw_one(results: Path, study: str, figure: str, folder: Path) -> list[dict
     """Draw a study, under the name that its figures have among all that are drawn."""
     (data,) = open_published(results, [study])
     data.figure = figure
-    return draw_published(data, folder)
+    return draw_published(data, folder, read_trajectories(results, study))
 
 
 def _draw_environment(folder: Path) -> list[dict[str, Any]]:

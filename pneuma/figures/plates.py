@@ -1,4 +1,4 @@
-"""What `make figures` draws of one published study: curves, what they came to, collapses, maps and tables.
+"""What `make figures` draws of one published study: curves, what they came to, collapses, maps, tables.
 
     a published study → its files, and what the index tells of each
 
@@ -17,6 +17,7 @@ from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
+from pneuma.analysis.trajectories import Walked
 from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import USUAL_QUANTITIES, draw_study, settle
@@ -24,6 +25,7 @@ from pneuma.figures.index import index_entries
 from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.shrink import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
+from pneuma.figures.trajectories import draw_trajectories
 
 COMMAND = "make figures"
 TABLES = "tables"
@@ -46,14 +48,28 @@ Drawn = Iterator[tuple[dict[str, Any], list[Path]]]
 """How a figure is drawn, and its files."""
 
 
-def draw_published(data: StudyData, folder: Path) -> list[dict[str, Any]]:
-    """Draw everything of a study and write its tables; return what the index tells of each file."""
+def draw_published(data: StudyData, folder: Path, found: Walked | None = None) -> list[dict[str, Any]]:
+    """Draw everything of a study and write its tables; return what the index tells of each file.
+
+    Args:
+        data: the study.
+        folder: where.
+        found: its trajectories, where these are published too.
+    """
     entries = []
     for drawing, paths in _figures(data, folder):
-        for path in paths:
-            shrink(path)
-        entries += index_entries(paths, COMMAND, data, drawing)
+        entries += _indexed(data, drawing, paths)
+    if found is not None:
+        own = data.of_conditions(found.conditions)
+        drawn = draw_trajectories(own, found, folder, f"{data.figure}-trajectories")
+        entries += _indexed(own, {"figure": "trajectories"}, drawn)
     return [*entries, *_write_tables(data, folder / TABLES)]
+
+
+def _indexed(data: StudyData, drawing: dict[str, Any], paths: list[Path]) -> list[dict[str, Any]]:
+    for path in paths:
+        shrink(path)
+    return index_entries(paths, COMMAND, data, drawing)
 
 
 def _write_tables(data: StudyData, folder: Path) -> list[dict[str, Any]]:

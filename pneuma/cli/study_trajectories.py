@@ -1,0 +1,182 @@
+"""`pneuma study trajectories`: where the final policies of a study go, and how their episodes end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneuma.cli.options import (
+    Json,
+    Quiet,
+    Results,
+    Selected,
+    SettingName,
+    StudyName,
+    Trust,
+    print_json,
+    say,
+    selects,
+)
+from pneuma.cli.plain_text import plain
+from pneuma.cli.study_output import check_folder
+from pneuma.cli.study_summary import open_data, records
+from pneuma.errors import UserError
+from pneuma.study.store import Store
+from pneuma.study.trust import REWARD, own_things
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pneuma.analysis.tables import FinishedRun, StudyData
+    from pneuma.analysis.trajectories import Walked
+
+RESULTS = Path("results")
+EPISODES = 50
+
+
+@selects
+def trajectories(
+    name: StudyName,
+    episodes: Annotated[
+        int,
+        typer.Option(
+            "--episodes",
+            metavar="N",
+            min=1,
+            max=1000,
+            help="Episodes of each run; published ones stay as many.",
+        ),
+    ] = EPISODES,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Draw them on the map, into this folder.")
+    ] = None,
+    publish: Annotated[
+        bool, typer.Option("--publish", help="Keep them as a small table, from which `make figures` draws.")
+    ] = False,
+    trust: Trust = False,
+    selection: Selected = None,
+    setting: SettingName = None,
+    results: Results = RESULTS,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Let every run's final policy play, and say where that leads: killed, drowned, cleared, out of time."""
+    if out is not None:
+        check_folder("--out", out)
+    store = Store(results)
+    data = open_data(store, name, selection, setting)
+    from pneuma.analysis.trajectories import encode_trajectories, endings, trajectories_path
+
+    found = _published(data, results) or _play(store, data, episodes, trust, quiet)
+    files = _drawn(data, found, out) if out is not None else []
+    if publish:
+        path = trajectories_path(results, data.study)
+        store.write(path, encode_trajectories(found))
+        files.append(path)
+    table = endings(found)
+    if json:
+        document = {"schema": 1, "study": data.study, "episodes": found.per_run, "endings": records(table)}
+        return print_json({**document, "files": list(map(str, files))})
+    _print(data, table)
+    for path in files:
+        print(f"wrote {plain(str(path))}")
+    return None
+
+
+def _published(data: StudyData, results: Path) -> Walked | None:
+    """Return the published trajectories of a study whose runs are not here themselves; None where they are.
+
+    Raises:
+        UserError: where neither are.
+    """
+    from pneuma.analysis.published import PublishedRuns
+    from pneuma.analysis.trajectories import read_trajectories
+
+    if not isinstance(data.source, PublishedRuns):
+        return None
+    found = read_trajectories(results, data.study)
+    own = found and found.of_runs({run.run_id for run in data.runs})
+    if not own or not len(own.episodes):
+        told = f"; trajectories are published of {', '.join(found.conditions)}" if found else ""
+        raise UserError(f"study {data.study}: its policies are not in {results}{told}")
+    return own
+
+
+def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool) -> Walked:
+    """Let every run's policy play."""
+    from pneuma.analysis.trajectories import walked
+
+    for run in data.runs:
+        _refuse_strangers(data, run, trust)
+    return walked(data, _level(data), _played(store, data, episodes, quiet))
+
+
+def _refuse_strangers(data: StudyData, run: FinishedRun, trust: bool) -> None:
+    """Refuse files of a run's own, whose names may be a stranger's; a reward of its own is not needed.
+
+    Raises:
+        UserError: without trust.
+    """
+    own = own_things({key: value for key, value in data.settings(run).items() if key != REWARD})
+    if own and not trust:
+        told = " and ".join(own.values())
+        raise UserError(f"run {run.run_id}: would {plain(told)}; if you trust where it is from, give --trust")
+
+
+def _level(data: StudyData) -> str:
+    """Return the level that all runs play on; '' where these are several, or drawn at random."""
+    levels = {str(data.settings(run).get("level")) for run in data.runs}
+    return levels.pop() if len(levels) == 1 and not min(levels).startswith("random:") else ""
+
+
+def _played(store: Store, data: StudyData, episodes: int, quiet: bool) -> Iterator[dict[str, Any]]:
+    """Yield a row for each player in each episode, run by run.
+
+    Raises:
+        UserError: for a run that left no policy, or one of a world without places.
+    """
+    from pneuma.config import ENVIRONMENTS, make_run
+    from pneuma.engines.team import policy_names, read_policies
+    from pneuma.engines.trajectories import play_trajectories
+
+    for number, run in enumerate(data.runs, 1):
+        settings = data.settings(run)
+        if settings["env"] not in ENVIRONMENTS:
+            raise UserError(f"study {data.study}: {settings['env']} has no places to go to")
+        names = policy_names(store.file_names(run.run_id))
+        if not names:
+            raise UserError(f"run {run.run_id} of study {data.study}: its policy is not in {store.root}")
+        policy = read_policies([store.read_file(run.run_id, name) for name in names])
+        found = play_trajectories(make_run(settings), policy, episodes)
+        told = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id}
+        for episode in range(episodes):
+            walk = found.places[: found.steps[episode] + 1, episode]  # (steps + 1, players, 2)
+            own = {"steps": found.steps[episode], "kills": found.kills[episode]}
+            for player in range(walk.shape[1]):
+                about = {"episode": episode, "player": player, "ending": found.endings[episode]}
+                yield {**told, **about, **own, "places": walk[:, player]}
+        if not quiet and number % 10 == 0:
+            say(f"{number} of {len(data.runs)} runs have played", as_json=True)
+
+
+def _drawn(data: StudyData, found: Walked, out: Path) -> list[Path]:
+    from pneuma.figures.trajectories import draw_trajectories
+
+    return draw_trajectories(data, found, out, f"{data.figure}-trajectories")
+
+
+def _print(data: StudyData, table: pd.DataFrame) -> None:
+    """Print a line for each condition: the shares of endings, then steps and kills, with intervals."""
+    from pneuma.analysis.rounding import shown_with_interval
+
+    print(plain(data.title))
+    width = max(len(plain(condition)) for condition in data.conditions) + 1
+    for condition, own in table.groupby("condition", sort=False):
+        cells = [
+            f"{row['outcome']} {shown_with_interval(row['value'], row['low'], row['high'])}"
+            for row in own.to_dict("records")
+        ]
+        print(f"  {plain(str(condition)):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")

@@ -1,0 +1,155 @@
+"""The figure of trajectories: for each condition the map, with where its policies went and how that ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from pneuma.analysis.tables import StudyData
+from pneuma.analysis.trajectories import ENDINGS, KEPT_EPISODES, Walked, endings
+from pneuma.env.render import Renderer
+from pneuma.env.watch import level_worlds
+from pneuma.errors import UserError
+from pneuma.figures.captions import headline_of
+from pneuma.figures.sizes import SIZES
+from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.words import Words
+
+SHIPPED_LEVEL = "thesis"
+"""The one whose map is known without opening files that a stranger may have named."""
+SHORE_TILES = 1.5
+"""How much of the sea is shown."""
+VEIL = 0.55
+"""How much of the map's colours is taken away, so that lines stand out."""
+
+SIZE = SIZES["page"]
+WORDS_INCHES = 0.45
+"""Of a panel, above and below its map."""
+
+LOOKS: dict[str, dict[str, Any]] = {
+    "killed": {"color": COLOURS[1], "linestyle": "-", "marker": "x"},
+    "drowned": {"color": COLOURS[0], "linestyle": "-", "marker": "o"},
+    "cleared": {"color": COLOURS[2], "linestyle": "-", "marker": "*"},
+    "time-limit": {"color": COLOURS[3], "linestyle": "-", "marker": "s"},
+}
+WORDS = {
+    "killed": "killed by monsters",
+    "drowned": "walked into the sea",
+    "cleared": "killed every monster",
+    "time-limit": "out of time",
+}
+
+
+def draw_trajectories(
+    data: StudyData, found: Walked, folder: Path, stem: str, formats: tuple[str, ...] = ("png",)
+) -> list[Path]:
+    """Draw where the policies of every condition went; return the files written.
+
+    A line is an episode, coloured by how it ended, with a mark where it did.
+
+    Raises:
+        UserError: where they play on several levels, which no one map shows.
+    """
+    if not found.head["level"]:
+        raise UserError(f"study {data.study}: its runs play on several levels; no one map shows them")
+    table = endings(found)
+    conditions = found.conditions
+    columns = _columns(len(conditions))
+    rows = -(-len(conditions) // columns)
+    words = Words(headline_of(data, "where the policies go"), "", _caption(found))
+    with house_style(SIZE.type_points):
+        figure = Figure(layout="constrained")
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        backdrop = _Backdrop(found)
+        for axes, condition in zip(panels, conditions, strict=False):
+            own = found.episodes[found.episodes["condition"] == condition]
+            backdrop.put(axes)
+            _draw_episodes(axes, own)
+            axes.set_title(condition)
+            axes.set_xlabel(_told(table[table["condition"] == condition]), fontsize=0.85 * SIZE.type_points)
+        for axes in panels[len(conditions) :]:
+            axes.axis("off")
+        panel_inches = SIZE.width / columns * backdrop.height_by_width + WORDS_INCHES
+        words.put(figure, SIZE, rows * panel_inches, _entries(found))
+        return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
+
+
+def _columns(panels: int) -> int:
+    """Return 3, or 2 where that leaves fewer holes."""
+    return min(panels, min((3, 2), key=lambda columns: -panels % columns))
+
+
+class _Backdrop:
+    """What lies behind the lines: the shipped level's map, or of another level nothing but its extent."""
+
+    def __init__(self, found: Walked) -> None:
+        self.image: np.ndarray | None = None
+        if found.head["level"] == SHIPPED_LEVEL:
+            worlds = level_worlds()
+            left, top, right, bottom = worlds.level.grid
+            self.image = Renderer(worlds, "map", panel=False).frame(0)
+            self.extent = (left, right, bottom, top)
+            left, top, right, bottom = worlds.level.land
+            shore = SHORE_TILES * worlds.level.tile
+            self.edges = (left - shore, right + shore, bottom + shore, top - shore)
+        else:
+            x, y = (np.concatenate(found.episodes[axis].tolist()) for axis in "xy")
+            self.edges = (x.min(), x.max(), y.max(), y.min())
+
+    @property
+    def height_by_width(self) -> float:
+        """How high the map is, as a multiple of its width."""
+        left, right, bottom, top = self.edges
+        return float((bottom - top) / max(right - left, 1))
+
+    def put(self, axes: Axes) -> None:
+        """Put it behind a panel; y points down, as the world's does."""
+        if self.image is not None:
+            axes.imshow(self.image, extent=self.extent, interpolation="none", alpha=1 - VEIL)
+        axes.set(xlim=self.edges[:2], ylim=self.edges[2:], aspect="equal", xticks=[], yticks=[])
+        axes.grid(visible=False)
+        for side in ("left", "bottom"):
+            axes.spines[side].set_visible(False)
+
+
+def _draw_episodes(axes: Axes, own: pd.DataFrame) -> None:
+    for row in own[own["x"].map(len) > 0].to_dict("records"):
+        look = LOOKS[row["ending"]]
+        axes.plot(row["x"], row["y"], color=look["color"], linewidth=0.6, alpha=0.55)
+        axes.plot(
+            row["x"][-1], row["y"][-1], marker=look["marker"], color=look["color"], markersize=2.6, zorder=3
+        )
+
+
+def _entries(found: Walked) -> dict[str, Line2D]:
+    """Return the legend: the endings that there are."""
+    seen = set(found.episodes["ending"])
+    return {
+        WORDS[ending]: Line2D([], [], markersize=4, linewidth=1.2, **LOOKS[ending])
+        for ending in ENDINGS
+        if ending in seen
+    }
+
+
+def _told(table: pd.DataFrame) -> str:
+    """Return what is written below a panel: the shares of endings, and how long episodes are."""
+    means = dict(zip(table["outcome"], table["value"], strict=True))
+    shares = [f"{means[ending]:.0%} {ending.replace('-', ' ')}" for ending in ENDINGS if means.get(ending)]
+    return f"{', '.join(shares)}; {means['steps']:.0f} steps"
+
+
+def _caption(found: Walked) -> list[str]:
+    runs = found.episodes.groupby("condition", sort=False)["run_id"].nunique()
+    counts = sorted(set(runs))
+    of = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return [
+        f"Of each condition {of} runs, as trained in the end, with actions drawn, in worlds of evaluation.",
+        f"Lines: {min(KEPT_EPISODES, found.per_run)} episodes of each run; marks: where they end.",
+        f"Numbers: means over runs of {found.per_run} episodes each.",
+    ]

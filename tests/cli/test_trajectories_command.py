@@ -1,0 +1,101 @@
+"""`pneuma study trajectories`: from stored policies, and in a fresh clone from what was published."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.cli import main
+from pneuma.env.level import LEVELS
+
+Captured = pytest.CaptureFixture[str]
+
+SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=40")
+TINY = ["--engine", "sb3", "--steps", "128", *(part for own in SETTINGS for part in ("--set", own))]
+TWO = ["--seeds", "2", "--condition", "tanh", "--condition", "relu"]
+GODOT = ["activation", "--setting", "godot"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder with two conditions of two seeds."""
+    results = tmp_path_factory.mktemp("trained") / "results"
+    assert main(["study", "run", *GODOT, *TINY, *TWO, "--results", str(results), "--quiet"]) == 0
+    return results
+
+
+def call(captured: Captured, *arguments: str | Path) -> Any:
+    """Return the JSON document that the command prints."""
+    captured.readouterr()
+    assert main(["study", "trajectories", *map(str, arguments), "--json", "--quiet"]) == 0
+    return json.loads(captured.readouterr().out)
+
+
+def refusal(captured: Captured, *arguments: str | Path) -> str:
+    captured.readouterr()
+    assert main(["study", "trajectories", *map(str, arguments)]) == 2
+    (line,) = captured.readouterr().err.splitlines()
+    return line
+
+
+def test_it_says_how_the_episodes_of_each_condition_end(trained: Path, capsys: Captured) -> None:
+    document = call(capsys, *GODOT, "--episodes", "3", "--results", trained)
+    assert (document["study"], document["episodes"]) == ("activation-godot", 3)
+    rows = document["endings"]
+    assert {row["condition"] for row in rows} == {"tanh", "relu"}
+    assert {row["runs"] for row in rows} == {2}
+    for condition in ("tanh", "relu"):
+        own = {row["outcome"]: row["value"] for row in rows if row["condition"] == condition}
+        shares = [value for outcome, value in own.items() if outcome not in ("steps", "kills")]
+        assert sum(shares) == pytest.approx(1)
+        assert 0 < own["steps"] <= 40
+
+
+def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(
+    trained: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    results = shutil.copytree(trained, tmp_path / "results")
+    assert main(["study", "publish", *GODOT, "--results", str(results)]) == 0
+    ours = call(
+        capsys, *GODOT, "--episodes", "2", "--publish", "--out", tmp_path / "ours", "--results", results
+    )
+    clone = tmp_path / "clone"
+    shutil.copytree(results / "published", clone / "published")
+    theirs = call(capsys, *GODOT, "--out", tmp_path / "theirs", "--results", clone)
+    assert ours["endings"] == theirs["endings"]
+    name = "fig-6-5-godot-trajectories.png"
+    assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
+    alone = call(capsys, *GODOT, "--condition", "relu", "--results", clone)
+    assert {row["condition"] for row in alone["endings"]} == {"relu"}
+
+
+def test_where_neither_policies_nor_trajectories_are_it_says_so(
+    trained: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    results = shutil.copytree(trained, tmp_path / "results")
+    assert main(["study", "publish", *GODOT, "--results", str(results)]) == 0
+    shutil.rmtree(results / "runs")
+    line = refusal(capsys, *GODOT, "--results", results)
+    assert line == f"pneuma: study activation-godot: its policies are not in {results}"
+
+
+def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path, capsys: Captured) -> None:
+    level = shutil.copytree(LEVELS / "thesis", tmp_path / "island")
+    told = ["activation", "--results", str(tmp_path / "results")]
+    one = ["--seeds", "1", "--condition", "tanh", "--set", f"level={level}"]
+    assert main(["study", "run", *told, *TINY, *one, "--quiet"]) == 0
+    line = refusal(capsys, *told)
+    assert f"would read the level {level}; if you trust where it is from, give --trust" in line
+    document = call(capsys, *told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
+    assert [Path(file).name for file in document["files"]] == ["fig-6-5-trajectories.png"]
+
+
+def test_a_world_without_places_is_refused(tmp_path: Path, capsys: Captured) -> None:
+    told = ["tabular", "--results", str(tmp_path)]
+    condition = ["--condition", "rate-1", "--seeds", "1", "--steps", "500"]
+    assert main(["study", "run", *told, *condition, "--quiet"]) == 0
+    assert "pneuma/Mailman-v0 has no places to go to" in refusal(capsys, *told)

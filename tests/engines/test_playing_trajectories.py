@@ -1,0 +1,83 @@
+"""Where stored policies go: ways that can be worked out by hand, and every ending."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import Run, make_run
+from pneuma.engines.policy import Policy
+from pneuma.engines.trajectories import DROWNED, play_trajectories
+from pneuma.env.worlds import Worlds
+
+PIXELS_PER_STEP = 40.0  # 300 px/s for 8 ticks of 1/60 s
+RIGHT, ATTACK = 3, 4
+GODOT, TEXT = "pneuma/PneumaGodot-v0", "pneuma/Pneuma-v0"
+FIRST = (204.0, -105.0)
+"""Where Godot's players begin."""
+
+
+def always(action: int, run: Run) -> Policy:
+    """Return a policy that does one thing, whatever it sees."""
+    features = Worlds(1).observations.shape[2] if run.order == "nearest" else 74
+    bias = np.full(5, -1e4, np.float32)
+    bias[action] = 0.0
+    return Policy("tanh", ((np.zeros((features, 5), np.float32), bias),), ())
+
+
+def play(action: int, episodes: int = 2, env: str = GODOT, **settings: Any) -> Any:
+    run = make_run({"env": env, **settings})
+    return play_trajectories(run, always(action, run), episodes)
+
+
+def test_who_walks_right_from_godots_start_drowns_where_the_land_ends() -> None:
+    found = play(RIGHT)
+    x, y = found.places[:, 0, 0].T
+    steps = found.steps[0]
+    np.testing.assert_allclose(x[:steps], FIRST[0] + PIXELS_PER_STEP * np.arange(steps))
+    assert np.all(y == FIRST[1])
+    level = Worlds(1).level
+    row = int((FIRST[1] - level.top) / level.tile)
+    shore = level.left + level.tile * (np.flatnonzero(level.terrain[row] != 2).max() + 1)
+    assert x[steps - 1] < shore <= x[steps]
+    assert found.endings == (DROWNED, DROWNED)
+    assert found.kills.tolist() == [0, 0]
+
+
+def test_where_the_coast_is_a_wall_nobody_drowns() -> None:
+    found = play(RIGHT, episodes=6, env=TEXT, episode_steps=100)
+    assert set(found.endings) <= {"killed", "time-limit"}
+    assert "time-limit" in found.endings
+    assert found.steps.max() == 100 == len(found.places) - 1
+
+
+def test_who_stays_where_no_monster_notices_him_runs_out_of_time() -> None:
+    found = play(ATTACK, episode_steps=50)
+    assert set(found.endings) == {"time-limit"}
+    assert np.all(found.places[:, :, 0] == FIRST)
+
+
+def test_who_acts_at_random_is_killed_on_land() -> None:
+    """As 99 of 100 are that learn nothing there; the others drown."""
+    run = make_run({"env": GODOT})
+    policy = always(ATTACK, run)
+    policy.actor[0][1][:] = 0.0
+    found = play_trajectories(run, policy, 20)
+    assert sum(ending == "killed" for ending in found.endings) > 15
+    level = Worlds(1).level
+    for episode in np.flatnonzero(np.array(found.endings) == "killed"):
+        x, y = found.places[found.steps[episode], episode, 0]
+        assert level.terrain[int((y - level.top) / level.tile), int((x - level.left) / level.tile)] != 2
+
+
+def test_the_same_policy_goes_the_same_ways() -> None:
+    first, again = play(RIGHT), play(RIGHT)
+    assert np.array_equal(first.places, again.places)
+    assert first.endings == again.endings
+
+
+@pytest.mark.parametrize("reward", ["thesis", "nowhere:reward"])
+def test_a_reward_of_ones_own_is_not_asked(reward: str) -> None:
+    assert play(RIGHT, reward=[reward]).endings == (DROWNED, DROWNED)
