@@ -29,7 +29,7 @@ VEIL = 0.55
 """How much of the map's colours is taken away, so that lines stand out."""
 
 SIZE = SIZES["page"]
-WORDS_INCHES = 0.45
+WORDS_INCHES = 0.6
 """Of a panel, above and below its map."""
 
 LOOKS: dict[str, dict[str, Any]] = {
@@ -141,7 +141,7 @@ def _told(table: pd.DataFrame) -> str:
     """Return what is written below a panel: the shares of endings, and how long episodes are."""
     means = dict(zip(table["outcome"], table["value"], strict=True))
     shares = [f"{means[ending]:.0%} {ending.replace('-', ' ')}" for ending in ENDINGS if means.get(ending)]
-    return f"{', '.join(shares)}; {means['steps']:.0f} steps"
+    return f"{', '.join(shares)}\n{means['steps']:,.0f} steps an episode"
 
 
 def _caption(found: Walked) -> list[str]:
