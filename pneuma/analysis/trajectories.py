@@ -1,6 +1,6 @@
 """Trajectories of a study's policies: how their episodes end, and the small table that keeps them.
 
-    episodes of every run → `Table` → results/published/trajectories/STUDY.parquet → endings by condition
+    episodes of every run → `StudyTrajectories` → endings by condition, and a file in results/published/
 
 The seed is the unit: shares and lengths are means over runs of what each run's episodes come to.
 """
@@ -47,7 +47,7 @@ _TYPES = {
 
 
 @dataclass(frozen=True)
-class Walked:
+class StudyTrajectories:
     """Where the policies of a study went.
 
     Attributes:
@@ -70,22 +70,22 @@ class Walked:
         """Episodes that each run played."""
         return int(self.episodes["episode"].max()) + 1
 
-    def of_runs(self, run_ids: Collection[str]) -> Walked:
+    def of_runs(self, run_ids: Collection[str]) -> StudyTrajectories:
         """Return those of some runs alone."""
         own = self.episodes[self.episodes["run_id"].isin(run_ids)]
-        return Walked(self.head, own.reset_index(drop=True))
+        return StudyTrajectories(self.head, own.reset_index(drop=True))
 
 
-def walked(data: StudyData, level: str, rows: Iterable[Mapping[str, Any]]) -> Walked:
+def gathered(data: StudyData, level: str, rows: Iterable[Mapping[str, Any]]) -> StudyTrajectories:
     """Put the episodes of a study's runs together.
 
     Args:
         data: the study.
         level: its name, '' where there are several.
-        rows: with the columns of `Walked.episodes`, but `places`, (steps + 1, 2), for x and y.
+        rows: with the columns of `StudyTrajectories.episodes`, but `places`, (steps + 1, 2), for x and y.
     """
     frame = pd.DataFrame([_kept(row) for row in rows], columns=list(_TYPES))
-    return Walked({"study": data.study, "level": level}, frame)
+    return StudyTrajectories({"study": data.study, "level": level}, frame)
 
 
 def _kept(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def _kept(row: Mapping[str, Any]) -> dict[str, Any]:
     return {**row, "x": x, "y": y}
 
 
-def endings(found: Walked) -> pd.DataFrame:
+def endings(found: StudyTrajectories) -> pd.DataFrame:
     """Return how each condition's episodes end, in `COLUMNS`: a share for each ending, then steps and kills.
 
     Means over runs with 95 % intervals, cut where no mean can lie. Endings that no episode has are left out.
@@ -122,7 +122,7 @@ def trajectories_path(results: Path, study: str) -> Path:
     return results / "published" / FOLDER / f"{study}.parquet"
 
 
-def encode_trajectories(found: Walked) -> bytes:
+def encode_trajectories(found: StudyTrajectories) -> bytes:
     """Return the table that is kept; the same episodes give the same bytes."""
     columns = {name: pa.array(found.episodes[name].tolist(), kind) for name, kind in _TYPES.items()}
     table = pa.table(columns, metadata={"pneuma": json.dumps({"schema": SCHEMA, **found.head})})
@@ -131,7 +131,7 @@ def encode_trajectories(found: Walked) -> bytes:
     return sink.getvalue()
 
 
-def read_trajectories(results: Path, study: str) -> Walked | None:
+def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
     """Read a study's trajectories; None where none are published.
 
     Args:
@@ -154,4 +154,4 @@ def read_trajectories(results: Path, study: str) -> Walked | None:
         raise UserError(
             f"{path}: damaged; take it from version control again, or publish the trajectories anew"
         ) from None
-    return Walked(head, pd.DataFrame(columns))
+    return StudyTrajectories(head, pd.DataFrame(columns))

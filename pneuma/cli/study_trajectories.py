@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.tables import FinishedRun, StudyData
-    from pneuma.analysis.trajectories import Walked
+    from pneuma.analysis.trajectories import StudyTrajectories
+    from pneuma.engines.trajectories import Trajectories
 
 RESULTS = Path("results")
 EPISODES = 50
@@ -86,7 +87,7 @@ def trajectories(
     return None
 
 
-def _published(data: StudyData, results: Path) -> Walked | None:
+def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
     """Return the published trajectories of a study whose runs are not here themselves; None where they are.
 
     Raises:
@@ -105,13 +106,19 @@ def _published(data: StudyData, results: Path) -> Walked | None:
     return own
 
 
-def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool) -> Walked:
+def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool) -> StudyTrajectories:
     """Let every run's policy play."""
-    from pneuma.analysis.trajectories import walked
+    from pneuma.analysis.trajectories import gathered
 
-    for run in data.runs:
+    runs = [run for run in data.runs if run.status != "diverged"]
+    if not runs:
+        raise UserError(f"study {data.study}: every run diverged, and left no policy")
+    if len(runs) < len(data.runs):
+        gone = len(data.runs) - len(runs)
+        say(f"Note: {gone} of {len(data.runs)} runs diverged, and left no policy to play.", as_json=True)
+    for run in runs:
         _refuse_strangers(data, run, trust)
-    return walked(data, _level(data), _played(store, data, episodes, quiet))
+    return gathered(data, _level(data), _played(store, data, runs, episodes, quiet))
 
 
 def _refuse_strangers(data: StudyData, run: FinishedRun, trust: bool) -> None:
@@ -132,7 +139,9 @@ def _level(data: StudyData) -> str:
     return levels.pop() if len(levels) == 1 and not min(levels).startswith("random:") else ""
 
 
-def _played(store: Store, data: StudyData, episodes: int, quiet: bool) -> Iterator[dict[str, Any]]:
+def _played(
+    store: Store, data: StudyData, runs: Sequence[FinishedRun], episodes: int, quiet: bool
+) -> Iterator[dict[str, Any]]:
     """Yield a row for each player in each episode, run by run.
 
     Raises:
@@ -142,27 +151,42 @@ def _played(store: Store, data: StudyData, episodes: int, quiet: bool) -> Iterat
     from pneuma.engines.team import policy_names, read_policies
     from pneuma.engines.trajectories import play_trajectories
 
-    for number, run in enumerate(data.runs, 1):
+    for number, run in enumerate(runs, 1):
         settings = data.settings(run)
-        if settings["env"] not in ENVIRONMENTS:
-            raise UserError(f"study {data.study}: {settings['env']} has no places to go to")
+        if settings.get("env") not in ENVIRONMENTS:
+            raise UserError(f"study {data.study}: {settings.get('env')} has no places to go to")
         names = policy_names(store.file_names(run.run_id))
         if not names:
-            raise UserError(f"run {run.run_id} of study {data.study}: its policy is not in {store.root}")
+            raise UserError(f"run {run.run_id} of study {data.study} left no policy in {store.root}")
         policy = read_policies([store.read_file(run.run_id, name) for name in names])
-        found = play_trajectories(make_run(settings), policy, episodes)
-        told = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id}
-        for episode in range(episodes):
-            walk = found.places[: found.steps[episode] + 1, episode]  # (steps + 1, players, 2)
-            own = {"steps": found.steps[episode], "kills": found.kills[episode]}
-            for player in range(walk.shape[1]):
-                about = {"episode": episode, "player": player, "ending": found.endings[episode]}
-                yield {**told, **about, **own, "places": walk[:, player]}
+        try:
+            found = play_trajectories(make_run(settings), policy, episodes)
+        except UserError as error:
+            raise UserError(f"run {run.run_id} of study {data.study}: {error}") from None
+        yield from _rows(run, found)
         if not quiet and number % 10 == 0:
-            say(f"{number} of {len(data.runs)} runs have played", as_json=True)
+            say(f"{number} of {len(runs)} runs have played", as_json=True)
 
 
-def _drawn(data: StudyData, found: Walked, out: Path) -> list[Path]:
+def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:
+    """Yield a row for each player in each episode of a run."""
+    for episode, ending in enumerate(found.endings):
+        walk = found.places[: found.steps[episode] + 1, episode]  # (steps + 1, players, 2)
+        for player in range(walk.shape[1]):
+            yield {
+                "condition": run.condition,
+                "seed": run.seed,
+                "run_id": run.run_id,
+                "episode": episode,
+                "player": player,
+                "steps": found.steps[episode],
+                "kills": found.kills[episode],
+                "ending": ending,
+                "places": walk[:, player],
+            }
+
+
+def _drawn(data: StudyData, found: StudyTrajectories, out: Path) -> list[Path]:
     from pneuma.figures.trajectories import draw_trajectories
 
     return draw_trajectories(data, found, out, f"{data.figure}-trajectories")

@@ -16,6 +16,7 @@ from pneuma.engines.policy import Policy
 from pneuma.engines.team import Team
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
 
 DROWNED = "drowned"
 
@@ -42,8 +43,18 @@ def play_trajectories(run: Run, policy: Policy | Team, episodes: int) -> Traject
     """Play episodes in the worlds that the run's evaluations begin with.
 
     The reward is left out: nobody learns here, and a stranger's would have to be trusted.
+
+    Raises:
+        UserError: for a policy that sees something else than these worlds show: a level's file has changed.
     """
     worlds = Worlds(episodes, replace(env_config(run), reward=REWARDS[:1] * len(run.reward)))
+    features = worlds.observations.shape[2]
+    policies = policy.policies if isinstance(policy, Team) else (policy,)
+    if any(len(own.actor[0][0]) != features for own in policies):
+        trained = len(policies[0].actor[0][0])
+        raise UserError(
+            f"its policy was trained on {trained} features; its level and characters now make {features}"
+        )
     worlds.seed([stream_seed(run.stream, "evaluation", i) for i in range(episodes)])
     worlds.reset()
     generator = np.random.default_rng(stream_seed(run.stream, "trajectories"))

@@ -17,7 +17,7 @@ from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
-from pneuma.analysis.trajectories import Walked
+from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import USUAL_QUANTITIES, draw_study, settle
@@ -48,7 +48,9 @@ Drawn = Iterator[tuple[dict[str, Any], list[Path]]]
 """How a figure is drawn, and its files."""
 
 
-def draw_published(data: StudyData, folder: Path, found: Walked | None = None) -> list[dict[str, Any]]:
+def draw_published(
+    data: StudyData, folder: Path, found: StudyTrajectories | None = None
+) -> list[dict[str, Any]]:
     """Draw everything of a study and write its tables; return what the index tells of each file.
 
     Args:

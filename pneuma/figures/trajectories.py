@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.tables import StudyData
-from pneuma.analysis.trajectories import ENDINGS, KEPT_EPISODES, Walked, endings
+from pneuma.analysis.trajectories import ENDINGS, KEPT_EPISODES, StudyTrajectories, endings
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
 from pneuma.errors import UserError
@@ -47,7 +47,7 @@ WORDS = {
 
 
 def draw_trajectories(
-    data: StudyData, found: Walked, folder: Path, stem: str, formats: tuple[str, ...] = ("png",)
+    data: StudyData, found: StudyTrajectories, folder: Path, stem: str, formats: tuple[str, ...] = ("png",)
 ) -> list[Path]:
     """Draw where the policies of every condition went; return the files written.
 
@@ -88,7 +88,7 @@ def _columns(panels: int) -> int:
 class _Backdrop:
     """What lies behind the lines: the shipped level's map, or of another level nothing but its extent."""
 
-    def __init__(self, found: Walked) -> None:
+    def __init__(self, found: StudyTrajectories) -> None:
         self.image: np.ndarray | None = None
         if found.head["level"] == SHIPPED_LEVEL:
             worlds = level_worlds()
@@ -127,7 +127,7 @@ def _draw_episodes(axes: Axes, own: pd.DataFrame) -> None:
         )
 
 
-def _entries(found: Walked) -> dict[str, Line2D]:
+def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
     """Return the legend: the endings that there are."""
     seen = set(found.episodes["ending"])
     return {
@@ -144,7 +144,7 @@ def _told(table: pd.DataFrame) -> str:
     return f"{', '.join(shares)}\n{means['steps']:,.0f} steps an episode"
 
 
-def _caption(found: Walked) -> list[str]:
+def _caption(found: StudyTrajectories) -> list[str]:
     runs = found.episodes.groupby("condition", sort=False)["run_id"].nunique()
     counts = sorted(set(runs))
     of = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

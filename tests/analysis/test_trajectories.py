@@ -10,18 +10,18 @@ import pytest
 
 from pneuma.analysis.trajectories import (
     KEPT_EPISODES,
-    Walked,
+    StudyTrajectories,
     encode_trajectories,
     endings,
+    gathered,
     read_trajectories,
     trajectories_path,
-    walked,
 )
 from pneuma.errors import UserError
 
 
 class Study:
-    """What `walked` asks of a study."""
+    """What `gathered` asks of a study."""
 
     study = "mine"
 
@@ -34,8 +34,8 @@ def row(
     return {**about, "steps": steps, "kills": episode, "ending": ending, "places": places}
 
 
-def make(*rows: dict[str, Any]) -> Walked:
-    return walked(Study, "thesis", rows)  # type: ignore[arg-type]
+def make(*rows: dict[str, Any]) -> StudyTrajectories:
+    return gathered(Study, "thesis", rows)  # type: ignore[arg-type]
 
 
 def test_shares_are_means_over_runs() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from pneuma.cli import main
 from pneuma.env.level import LEVELS
+from pneuma.study.store import Status, Store
 
 Captured = pytest.CaptureFixture[str]
 
@@ -99,3 +100,16 @@ def test_a_world_without_places_is_refused(tmp_path: Path, capsys: Captured) -> 
     condition = ["--condition", "rate-1", "--seeds", "1", "--steps", "500"]
     assert main(["study", "run", *told, *condition, "--quiet"]) == 0
     assert "pneuma/Mailman-v0 has no places to go to" in refusal(capsys, *told)
+
+
+def test_a_run_that_diverged_is_left_out_and_said(trained: Path, tmp_path: Path, capsys: Captured) -> None:
+    results = shutil.copytree(trained, tmp_path / "results")
+    store = Store(results)
+    runs = json.loads((results / "studies" / "activation-godot.json").read_text())["runs"]
+    for number, run in enumerate(runs):
+        kept = {name: store.read_file(run["run_id"], name) for name in ("run.json", "provenance.json")}
+        store.save_run(run["run_id"], Status("diverged", 128), kept)
+        if number == 0:
+            assert main(["study", "trajectories", *GODOT, "--episodes", "1", "--results", str(results)]) == 0
+            assert "Note: 1 of 4 runs diverged, and left no policy to play." in capsys.readouterr().err
+    assert "every run diverged, and left no policy" in refusal(capsys, *GODOT, "--results", results)
