@@ -27,7 +27,7 @@ class Effect:
     Attributes:
         factors: the factors that it joins; one is a main effect.
         degrees: of freedom: its own, and those that the model leaves to the errors.
-        statistic: its F.
+        statistic: its F; inf where the model leaves no errors.
         p_value: by permutation; NaN where the design cannot tell it from others.
         share: of the variance that the model leaves without it, what it takes away (partial R²).
     """
@@ -96,7 +96,8 @@ def _effect(
     taken = np.where(before - after > tiny, before - after, 0.0)  # rounding is no effect
     statistic = taken / gained / (after / left)
     p_value = float((statistic >= statistic[0] * (1 - 1e-9)).mean())
-    return Effect(names, degrees, float(statistic[0]), p_value, float(taken[0] / before[0]))
+    found = float(statistic[0]) if after[0] > tiny else float("inf")
+    return Effect(names, degrees, found, p_value, float(taken[0] / before[0]))
 
 
 def _basis(columns: np.ndarray) -> np.ndarray:

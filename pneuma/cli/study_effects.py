@@ -75,7 +75,8 @@ def _print_effects(found: Effects) -> None:
     print(f"{'effect':<{width}}  {'levels':>7}  {'df':>8}  {'F':>8}  {'share':>6}  {'p':>6}  {'Holm':>6}")
     for row in rows:
         degrees, size = f"{row['df']}, {row['df_error']}", shown(row["partial_r2"], 3)
-        told = f"{row['levels']:>7}  {degrees:>8}  {shown(row['f'], 2):>8}  {size:>6}"
+        statistic = "endless" if row["f"] == float("inf") else shown(row["f"], 2)
+        told = f"{row['levels']:>7}  {degrees:>8}  {statistic:>8}  {size:>6}"
         print(f"{plain(row['effect']):<{width}}  {told}  {row['p']:.4f}  {row['p_holm']:.4f}")
     print("\nMeans, each cell counted alike:")
     for factor, means in found.means.items():

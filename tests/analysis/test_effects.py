@@ -181,6 +181,22 @@ def test_the_command_gives_json(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert rows["learning_rate"]["p_holm"] == pytest.approx(3 * rows["learning_rate"]["p"])
 
 
+def test_an_effect_beside_which_there_are_no_errors_is_endless(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each cell's runs are alike, and the scale alone tells cells apart."""
+    shares = {"unit": (0.2, 0.2), "raw": (0.4, 0.4)}
+    exact = {name: (own, shares[own["scale"]]) for name, (own, _) in two_by_two().items()}
+    stored(tmp_path, exact)
+    assert call(tmp_path) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    (scale,) = (line for line in lines if line[:1] == ["scale"] and len(line) == 8)
+    assert scale[4:6] == ["endless", "1.000"]
+    assert call(tmp_path, "--json") == 0
+    rows = {row["effect"]: row for row in json.loads(capsys.readouterr().out)["effects"]}
+    assert rows["scale"]["f"] is None and rows["scale"]["partial_r2"] == pytest.approx(1)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
