@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 
 .PHONY: help install study figures test storm test-all lint clean
-.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow tuning
+.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow trajectories tuning
 
 help:            ## Say what each target does
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
@@ -85,6 +85,13 @@ reproduction-collapse: install  ## Train the crossed studies: collapse and robus
 
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
 	$(call each,architecture actor-size algorithms)
+
+trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --quiet --results $(RESULTS)
+
+trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
+	$(call trajectories,sigmoid)
+	$(call trajectories,activation --setting godot)
+	$(call trajectories,optimizer --setting godot --condition stationary --condition non-stationary --condition sgd)
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
