@@ -62,7 +62,7 @@ def draw_published(
     for drawing, paths in _figures(data, folder):
         entries += _indexed(data, drawing, paths)
     if found is not None:
-        own = data.of_conditions(found.conditions)
+        own = data.of_conditions(found.conditions).of_runs({*found.episodes["run_id"]})
         drawn = draw_trajectories(own, found, folder, f"{data.figure}-trajectories")
         entries += _indexed(own, {"figure": "trajectories"}, drawn)
     return [*entries, *_write_tables(data, folder / TABLES)]

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from pneuma.analysis.published import encode_study, published_path
 from pneuma.analysis.sources import open_study
+from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.figures import paper
 from pneuma.figures.settings_table import settings_table
 from pneuma.figures.sizes import SIZES
@@ -118,6 +119,27 @@ def test_make_figures_draws_published_studies_without_their_runs(three: HandMade
         path.read_bytes() == (tmp_path / "paper" / path.relative_to(tmp_path / "again")).read_bytes()
         for path in again
     )
+
+
+@pytest.mark.usefixtures("no_environment")
+def test_published_trajectories_are_drawn_and_traced_to_the_runs_that_walked(
+    three: HandMade, tmp_path: Path
+) -> None:
+    data = open_study(three.store, three.record)
+    run = data.of_condition("tanh")[1]
+    episode = {"episode": 0, "player": 0, "steps": 1, "kills": 0, "ending": "drowned"}
+    row = {"condition": "tanh", "seed": 1, "run_id": run.run_id, "places": np.zeros((2, 2)), **episode}
+    kept = {
+        published_path(three.store, "mine"): encode_study(data),
+        trajectories_path(three.store.root, "mine"): encode_trajectories(gathered(data, "thesis", [row])),
+    }
+    for path, content in kept.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    paper.draw_all(tmp_path / "paper", three.store.root)
+    index = json.loads((tmp_path / "paper" / "index.json").read_bytes())["figures"]
+    (entry,) = (entry for entry in index if entry["file"] == "fig-mine-trajectories.png")
+    assert (entry["n"], entry["runs"]) == ({"tanh": 1}, {"tanh": [run.run_id]})
 
 
 @pytest.mark.usefixtures("no_environment")
