@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.analysis.intervals import mean_interval
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.tables import from_parquet
 
@@ -51,13 +50,13 @@ class StudyTrajectories:
     """Where the policies of a study went.
 
     Attributes:
-        head: `study`, and `level`: the level's name, '' where there are several.
+        level: the level's name, '' where there are several.
         episodes: a row for each player in each episode: condition, seed, run_id, episode, player, steps,
             kills (of all players), ending, x and y (steps + 1 places in whole pixels; none after the first
             `KEPT_EPISODES` of a run).
     """
 
-    head: Mapping[str, Any]
+    level: str
     episodes: pd.DataFrame
 
     @property
@@ -73,19 +72,18 @@ class StudyTrajectories:
     def of_runs(self, run_ids: Collection[str]) -> StudyTrajectories:
         """Return those of some runs alone."""
         own = self.episodes[self.episodes["run_id"].isin(run_ids)]
-        return StudyTrajectories(self.head, own.reset_index(drop=True))
+        return StudyTrajectories(self.level, own.reset_index(drop=True))
 
 
-def gathered(data: StudyData, level: str, rows: Iterable[Mapping[str, Any]]) -> StudyTrajectories:
+def gathered(level: str, rows: Iterable[Mapping[str, Any]]) -> StudyTrajectories:
     """Put the episodes of a study's runs together.
 
     Args:
-        data: the study.
         level: its name, '' where there are several.
         rows: with the columns of `StudyTrajectories.episodes`, but `places`, (steps + 1, 2), for x and y.
     """
     frame = pd.DataFrame([_kept(row) for row in rows], columns=list(_TYPES))
-    return StudyTrajectories({"study": data.study, "level": level}, frame)
+    return StudyTrajectories(level, frame)
 
 
 def _kept(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -125,7 +123,7 @@ def trajectories_path(results: Path, study: str) -> Path:
 def encode_trajectories(found: StudyTrajectories) -> bytes:
     """Return the table that is kept; the same episodes give the same bytes."""
     columns = {name: pa.array(found.episodes[name].tolist(), kind) for name, kind in _TYPES.items()}
-    table = pa.table(columns, metadata={"pneuma": json.dumps({"schema": SCHEMA, **found.head})})
+    table = pa.table(columns, metadata={"pneuma": json.dumps({"schema": SCHEMA, "level": found.level})})
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd", compression_level=19)
     return sink.getvalue()
@@ -147,11 +145,11 @@ def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
     try:
         table = from_parquet(path.read_bytes())
         head = json.loads(table.schema.metadata[b"pneuma"])
-        if head.pop("schema") != SCHEMA:
+        if head["schema"] != SCHEMA:
             raise ValueError
-        columns: dict[str, Sequence[Any]] = {name: table[name].to_pylist() for name in _TYPES}
+        level, columns = head["level"], {name: table[name].to_pylist() for name in _TYPES}
     except (OSError, pa.ArrowException, TypeError, KeyError, ValueError):
         raise UserError(
             f"{path}: damaged; take it from version control again, or publish the trajectories anew"
         ) from None
-    return StudyTrajectories(head, pd.DataFrame(columns))
+    return StudyTrajectories(level, pd.DataFrame(columns))

@@ -307,21 +307,9 @@ def _acting(policy: Any, worlds: Any, seed: int, player: str) -> Callable[[Any],
     """Return what draws actions from a stored policy, which must fit the worlds."""
     import numpy as np
 
-    from pneuma.engines.team import Team
+    from pneuma.engines.team import drawing
 
-    policies = policy.policies if isinstance(policy, Team) else (policy,)
-    players = worlds.players.shape[1]
-    for what, trained, here in (
-        ("features", len(policies[0].actor[0][0]), worlds.observations.shape[2]),
-        ("actions", len(policies[0].actor[-1][1]), int(worlds.action_space.n)),
-        ("players", len(policies) if len(policies) > 1 else players, players),
-    ):
-        if trained != here:
-            raise UserError(f"--player {player}: was trained on {trained} {what}; these settings make {here}")
-    generator = np.random.default_rng(seed)
-
-    def act(shown: Any) -> Any:
-        flat = shown.observations.reshape(-1, shown.observations.shape[2])
-        return policy.sample(flat, generator).reshape(shown.players.shape)
-
-    return act
+    try:
+        return drawing(policy, worlds, np.random.default_rng(seed))
+    except UserError as error:
+        raise UserError(f"--player {player}: {error}") from None

@@ -118,7 +118,7 @@ def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool
         say(f"Note: {gone} of {len(data.runs)} runs diverged, and left no policy to play.", as_json=True)
     for run in runs:
         _refuse_strangers(data, run, trust)
-    return gathered(data, _level(data), _played(store, data, runs, episodes, quiet))
+    return gathered(_level(data), _played(store, data, runs, episodes, quiet))
 
 
 def _refuse_strangers(data: StudyData, run: FinishedRun, trust: bool) -> None:
@@ -162,7 +162,7 @@ def _played(
         try:
             found = play_trajectories(make_run(settings), policy, episodes)
         except UserError as error:
-            raise UserError(f"run {run.run_id} of study {data.study}: {error}") from None
+            raise UserError(f"the policy of run {run.run_id} {error}") from None
         yield from _rows(run, found)
         if not quiet and number % 10 == 0:
             say(f"{number} of {len(runs)} runs have played", as_json=True)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pneuma.engines.policy import Policy, read_policy
+from pneuma.errors import UserError
+
+if TYPE_CHECKING:
+    from pneuma.env.worlds import Worlds
 
 SHARED_FILE = "policy.safetensors"
 
@@ -35,6 +40,31 @@ class Team:
             own = slice(player, None, len(self.policies))
             actions[own] = act(policy, observations[own])
         return actions
+
+
+def drawing(
+    policy: Policy | Team, worlds: Worlds, generator: np.random.Generator
+) -> Callable[[Worlds], np.ndarray]:
+    """Return what draws actions, (N, P), from a stored policy in worlds.
+
+    Raises:
+        UserError: where the policy was trained on something else than these worlds are.
+    """
+    policies = policy.policies if isinstance(policy, Team) else (policy,)
+    players = worlds.players.shape[1]
+    for what, trained, here in (
+        ("features", len(policies[0].actor[0][0]), worlds.observations.shape[2]),
+        ("actions", len(policies[0].actor[-1][1]), int(worlds.action_space.n)),
+        ("players", len(policies) if len(policies) > 1 else players, players),
+    ):
+        if trained != here:
+            raise UserError(f"was trained on {trained} {what}; these settings make {here}")
+
+    def act(shown: Worlds) -> np.ndarray:
+        flat = shown.observations.reshape(-1, shown.observations.shape[2])
+        return policy.sample(flat, generator).reshape(shown.players.shape)
+
+    return act
 
 
 def policy_files(policy: Policy | Team) -> dict[str, bytes]:

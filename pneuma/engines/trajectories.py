@@ -13,10 +13,9 @@ import numpy as np
 
 from pneuma.config import REWARDS, Run, env_config, stream_seed
 from pneuma.engines.policy import Policy
-from pneuma.engines.team import Team
+from pneuma.engines.team import Team, drawing
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 DROWNED = "drowned"
 
@@ -48,21 +47,14 @@ def play_trajectories(run: Run, policy: Policy | Team, episodes: int) -> Traject
         UserError: for a policy that sees something else than these worlds show: a level's file has changed.
     """
     worlds = Worlds(episodes, replace(env_config(run), reward=REWARDS[:1] * len(run.reward)))
-    features = worlds.observations.shape[2]
-    policies = policy.policies if isinstance(policy, Team) else (policy,)
-    if any(len(own.actor[0][0]) != features for own in policies):
-        trained = len(policies[0].actor[0][0])
-        raise UserError(
-            f"its policy was trained on {trained} features; its level and characters now make {features}"
-        )
+    generator = np.random.default_rng(stream_seed(run.stream, "trajectories"))
+    act = drawing(policy, worlds, generator)
     worlds.seed([stream_seed(run.stream, "evaluation", i) for i in range(episodes)])
     worlds.reset()
-    generator = np.random.default_rng(stream_seed(run.stream, "trajectories"))
     places = [_places(worlds)]
     running = len(worlds)
     while running:
-        observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
-        running -= worlds.step(policy.sample(observations, generator).reshape(worlds.players.shape))
+        running -= worlds.step(act(worlds))
         places.append(_places(worlds))
     return Trajectories(
         np.stack(places),

@@ -56,7 +56,7 @@ def draw_trajectories(
     Raises:
         UserError: where they play on several levels, which no one map shows.
     """
-    if not found.head["level"]:
+    if not found.level:
         raise UserError(f"study {data.study}: its runs play on several levels; no one map shows them")
     table = endings(found)
     conditions = found.conditions
@@ -90,7 +90,7 @@ class _Backdrop:
 
     def __init__(self, found: StudyTrajectories) -> None:
         self.image: np.ndarray | None = None
-        if found.head["level"] == SHIPPED_LEVEL:
+        if found.level == SHIPPED_LEVEL:
             worlds = level_worlds()
             left, top, right, bottom = worlds.level.grid
             self.image = Renderer(worlds, "map", panel=False).frame(0)
@@ -140,8 +140,15 @@ def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
 def _told(table: pd.DataFrame) -> str:
     """Return what is written below a panel: the shares of endings, and how long episodes are."""
     means = dict(zip(table["outcome"], table["value"], strict=True))
-    shares = [f"{means[ending]:.0%} {ending.replace('-', ' ')}" for ending in ENDINGS if means.get(ending)]
+    shares = [f"{_rounded(means[name])} {name.replace('-', ' ')}" for name in ENDINGS if means.get(name)]
     return f"{', '.join(shares)}\n{means['steps']:,.0f} steps an episode"
+
+
+def _rounded(share: float) -> str:
+    """Return a share in per cent; what is not quite none or all does not look so."""
+    if 0 < share < 0.005 or 0.995 < share < 1:
+        return "<1%" if share < 0.5 else ">99%"
+    return f"{share:.0%}"
 
 
 def _caption(found: StudyTrajectories) -> list[str]:

@@ -25,8 +25,8 @@ def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> byt
 def from_parquet(data: bytes) -> pa.Table:
     """Read a Parquet file from memory, in this thread alone.
 
-    Arrow's `read_table`, and reading from a file of Python's, start threads whatever they are told, and
-    of commands that used them about one in twenty aborted when it ended.
+    Arrow's `read_table`, and reading from a file of Python's, start threads whatever they are told, with
+    which a command now and then aborts as it ends.
     """
     return pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
 

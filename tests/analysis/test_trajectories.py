@@ -20,12 +20,6 @@ from pneuma.analysis.trajectories import (
 from pneuma.errors import UserError
 
 
-class Study:
-    """What `gathered` asks of a study."""
-
-    study = "mine"
-
-
 def row(
     condition: str, run: str, episode: int, ending: str, steps: int = 2, player: int = 0
 ) -> dict[str, Any]:
@@ -35,7 +29,7 @@ def row(
 
 
 def make(*rows: dict[str, Any]) -> StudyTrajectories:
-    return gathered(Study, "thesis", rows)  # type: ignore[arg-type]
+    return gathered("thesis", rows)
 
 
 def test_shares_are_means_over_runs() -> None:
@@ -73,7 +67,7 @@ def test_the_table_comes_back_with_places_of_the_first_episodes_in_whole_pixels(
     path.write_bytes(encode_trajectories(found))
     back = read_trajectories(tmp_path, "mine")
     assert back is not None
-    assert back.head == found.head == {"study": "mine", "level": "thesis"}
+    assert back.level == found.level == "thesis"
     assert back.episodes["x"].tolist() == [[0, 40, 80]] * KEPT_EPISODES + [[], []]
     assert back.episodes["y"].tolist()[0] == [-2, 7, 7]
     assert endings(back).equals(endings(found))

@@ -131,7 +131,7 @@ def test_published_trajectories_are_drawn_and_traced_to_the_runs_that_walked(
     row = {"condition": "tanh", "seed": 1, "run_id": run.run_id, "places": np.zeros((2, 2)), **episode}
     kept = {
         published_path(three.store, "mine"): encode_study(data),
-        trajectories_path(three.store.root, "mine"): encode_trajectories(gathered(data, "thesis", [row])),
+        trajectories_path(three.store.root, "mine"): encode_trajectories(gathered("thesis", [row])),
     }
     for path, content in kept.items():
         path.parent.mkdir(parents=True, exist_ok=True)
