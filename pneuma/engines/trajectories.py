@@ -70,10 +70,10 @@ def _places(worlds: Worlds) -> np.ndarray:
 
 
 def _ending(worlds: Worlds, world: int) -> str:
-    """Return how an episode ended; a player whom the coast killed is still where it did."""
+    """Return how an episode ended; a player whom the coast killed is still there, where no wall lets one be."""
     ending = worlds.ending(world)
     level = worlds.levels[worlds.worlds["level"][world]]
     x, y = worlds.players["x"][world], worlds.players["y"][world]
     rows, columns = (((at - edge) / level.tile).astype(int) for at, edge in ((y, level.top), (x, level.left)))
     at_sea = bool((level.terrain[rows, columns] == rules.COAST).all())
-    return DROWNED if ending == "killed" and worlds.config.coast == "deadly" and at_sea else ending
+    return DROWNED if ending == "killed" and at_sea else ending

@@ -33,19 +33,18 @@ def make(*rows: dict[str, Any]) -> StudyTrajectories:
 
 
 def test_shares_are_means_over_runs() -> None:
-    """Run 0 drowns in one of two episodes, run 1 in both: three quarters, with Student's t of two runs."""
+    """Run 0 drowns in one of two episodes, run 1 in its one: three quarters, with Student's t of two runs."""
     found = make(
         row("a", "0", 0, "drowned"),
         row("a", "0", 1, "killed", steps=4),
         row("a", "1", 0, "drowned"),
-        row("a", "1", 1, "drowned"),
         row("b", "2", 0, "killed"),
     )
     table = endings(found).set_index(["condition", "outcome"])
     assert table.loc[("a", "drowned"), "value"] == 0.75
     assert table.loc[("a", "killed"), "value"] == 0.25
     assert table.loc[("a", "steps"), "value"] == 2.5  # (3 + 2) / 2
-    assert table.loc[("a", "kills"), "value"] == 0.5
+    assert table.loc[("a", "kills"), "value"] == 0.25
     # 0.75 ± 12.7062 · 0.35355 / √2 = 0.75 ± 3.18, cut where shares end
     assert (table.loc[("a", "drowned"), "low"], table.loc[("a", "drowned"), "high"]) == (0.0, 1.0)
     assert table.loc[("a", "steps"), "high"] == pytest.approx(2.5 + 12.7062 * 0.5, rel=1e-4)
