@@ -70,7 +70,7 @@ def _places(worlds: Worlds) -> np.ndarray:
 
 
 def _ending(worlds: Worlds, world: int) -> str:
-    """Return how an episode ended; a player whom the coast killed is still there, where no wall lets one be."""
+    """Return how an episode ended; a player whom the coast killed is still there."""
     ending = worlds.ending(world)
     level = worlds.levels[worlds.worlds["level"][world]]
     x, y = worlds.players["x"][world], worlds.players["y"][world]
