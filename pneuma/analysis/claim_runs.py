@@ -27,6 +27,9 @@ MEND = "train with:"
 RISEN = 0.1
 """The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
 
+QUIET = 0.9
+"""The share of a core below which a run's time tells more of what ran beside it than of its training."""
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -168,14 +171,18 @@ class ClaimRuns:
         return max(budgets, default=0)
 
     def _machines(self, claim: Claim, setting: str, names: list[str]) -> str:
-        """Refuse to compare times of different machines."""
+        """Refuse to compare times of different machines, or of one that had other work beside."""
         if find_outcome(claim.outcome).source != "times":
             return ""
         data = self._data(*self._group(claim, setting))
         runs = [run for name in names for run in self._finished(claim, setting, name).values()]
         found = [data.source.provenance(run) for run in runs] if data else []
         machines = {(str(own.get("cpu")), str(own.get("threads"))) for own in found}
-        return "timed on different machines" if len(machines) > 1 else ""
+        if len(machines) > 1:
+            return "timed on different machines"
+        shares = [data.source.processor_share(run) for run in runs] if data else []
+        least = min((share for share in shares if share is not None), default=1.0)
+        return f"timed beside other work: on {least:.0%} of a core" if least < QUIET else ""
 
     # --- Values ----------------------------------------------------------------------------------
 

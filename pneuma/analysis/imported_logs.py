@@ -14,7 +14,7 @@ import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.signs import Stretch, update_signs
-from pneuma.analysis.tables import FinishedRun, told_seconds
+from pneuma.analysis.tables import FinishedRun, told_seconds, told_share
 from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, logged_curve, peak_curve, update_curve
 from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import from_parquet
@@ -118,6 +118,10 @@ class ImportedLogs:
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return the time from the first to the last entry of the run's logs."""
         return told_seconds(self.provenance(run))
+
+    def processor_share(self, run: FinishedRun) -> float | None:
+        """Return what the run's provenance tells."""
+        return told_share(self.provenance(run))
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what a run was imported from.

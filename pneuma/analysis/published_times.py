@@ -1,13 +1,14 @@
 """How long a study's published runs trained: a small file of its own beside their table.
 
-results/published/STUDY.times.json gives, by run, seconds and what machine they passed on. The same runs
-publish the same table whatever the clock said, so the clock has no place in it; and claims on what a
-training costs are judged by these seconds, in a clone too. Without the file the times are not known.
+results/published/STUDY.times.json gives, by run, seconds, what machine they passed on and how much of a core
+it gave. The same runs publish the same table whatever the clock said, so the clock has no place in it; and
+claims on what a training costs are judged by these seconds, in a clone too. Without it no time is known.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +24,29 @@ def times_path(store: Store, study: str) -> Path:
     return store.root / "published" / f"{study}.times.json"
 
 
-def encode_times(data: StudyData) -> bytes:
-    """Return seconds and machine of every finished run that tells them."""
-    runs: dict[str, dict[str, Any]] = {}
+def encode_times(data: StudyData, staying: Mapping[str, Any] | None = None) -> bytes:
+    """Return seconds and machine of every finished run that tells them.
+
+    Args:
+        data: the study.
+        staying: what was published before of runs that stay as they are, by run (`read_times`).
+    """
+    runs = dict(staying or {})
     for run in data.runs:
         about, seconds = data.source.provenance(run), data.source.wall_seconds(run)
+        share = data.source.processor_share(run)
         if seconds is not None:
             machine = {key: about[key] for key in _MACHINE if key in about}
-            runs[run.run_id] = {"wall_seconds": round(seconds, 3), **machine}
-    return to_json({"schema": SCHEMA, "study": data.study, "runs": runs})
+            shared = {} if share is None else {"processor_share": share}
+            runs[run.run_id] = {"wall_seconds": round(seconds, 3), **shared, **machine}
+    selected = {run["run_id"]: runs[run["run_id"]] for run in data.record["runs"] if run["run_id"] in runs}
+    return to_json({"schema": SCHEMA, "study": data.study, "runs": selected})
 
 
-def read_times(store: Store, study: str) -> dict[str, float]:
-    """Return the seconds of a published study's runs; none where there is no file, or it makes no sense."""
+def read_times(store: Store, study: str) -> dict[str, dict[str, Any]]:
+    """Return what the file tells of each run whose time makes sense; nothing where there is no such file."""
     try:
         told = json.loads(times_path(store, study).read_bytes())["runs"].items()
-        seconds = {run_id: told_seconds(about) for run_id, about in told}
+        return {run_id: about for run_id, about in told if told_seconds(about) is not None}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
-    return {run_id: found for run_id, found in seconds.items() if found is not None}

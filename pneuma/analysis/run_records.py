@@ -12,7 +12,7 @@ import pandas as pd
 from pneuma.analysis import ACTION_QUANTITIES, EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.kept import Kept
 from pneuma.analysis.signs import Stretch, update_signs
-from pneuma.analysis.tables import FinishedRun, told_seconds
+from pneuma.analysis.tables import FinishedRun, told_seconds, told_share
 from pneuma.analysis.windows import EXTREMES, TRAILING_EPISODES, episode_curve, peak_curve, update_curve
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
@@ -99,6 +99,10 @@ class RunRecords:
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return what the run's provenance tells."""
         return told_seconds(self.provenance(run))
+
+    def processor_share(self, run: FinishedRun) -> float | None:
+        """Return what the run's provenance tells."""
+        return told_share(self.provenance(run))
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run.

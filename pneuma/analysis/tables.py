@@ -102,6 +102,10 @@ class Source(Protocol):
         """Return how long a run trained; None where that is not known."""
         ...
 
+    def processor_share(self, run: FinishedRun) -> float | None:
+        """Return how much of a core a run's training had; 1: nothing else ran, None: not known."""
+        ...
+
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run."""
         ...
@@ -114,6 +118,12 @@ def told_seconds(provenance: Mapping[str, Any]) -> float | None:
     """
     seconds = provenance.get("training_seconds", provenance.get("wall_seconds"))
     return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
+
+
+def told_share(provenance: Mapping[str, Any]) -> float | None:
+    """Return how much of a core a run's training had, as its provenance tells."""
+    share = provenance.get("processor_share")
+    return float(share) if isinstance(share, int | float) else None
 
 
 class StudyData:

@@ -19,6 +19,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pneuma.analysis.checksums import NO_SUM, is_whole, with_sum
 from pneuma.analysis.intervals import mean_interval
 from pneuma.errors import UserError
 from pneuma.study.tables import from_parquet
@@ -75,6 +76,26 @@ class StudyTrajectories:
         return StudyTrajectories(self.level, own.reset_index(drop=True))
 
 
+def beside(found: StudyTrajectories, before: StudyTrajectories) -> StudyTrajectories:
+    """Return trajectories with those of other runs that were published before, which keep their places.
+
+    Raises:
+        UserError: where those are on another level, or of other numbers of episodes.
+    """
+    new, old = found.episodes, before.episodes
+    staying = old[~old["run_id"].isin(new["run_id"])]
+    if staying.empty:
+        return found
+    if (found.level, found.per_run) != (before.level, before.per_run):
+        raise UserError(
+            f"the published trajectories are {before.per_run} episodes a run on the level {before.level!r}, "
+            f"these are {found.per_run} on {found.level!r}; publish the same, or remove that table first"
+        )
+    order = {run_id: place for place, run_id in enumerate(dict.fromkeys([*old["run_id"], *new["run_id"]]))}
+    both = pd.concat([staying, new]).sort_values("run_id", key=lambda ids: ids.map(order), kind="stable")
+    return StudyTrajectories(found.level, both.reset_index(drop=True))
+
+
 def gathered(level: str, rows: Iterable[Mapping[str, Any]]) -> StudyTrajectories:
     """Put the episodes of a study's runs together.
 
@@ -96,23 +117,27 @@ def _kept(row: Mapping[str, Any]) -> dict[str, Any]:
 def endings(found: StudyTrajectories) -> pd.DataFrame:
     """Return how each condition's episodes end, in `COLUMNS`: a share for each ending, then steps and kills.
 
-    Means over runs with 95 % intervals, cut where no mean can lie. Endings that no episode has are left out.
+    Means over runs with 95 % intervals, cut where no mean can lie.
     """
     own = found.episodes[found.episodes["player"] == 0]
-    seen = [ending for ending in ENDINGS if (own["ending"] == ending).any()]
-    told = own.assign(**{ending: (own["ending"] == ending).astype(float) for ending in seen})
-    by_run = told.groupby(["condition", "run_id"], sort=False)[[*seen, "steps", "kills"]].mean()
+    told = own.assign(**{ending: (own["ending"] == ending).astype(float) for ending in ENDINGS})
+    by_run = told.groupby(["condition", "run_id"], sort=False)[[*ENDINGS, "steps", "kills"]].mean()
     rows = []
     for condition in found.conditions:
         for outcome, values in by_run.loc[condition].items():
             mean, between = float(values.mean()), mean_interval(values)
-            most = 1.0 if outcome in seen else np.inf
+            most = 1.0 if outcome in ENDINGS else np.inf
             low, high = np.clip([between.low, between.high], 0.0, most).tolist()
             rows.append((condition, outcome, mean, low, high, between.method, len(values)))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 # --- The table that is kept ------------------------------------------------------------------------
+
+
+def studies_with_trajectories(results: Path) -> list[str]:
+    """Return the names of the studies whose trajectories are published."""
+    return sorted(path.stem for path in (results / "published" / FOLDER).glob("*.parquet"))
 
 
 def trajectories_path(results: Path, study: str) -> Path:
@@ -123,10 +148,11 @@ def trajectories_path(results: Path, study: str) -> Path:
 def encode_trajectories(found: StudyTrajectories) -> bytes:
     """Return the table that is kept; the same episodes give the same bytes."""
     columns = {name: pa.array(found.episodes[name].tolist(), kind) for name, kind in _TYPES.items()}
-    table = pa.table(columns, metadata={"pneuma": json.dumps({"schema": SCHEMA, "level": found.level})})
+    head = {"pneuma": json.dumps({"schema": SCHEMA, "level": found.level}), "pneuma.checksum": NO_SUM}
+    table = pa.table(columns, metadata=head)
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd", compression_level=19)
-    return sink.getvalue()
+    return with_sum(sink.getvalue())
 
 
 def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
@@ -143,7 +169,10 @@ def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
     if not path.exists():
         return None
     try:
-        table = from_parquet(path.read_bytes())
+        data = path.read_bytes()
+        if not is_whole(data):
+            raise ValueError
+        table = from_parquet(data)
         head = json.loads(table.schema.metadata[b"pneuma"])
         if head["schema"] != SCHEMA:
             raise ValueError

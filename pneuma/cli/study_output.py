@@ -33,6 +33,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store, write_whole
 
 if TYPE_CHECKING:
+    from pneuma.analysis.published import PublishedRuns
     from pneuma.analysis.tables import StudyData
 
 RESULTS = Path("results")
@@ -102,30 +103,62 @@ def publish(
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
-    """Write a study's runs as one small table, from which it is drawn and judged without them."""
+    """Write a study's runs as one small table, from which it is drawn and judged without them.
+
+    Runs that were published before and are not here stay in it as they are, where the selection has
+    them: a study may thus be trained on several machines, or part by part.
+    """
     kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, setting)
-    from pneuma.analysis.published import PublishedRuns, encode_study, published_path, published_studies
-    from pneuma.analysis.published_times import encode_times, times_path
+    from pneuma.analysis.published import PublishedRuns, published_path, published_studies
+    from pneuma.analysis.published_times import encode_times, read_times, times_path
+    from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record)
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
-    tell_left_out(data)
-    encoded = encode_study(data, kept, rounding)
     path = published_path(store, data.study)
+    before = _published_before(store, data)
+    staying = runs_staying(data, before)
+    leaving = runs_leaving(data, before) if before else []
+    tell_left_out(data, len(staying))
+    if leaving:
+        say(f"Note: {len(leaving)} published runs are not in this selection and leave the table.", True)
+    encoded = encode_study(data, kept, rounding, before)
+    entries = read_times(store, data.study)
     store.write(path, encoded)
-    store.write(times_path(store, data.study), encode_times(data))
+    times = {run_id: entries[run_id] for run_id in staying if run_id in entries}
+    store.write(times_path(store, data.study), encode_times(data, times))
     size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
     if size > MOST_PUBLISHED_BYTES:
         say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)
     if json:
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
-        return print_json({**document, "runs": len(data.runs)})
-    print(f"wrote {plain(str(path))}: {len(data.runs)} runs, {len(encoded) / 1000:.0f} kB")
+        return print_json(
+            {**document, "runs": len(data.runs), "staying": len(staying), "leaving": len(leaving)}
+        )
+    more = f" and {len(staying)} as they were published before" if staying else ""
+    print(f"wrote {plain(str(path))}: {len(data.runs)} runs{more}, {len(encoded) / 1000:.0f} kB")
     return None
+
+
+def _published_before(store: Store, data: StudyData) -> PublishedRuns | None:
+    """Return what was published of a study before; where all runs are here, damage is no matter.
+
+    Raises:
+        UserError: for such a table otherwise: writing over it might lose runs.
+    """
+    from pneuma.analysis.published import published_path, read_published
+
+    path = published_path(store, data.study)
+    try:
+        return read_published(store, data.study) if path.exists() else None
+    except UserError as error:
+        if not data.left_out:
+            return None
+        raise UserError(f"{error}; or remove it, to publish the runs that are here alone") from None
 
 
 def _read_curves(told: str | None) -> tuple[str, ...] | None:
@@ -138,10 +171,11 @@ def _read_curves(told: str | None) -> tuple[str, ...] | None:
     return tuple(own for name in names for own in (ACTION_QUANTITIES if name == "actions" else (name,)))
 
 
-def tell_left_out(data: StudyData) -> None:
+def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
     """Say how many runs of a selection are not shown, if any."""
-    if data.left_out:
-        of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
+    missing = data.left_out - found_elsewhere
+    if missing:
+        of = f"{missing} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
         say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
 
 

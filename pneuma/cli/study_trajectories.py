@@ -24,6 +24,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_folder
 from pneuma.cli.study_summary import open_data, records
 from pneuma.errors import UserError
+from pneuma.study.spec import TEXT, split_setting
 from pneuma.study.store import Store
 from pneuma.study.trust import REWARD, own_things
 
@@ -55,7 +56,11 @@ def trajectories(
         Path | None, typer.Option("--out", metavar="DIR", help="Draw them on the map, into this folder.")
     ] = None,
     publish: Annotated[
-        bool, typer.Option("--publish", help="Keep them as a small table, from which `make figures` draws.")
+        bool,
+        typer.Option(
+            "--publish",
+            help="Keep them in a small table, beside other runs' there, from which `make figures` draws.",
+        ),
     ] = False,
     trust: Trust = False,
     selection: Selected = None,
@@ -69,19 +74,29 @@ def trajectories(
         check_folder("--out", out)
     store = Store(results)
     data = open_data(store, name, selection, setting)
-    from pneuma.analysis.trajectories import encode_trajectories, endings, trajectories_path
+    from pneuma.analysis.trajectories import (
+        beside,
+        encode_trajectories,
+        endings,
+        read_trajectories,
+        trajectories_path,
+    )
 
     found = _published(data, results) or _play(store, data, episodes, trust, quiet)
     files = _drawn(data, found, out) if out is not None else []
     if publish:
-        path = trajectories_path(results, data.study)
-        store.write(path, encode_trajectories(found))
+        path, before = trajectories_path(results, data.study), read_trajectories(results, data.study)
+        store.write(path, encode_trajectories(beside(found, before) if before else found))
         files.append(path)
     table = endings(found)
     if json:
-        document = {"schema": 1, "study": data.study, "episodes": found.per_run, "endings": records(table)}
-        return print_json({**document, "files": list(map(str, files))})
+        document = {"schema": 1, "study": data.study, "source": data.source.what, "steps": data.budget}
+        told = {"episodes": found.per_run, "endings": records(table), "files": list(map(str, files))}
+        return print_json({**document, **told})
+    print(f"{plain(data.title)}: {found.per_run} episodes of each run, trained for {data.budget:,} steps")
     _print(data, table)
+    if not files:
+        say("Draw them on the map with --out DIR.", as_json=True)
     for path in files:
         print(f"wrote {plain(str(path))}")
     return None
@@ -100,10 +115,33 @@ def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
         return None
     found = read_trajectories(results, data.study)
     own = found and found.of_runs({run.run_id for run in data.runs})
-    if not own or not len(own.episodes):
-        told = f"; trajectories are published of {', '.join(found.conditions)}" if found else ""
-        raise UserError(f"study {data.study}: its policies are not in {results}{told}")
+    if own is None or not len(own.episodes):
+        raise UserError(
+            f"study {data.study}: its policies are not in {results}; " + _told_elsewhere(data, found, results)
+        )
+    runs = own.episodes["run_id"].nunique()
+    if runs < len(data.runs):
+        say(f"Note: trajectories are published of {runs} of these {len(data.runs)} runs.", as_json=True)
     return own
+
+
+def _told_elsewhere(data: StudyData, found: StudyTrajectories | None, results: Path) -> str:
+    """Say of which other runs or studies trajectories are published."""
+    from pneuma.analysis.trajectories import studies_with_trajectories
+
+    train = f"train with `pneuma study run {data.own_name}{_option(data.setting)}`"
+    if found is not None:
+        seeds = sorted(set(found.episodes["seed"]))
+        of = f"seeds {seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"seed {seeds[0]}"
+        whose = f"{', '.join(found.conditions)}, {of}, but not of these runs"
+        return f"trajectories are published of {whose}; pick those, or {train}"
+    studies = [split_setting(name) for name in studies_with_trajectories(results)]
+    known = ", ".join(f"{name}{_option(setting)}" for name, setting in studies)
+    return f"trajectories are published of {known}; or {train}" if known else train
+
+
+def _option(setting: str) -> str:
+    return "" if setting == TEXT else f" --setting {setting}"
 
 
 def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool) -> StudyTrajectories:
@@ -193,14 +231,18 @@ def _drawn(data: StudyData, found: StudyTrajectories, out: Path) -> list[Path]:
 
 
 def _print(data: StudyData, table: pd.DataFrame) -> None:
-    """Print a line for each condition: the shares of endings, then steps and kills, with intervals."""
+    """Print a line for each condition: the shares of endings, then steps and kills, with intervals.
+
+    Endings that no condition has are left out.
+    """
     from pneuma.analysis.rounding import shown_with_interval
 
-    print(plain(data.title))
+    seen = set(table["outcome"][table["value"] > 0])
     width = max(len(plain(condition)) for condition in data.conditions) + 1
     for condition, own in table.groupby("condition", sort=False):
         cells = [
             f"{row['outcome']} {shown_with_interval(row['value'], row['low'], row['high'])}"
             for row in own.to_dict("records")
+            if row["outcome"] in seen
         ]
         print(f"  {plain(str(condition)):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")

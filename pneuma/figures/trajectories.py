@@ -38,6 +38,12 @@ LOOKS: dict[str, dict[str, Any]] = {
     "cleared": {"color": COLOURS[2], "linestyle": "-", "marker": "*"},
     "time-limit": {"color": COLOURS[3], "linestyle": "-", "marker": "s"},
 }
+START: dict[str, Any] = {
+    "marker": "o",
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+    "markeredgewidth": 0.5,
+}
 WORDS = {
     "killed": "killed by monsters",
     "drowned": "walked into the sea",
@@ -122,15 +128,16 @@ def _draw_episodes(axes: Axes, own: pd.DataFrame) -> None:
     for row in own[own["x"].map(len) > 0].to_dict("records"):
         look = LOOKS[row["ending"]]
         axes.plot(row["x"], row["y"], color=look["color"], linewidth=0.6, alpha=0.55)
+        axes.plot(row["x"][0], row["y"][0], **START, markersize=2.2, zorder=2.5)
         axes.plot(
             row["x"][-1], row["y"][-1], marker=look["marker"], color=look["color"], markersize=2.6, zorder=3
         )
 
 
 def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
-    """Return the legend: the endings that there are."""
+    """Return the legend: where ways begin, and the endings that there are."""
     seen = set(found.episodes["ending"])
-    return {
+    return {"begins": Line2D([], [], markersize=4, linestyle="", **START)} | {
         WORDS[ending]: Line2D([], [], markersize=4, linewidth=1.2, **LOOKS[ending])
         for ending in ENDINGS
         if ending in seen
@@ -138,10 +145,11 @@ def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
 
 
 def _told(table: pd.DataFrame) -> str:
-    """Return what is written below a panel: the shares of endings, and how long episodes are."""
+    """Return what is written below a panel: the shares of endings, and what episodes are like."""
     means = dict(zip(table["outcome"], table["value"], strict=True))
     shares = [f"{_rounded(means[name])} {name.replace('-', ' ')}" for name in ENDINGS if means.get(name)]
-    return f"{', '.join(shares)}\n{means['steps']:,.0f} steps an episode"
+    an_episode = f"{means['steps']:,.0f} steps and {means['kills']:.2g} kills an episode"
+    return f"{', '.join(shares)}\n{an_episode}"
 
 
 def _rounded(share: float) -> str:
@@ -154,9 +162,9 @@ def _rounded(share: float) -> str:
 def _caption(found: StudyTrajectories) -> list[str]:
     runs = found.episodes.groupby("condition", sort=False)["run_id"].nunique()
     counts = sorted(set(runs))
-    of = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    of = f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} run{'s' * (counts[0] > 1)}"
     return [
-        f"Of each condition {of} runs, as trained in the end, with actions drawn, in worlds of evaluation.",
+        f"{of} a condition, by their policies at the end of training, in worlds they were not trained on.",
         f"Lines: {min(KEPT_EPISODES, found.per_run)} episodes of each run; marks: where they end.",
         f"Numbers: means over runs of {found.per_run} episodes each.",
     ]

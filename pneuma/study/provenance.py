@@ -7,7 +7,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -40,19 +40,19 @@ class Attempt:
         clock: `time.perf_counter` then.
         threads: of each worker.
         start: the step that it went on from.
-        first: `time.perf_counter` and the step after its first update, before which programs are loaded and
-            compiled; None until then.
+        first: `time.perf_counter`, the step and `time.process_time` after its first update, before which
+            programs are loaded and compiled; None until then.
     """
 
     started: datetime
     clock: float
     threads: int
     start: int = 0
-    first: tuple[float, int] | None = None
+    first: tuple[float, int, float] | None = None
 
     def updated(self, step: int) -> Attempt:
         """Return the attempt after an update, the first of which is noted."""
-        return self if self.first else replace(self, first=(time.perf_counter(), step))
+        return self if self.first else replace(self, first=(time.perf_counter(), step, time.process_time()))
 
     def so_far(self, step: int | None) -> dict[str, Any]:
         """Return what is to be told of this attempt at a step, None where that stands elsewhere."""
@@ -60,6 +60,7 @@ class Attempt:
             "started": self.started.astimezone(UTC).isoformat(timespec="seconds"),
             "wall_seconds": round(time.perf_counter() - self.clock, 3),
             "training_seconds": round(self._training_seconds(step), 3),
+            "processor_share": self._processor_share(),
             "step": step,
             "machine": machine(self.threads),
         }
@@ -69,8 +70,19 @@ class Attempt:
         now = time.perf_counter()
         if self.first is None or step is None or step <= self.first[1]:
             return now - self.clock
-        clock, first = self.first
+        clock, first, _ = self.first
         return (now - clock) * (step - self.start) / (step - first)
+
+    def _processor_share(self) -> float | None:
+        """Return how much of a core the updates after the first had: less than 1 beside other programs.
+
+        None where they do not wait for a core alone, or where none was made.
+        """
+        if self.first is None or _device() != "cpu":
+            return None
+        clock, _, used = self.first
+        passed = time.perf_counter() - clock
+        return round((time.process_time() - used) / passed, 3) if passed > 0 else None
 
     @staticmethod
     def now() -> str:
@@ -93,6 +105,7 @@ def finished_provenance(
         "started": attempts[0]["started"],
         "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
         "training_seconds": round(sum(map(_training_seconds, attempts)), 3),
+        "processor_share": _least_share(attempts),
         **attempts[-1]["machine"],
         "resumes": history["resumes"],
         "attempts": attempts,
@@ -103,6 +116,13 @@ def _training_seconds(attempt: Mapping[str, Any]) -> float:
     """Return what an attempt tells, which may be an older version's that timed all together."""
     told = attempt.get("training_seconds")
     return float(told if isinstance(told, int | float) else attempt["wall_seconds"])
+
+
+def _least_share(attempts: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the share of the attempt that had to share most; None where one does not tell."""
+    shares = [attempt.get("processor_share") for attempt in attempts]
+    known = [float(share) for share in shares if isinstance(share, int | float)]
+    return min(known) if len(known) == len(shares) else None
 
 
 def machine(threads: int) -> dict[str, Any]:

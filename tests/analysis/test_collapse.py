@@ -11,7 +11,8 @@ import pytest
 from pneuma.analysis import signs
 from pneuma.analysis.collapse import Diagnosis, _one_action, diagnose, diagnoses, incidence
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.signs import NO_ENTROPY
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData

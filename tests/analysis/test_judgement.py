@@ -10,7 +10,8 @@ import pytest
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Judged, judge
 from pneuma.analysis.log_contrasts import run_to_run_deviation
-from pneuma.analysis.published import encode_study, published_path
+from pneuma.analysis.published import published_path
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.study.execute import selection_record
@@ -282,6 +283,18 @@ def test_times_of_different_machines(store: Store, tmp_path: Path) -> None:
     save_runs(store, tmp_path, {"low": LOW})
     reason = _untestable(store, tmp_path, ('"final-share-killed"', '"wall-seconds"'))
     assert reason == "timed on different machines"
+
+
+@pytest.mark.parametrize(
+    ("share", "reason"), [(0.71, "timed beside other work: on 71% of a core"), (0.97, "")]
+)
+def test_times_on_a_busy_machine(store: Store, tmp_path: Path, share: float, reason: str) -> None:
+    """Also where only the published times are left; runs of before it was noted are believed."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH}, processor_share=share)
+    save_runs(store, tmp_path, {"low": LOW})
+    timed = _changed(('"final-share-killed"', '"wall-seconds"'))
+    assert _one(store, tmp_path, timed).reason == reason
 
 
 # --- What is never done ----------------------------------------------------------------------------

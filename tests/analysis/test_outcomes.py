@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, outcome_values, reason
-from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.published_times import encode_times, times_path
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
@@ -61,7 +62,7 @@ def save(
         "evaluations": to_parquet(rows, (*EVALUATION_COLUMNS, *more)),
     }
     files = {f"{name}.parquet": data for name, data in tables.items()}
-    files["provenance.json"] = to_json({"wall_seconds": 8.0, "python": "3.11"})
+    files["provenance.json"] = to_json({"wall_seconds": 8.0, "processor_share": 0.5, "python": "3.11"})
     store.save_run(run_id, Status("done" if end == BUDGET else "diverged", end), files)
 
 
@@ -250,6 +251,7 @@ def test_a_clone_knows_the_times_from_the_file_beside_the_table(data: StudyData,
     timed = open_study(clone, read_published(clone, "mine").record)
     for name in ("wall-seconds", "steps-per-second"):
         assert outcome_values(timed, "a", name).tolist() == outcome_values(data, "a", name).tolist()
+    assert [timed.source.processor_share(run) for run in timed.runs] == [0.5] * len(timed.runs)
     times_path(clone, "mine").write_bytes(b'{"runs": [1]}')
     assert np.isnan(outcome(again, again.runs[0], "wall-seconds"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from pneuma.analysis import WINDOWS
 from pneuma.analysis.bands import BANDS
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.packed import pack_signs, rounded, unpack_signs
-from pneuma.analysis.published import encode_study, published_path, published_studies, read_published
+from pneuma.analysis.published import published_path, published_studies, read_published
+from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import draw_study
@@ -29,15 +31,24 @@ TIMES = ("wall-seconds", "steps-per-second")
 SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
 
 
-def _save(store: Store, run_id: str, seed: int, started: str = "2020-01-01", **about: Any) -> None:
+def _save(
+    store: Store,
+    run_id: str,
+    seed: int,
+    started: str = "2020-01-01",
+    played: float = 50,
+    valued: bool = False,
+    **about: Any,
+) -> None:
     """Store a run whose numbers have no short binary form, so that any rounding would show."""
     episodes = [(0, k, 50 * k, (k + seed) / 3, 50, k // 3, 0.1, "killed") for k in range(1, 21)]
     metrics = [(100 * k, *[(k + seed) / 7] * (len(METRICS) - 1)) for k in range(1, 11)]
-    evaluations = [(250 * k, 50, k / (11 + seed), 0.02, 0.9) for k in range(1, 5)]
+    values = [(k / 3, k / 7) for k in range(1, 5)] if valued else [()] * 4
+    evaluations = [(250 * k, played, k / (11 + seed), 0.02, 0.9, *values[k - 1]) for k in range(1, 5)]
     tables: dict[str, tuple[tuple[str, ...], list[Any]]] = {
         "episodes": (EPISODES, episodes),
         "metrics": (METRICS, metrics),
-        "evaluations": (EVALUATIONS, evaluations),
+        "evaluations": (EVALUATIONS + (("q_estimate", "q_true") if valued else ()), evaluations),
     }
     files = {
         f"{name}.parquet": to_parquet([dict(zip(columns, row, strict=True)) for row in rows], columns)
@@ -246,3 +257,142 @@ def test_one_run_under_two_names_is_published_under_both(store: Store, tmp_path:
     data = open_study(clone, read_published(clone, "mine").record)
     assert [run.condition for run in data.runs] == ["a", "twin"]
     assert data.same == [["a", "twin"]]
+
+
+# --- Part by part -----------------------------------------------------------------------------------
+
+
+def _publish_beside(store: Store, before: Store, **options: Any) -> bytes:
+    return encode_study(open_study(store, RECORD), **options, published=read_published(before, "mine"))
+
+
+def _part(tmp_path: Path, seed: int) -> Store:
+    """A results folder with the runs of one seed, and the others' names."""
+    store = Store(tmp_path / f"seed {seed}")
+    for (_, own), run_id in CELLS.items():
+        if own == seed:
+            _save(store, run_id, own)
+    return store
+
+
+@pytest.mark.parametrize("options", [{}, {"rounding": True}, {"curves": ("return",), "rounding": True}])
+def test_published_part_by_part_it_is_the_same_to_the_byte(
+    store: Store, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    """Machines that share nothing but the table make the table that one machine makes."""
+    first, second = _part(tmp_path, 0), _part(tmp_path, 1)
+    path = _publish(first)
+    path.write_bytes(encode_study(open_study(first, RECORD), **options))
+    whole = encode_study(open_study(store, RECORD), **options)
+    assert path.read_bytes() != whole
+    assert _publish_beside(second, first, **options) == whole
+
+
+def test_only_the_selections_runs_stay_and_those_that_are_here_are_taken_anew(
+    store: Store, tmp_path: Path
+) -> None:
+    _publish(store)
+    second = _part(tmp_path, 1)
+    _save(second, "b1" * 8, 1, python="3.12.0")
+    fewer = _record({cell: run_id for cell, run_id in CELLS.items() if cell != ("b", 0)})
+    data, before = open_study(second, fewer), read_published(store, "mine")
+    assert runs_staying(data, before) == ["a0" * 8]
+    table = pq.read_table(io.BytesIO(encode_study(data, published=before)))
+    assert table["run_id"].to_pylist() == ["a0" * 8, "a1" * 8, "b1" * 8]
+    versions = [json.loads(text)["python"] for text in table["provenance"].to_pylist()]
+    assert versions == ["3.11.7", "3.11.7", "3.12.0"]
+
+
+def test_a_run_that_crashed_here_stays_as_it_was_published(store: Store, tmp_path: Path) -> None:
+    second = _part(tmp_path, 1)
+    second.save_run("a0" * 8, Status("crashed", 100), {})
+    _publish(store)
+    assert _publish_beside(second, store) == published_path(store, "mine").read_bytes()
+
+
+@pytest.mark.parametrize("options", [{"rounding": True}, {"curves": ("return",)}])
+def test_runs_whose_other_curves_were_kept_are_not_mixed_with_new_ones(
+    store: Store, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    _publish(store)
+    wanted = "differ in .* publish with the same --curves and --round as before"
+    with pytest.raises(UserError, match=wanted):
+        _publish_beside(_part(tmp_path, 1), store, **options)
+    _publish_beside(store, store, **options)  # all are here: nothing is mixed
+
+
+def test_rounded_curves_are_not_mixed_with_exact_ones_of_the_same_columns(
+    store: Store, tmp_path: Path
+) -> None:
+    path = _publish(store)
+    path.write_bytes(encode_study(open_study(store, RECORD), ("entropy",)))
+    with pytest.raises(UserError, match="differ in rounding, and"):
+        _publish_beside(_part(tmp_path, 1), store, curves=("entropy",), rounding=True)
+
+
+def _longer(seed: int) -> dict[str, Any]:
+    """The study, of which one seed has twice the steps: its curves have points that only those runs need."""
+    record = json.loads(json.dumps(RECORD))
+    for run in record["runs"]:
+        run["run"]["steps"] *= 1 + (run["seed"] == seed)
+    return dict(record)
+
+
+def _in_parts(tmp_path: Path, record: dict[str, Any]) -> bytes:
+    first, second = _part(tmp_path, 0), _part(tmp_path, 1)
+    _publish(first, record)
+    return encode_study(open_study(second, record), published=read_published(first, "mine"))
+
+
+def test_short_runs_join_the_grid_of_longer_ones(store: Store, tmp_path: Path) -> None:
+    assert _in_parts(tmp_path, _longer(0)) == encode_study(open_study(store, _longer(0)))
+
+
+def test_short_runs_whose_curves_end_too_early_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="up to step 1,000, these need 2,000.* those of most steps first"):
+        _in_parts(tmp_path, _longer(1))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_evaluations_of_action_values_join_those_without(store: Store, tmp_path: Path, seed: int) -> None:
+    """Runs of DQN have two columns more, PPO's in the same table none of them."""
+    first, second = _part(tmp_path, 0), _part(tmp_path, 1)
+    for to in (first if seed == 0 else second, store):
+        for name in "ab":
+            _save(to, f"{name}{seed}" * 8, seed, valued=True)
+    _publish(first)
+    assert _publish_beside(second, first) == encode_study(open_study(store, RECORD))
+
+
+def test_counts_that_are_whole_in_one_part_alone_are_fractions_in_both(store: Store, tmp_path: Path) -> None:
+    first, second = _part(tmp_path, 0), _part(tmp_path, 1)
+    for to in (first, store):
+        _save(to, "b0" * 8, 0, played=50.5)
+    _publish(second)
+    assert _publish_beside(first, second) == encode_study(open_study(store, RECORD))
+
+
+def test_runs_that_failed_elsewhere_are_still_told(store: Store, tmp_path: Path) -> None:
+    store.save_run("ff" * 8, Status("crashed", 100), {})
+    record = _record({**CELLS, ("a", 2): "ff" * 8})
+    _publish(store, record)
+    data = open_study(_part(tmp_path, 1), record)
+    encoded = encode_study(data, published=read_published(store, "mine"))
+    assert encoded == published_path(store, "mine").read_bytes()
+
+
+def test_a_run_that_finishes_meanwhile_has_no_numbers_yet(store: Store, tmp_path: Path) -> None:
+    part = _part(tmp_path, 1)
+    data = open_study(part, RECORD)
+    _save(part, "a0" * 8, 0)
+    published_path(part, "mine").parent.mkdir(parents=True)
+    published_path(part, "mine").write_bytes(encode_study(data))
+    told = read_published(part, "mine")
+    assert told.status("a0" * 8).name == "running"
+    assert len(open_study(part, {**told.record, "source": "runs"}).runs) == 3
+
+
+def test_published_runs_that_a_selection_leaves_out_are_known(store: Store) -> None:
+    _publish(store)
+    fewer = _record({cell: run_id for cell, run_id in CELLS.items() if cell[0] == "a"})
+    assert runs_leaving(open_study(store, fewer), read_published(store, "mine")) == ["b0" * 8, "b1" * 8]

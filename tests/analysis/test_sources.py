@@ -12,7 +12,8 @@ import pytest
 from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError

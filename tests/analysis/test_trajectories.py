@@ -11,6 +11,7 @@ import pytest
 from pneuma.analysis.trajectories import (
     KEPT_EPISODES,
     StudyTrajectories,
+    beside,
     encode_trajectories,
     endings,
     gathered,
@@ -50,7 +51,7 @@ def test_shares_are_means_over_runs() -> None:
     assert table.loc[("a", "steps"), "high"] == pytest.approx(2.5 + 12.7062 * 0.5, rel=1e-4)
     assert table.loc[("b", "killed"), "runs"] == 1
     assert table.loc[("b", "killed"), "interval"] == "none"
-    assert "cleared" not in table.index.get_level_values("outcome")
+    assert table.loc[("a", "cleared"), "value"] == 0
 
 
 def test_an_episode_of_two_players_counts_once() -> None:
@@ -78,6 +79,27 @@ def test_the_table_comes_back_with_places_of_the_first_episodes_in_whole_pixels(
 def test_a_damaged_table_is_refused_by_its_path(tmp_path: Path) -> None:
     path = trajectories_path(tmp_path, "mine")
     path.parent.mkdir(parents=True)
-    path.write_bytes(encode_trajectories(make(row("a", "0", 0, "killed")))[:-5])
-    with pytest.raises(UserError, match="damaged"):
-        read_trajectories(tmp_path, "mine")
+    whole = encode_trajectories(make(row("a", "0", 0, "killed")))
+    flipped = [
+        whole[:place] + bytes([whole[place] ^ (1 << place % 8)]) + whole[place + 1 :]
+        for place in range(0, len(whole), 37)
+    ]
+    for damaged in (whole[:-5], *flipped):
+        path.write_bytes(damaged)
+        with pytest.raises(UserError, match="damaged"):
+            read_trajectories(tmp_path, "mine")
+
+
+def test_other_runs_that_were_published_keep_their_places() -> None:
+    before = make(*(row(name, run, 0, "killed") for name, run in (("a", "0"), ("b", "1"), ("a", "2"))))
+    again = make(row("b", "1", 0, "drowned"), row("c", "3", 0, "cleared"))
+    both = beside(again, before).episodes
+    assert list(zip(both["run_id"], both["ending"], strict=True)) == [
+        ("0", "killed"),
+        ("1", "drowned"),
+        ("2", "killed"),
+        ("3", "cleared"),
+    ]
+    assert encode_trajectories(beside(before, before)) == encode_trajectories(before)
+    with pytest.raises(UserError, match="are 1 episodes a run on the level 'thesis', these are 2"):
+        beside(make(*(row("b", "1", episode, "killed") for episode in (0, 1))), before)

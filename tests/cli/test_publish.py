@@ -80,7 +80,33 @@ def test_publishing_says_where_and_how_much(trained: Path, tmp_path: Path) -> No
         "file": str(path),
         "bytes": path.stat().st_size,
         "runs": 4,
+        "staying": 0,
+        "leaving": 0,
     }
+
+
+def test_what_was_published_and_is_gone_here_stays(trained: Path, tmp_path: Path) -> None:
+    """As on a second machine that has the table and trains another part of the study."""
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    _call("study", "publish", "activation", "--results", results)
+    files = sorted((results / "published").iterdir())
+    before = [path.read_bytes() for path in files]
+    for folder in sorted((results / "runs").iterdir())[:3]:
+        shutil.rmtree(folder)
+    called = _call("study", "publish", "activation", "--results", results)
+    assert "1 runs and 3 as they were published before" in called.out and not called.err
+    assert [path.read_bytes() for path in files] == before
+    files[0].write_bytes(files[0].read_bytes()[:-9])
+    called = _call("study", "publish", "activation", "--results", results)
+    assert called.code == 2 and "or remove it, to publish the runs that are here alone" in called.err
+
+
+def test_published_runs_never_leave_unnoticed(trained: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    _call("study", "publish", "activation", "--results", results)
+    called = _call("study", "publish", "activation", "--condition", "relu", "--results", results)
+    assert called.err == "Note: 2 published runs are not in this selection and leave the table.\n"
+    assert called.code == 0
 
 
 def test_a_fresh_clone_draws_the_same_figure(trained: Path, clone: Path, tmp_path: Path) -> None:

@@ -7,8 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from pneuma.analysis.trajectories import encode_trajectories, gathered
 from pneuma.cli import main
 from pneuma.env.level import LEVELS
 from pneuma.study.store import Status, Store
@@ -72,6 +74,11 @@ def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(
     assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
     alone = call(capsys, *GODOT, "--condition", "relu", "--results", clone)
     assert {row["condition"] for row in alone["endings"]} == {"relu"}
+    assert (alone["source"], alone["steps"]) == ("the published table", 256)
+    published = results / "published" / "trajectories" / "activation-godot.parquet"
+    whole = published.read_bytes()
+    call(capsys, *GODOT, "--episodes", "2", "--condition", "relu", "--publish", "--results", results)
+    assert published.read_bytes() == whole
 
 
 def test_where_neither_policies_nor_trajectories_are_it_says_so(
@@ -81,7 +88,19 @@ def test_where_neither_policies_nor_trajectories_are_it_says_so(
     assert main(["study", "publish", *GODOT, "--results", str(results)]) == 0
     shutil.rmtree(results / "runs")
     line = refusal(capsys, *GODOT, "--results", results)
-    assert line == f"pneuma: study activation-godot: its policies are not in {results}"
+    train = "train with `pneuma study run activation --setting godot`"
+    nowhere = f"pneuma: study activation-godot: its policies are not in {results}; "
+    assert line == nowhere + train
+    folder = results / "published" / "trajectories"
+    folder.mkdir()
+    (folder / "sigmoid-godot.parquet").touch()
+    told = "trajectories are published of sigmoid --setting godot; or "
+    assert refusal(capsys, *GODOT, "--results", results) == nowhere + told + train
+    other = {"condition": "tanh", "seed": 3, "run_id": "f" * 16, "episode": 0, "player": 0, "steps": 1}
+    rows = [{**other, "kills": 0, "ending": "killed", "places": np.zeros((2, 2))}]
+    (folder / "activation-godot.parquet").write_bytes(encode_trajectories(gathered("thesis", rows)))
+    told = "trajectories are published of tanh, seed 3, but not of these runs; pick those, or "
+    assert refusal(capsys, *GODOT, "--results", results) == nowhere + told + train
 
 
 def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path, capsys: Captured) -> None:

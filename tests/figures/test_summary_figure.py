@@ -11,7 +11,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.analysis.published import encode_study, published_path
+from pneuma.analysis.published import published_path
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.figures import paper

@@ -51,6 +51,22 @@ def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytes
     assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)
 
 
+def test_what_else_ran_on_the_core_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """6 s pass after the first update, of which the process had the core for 4.5."""
+    clock, used = [1000.0], [10.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(time, "process_time", lambda: used[0])
+    own = Attempt(datetime(2026, 1, 2, tzinfo=UTC), clock[0], 1).updated(100)
+    assert own.so_far(100)["processor_share"] is None
+    clock[0], used[0] = clock[0] + 6, used[0] + 4.5
+    told = own.so_far(400)
+    assert told["processor_share"] == 0.75
+    quiet = {**told, "processor_share": 0.99}
+    assert finished_provenance(own, {"attempts": [quiet], "resumes": []}, 400)["processor_share"] == 0.75
+    older = {key: value for key, value in told.items() if key != "processor_share"}
+    assert finished_provenance(own, {"attempts": [older], "resumes": []}, 400)["processor_share"] is None
+
+
 def test_a_run_without_a_stop_has_one_attempt() -> None:
     about = finished_provenance(attempt(), {"attempts": [], "resumes": []})
     assert [each["started"] for each in about["attempts"]] == [about["started"]]

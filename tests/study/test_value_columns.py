@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.published import encode_study, published_path, read_published
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import StudyData
 from pneuma.engines.base import load_engine
