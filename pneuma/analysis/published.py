@@ -11,7 +11,8 @@ which is compared before anything else is read.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -79,14 +80,19 @@ def read_published(store: Store, study: str) -> PublishedRuns:
 
 
 class PublishedRuns:
-    """The runs of a published table."""
+    """The runs of a published table.
+
+    Attributes:
+        head: what the file's metadata holds.
+        times: what the file of times beside it tells of each run.
+    """
 
     what = "the published table"
 
     def __init__(self, head: Mapping[str, Any], table: pa.Table, times: Mapping[str, Any]) -> None:
         self.head = head
         self._table = table
-        self._times = times
+        self.times = times
         self._frames: dict[str, pd.DataFrame] = {}
         self._place = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
         self.tables: tuple[str, ...] = tuple(head["tables"])
@@ -109,6 +115,16 @@ class PublishedRuns:
         return Status(self._cell(run_id, "status"), self._cell(run_id, "end") or 0)
 
     @property
+    def run_ids(self) -> tuple[str, ...]:
+        """The runs of the table, each once."""
+        return tuple(self._place)
+
+    @cached_property
+    def finished(self) -> frozenset[str]:
+        """Those of them that have numbers."""
+        return frozenset(run_id for run_id in self._place if self.status(run_id).finished)
+
+    @property
     def column_types(self) -> dict[str, pa.DataType]:
         """The columns that runs have their numbers in, in order, and what they hold."""
         return {field.name: field.type for field in self._table.schema if field.name not in NAMING}
@@ -116,6 +132,12 @@ class PublishedRuns:
     def row(self, run_id: str) -> dict[str, Any]:
         """Return a run's cells in these columns, as they are kept."""
         return {name: self._cell(run_id, name) for name in self.column_types}
+
+    def rows(self, run_ids: Iterable[str], columns: Iterable[str]) -> pa.Table:
+        """Return what names and counts these runs, each once, as a table of these columns."""
+        places = [self._place[run_id] for run_id in run_ids]
+        table = self._table.select([*NAMING, *columns]).take(pa.array(places, pa.int64()))
+        return table.replace_schema_metadata()
 
     def quantities(self, run: FinishedRun) -> tuple[str, ...]:
         """Return what the table has columns for."""
@@ -160,11 +182,11 @@ class PublishedRuns:
 
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return how long a run trained, where the file of times beside the table tells."""
-        return told_seconds(self._times.get(run.run_id, {}))
+        return told_seconds(self.times.get(run.run_id, {}))
 
     def processor_share(self, run: FinishedRun) -> float | None:
         """Return how much of a core it had, where that file tells."""
-        return told_share(self._times.get(run.run_id, {}))
+        return told_share(self.times.get(run.run_id, {}))
 
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run, without when it did."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,8 +48,8 @@ def encode_study(
         data: the study.
         curves: of which quantities curves are kept; left out: all. Outcomes are kept of all.
         rounding: whether curves are kept to a thousandth of their range.
-        published: what was published of it before; those of the selection's runs that are finished there
-            alone stay as they are.
+        published: what was published of it before (`with_other_studies`); those of the selection's runs
+            that are finished there alone stay as they are.
 
     Raises:
         UserError: when a run is to stay whose columns or points are not those of the others.
@@ -70,6 +70,7 @@ def encode_study(
             row |= _cells(data, run, kept, rounding)
         elif published is not None and run_id in staying:
             row |= {"status": published.status(run_id).name, **published.row(run_id)}
+            row |= {"settings": json.dumps(told["run"])}
         else:
             row |= {"status": _unfinished(data, run_id, published), "settings": json.dumps(told["run"])}
         rows.append(row)
@@ -78,6 +79,53 @@ def encode_study(
     }
     head = {"pneuma": json.dumps(_head(data, rounding)), "pneuma.checksum": NO_SUM}
     return with_sum(_compressed(pa.table(columns, metadata=head)))
+
+
+def with_other_studies(
+    data: StudyData,
+    own: PublishedRuns | None,
+    others: Iterable[PublishedRuns],
+    curves: Collection[str] | None = None,
+    rounding: bool = False,
+) -> PublishedRuns | None:
+    """Return what was published of a selection's runs before, by its study or by others.
+
+    A run has one id in all studies that ask for it, so the runs that one study published need not be
+    trained again for the next. Tables with other columns, or other points, are passed over.
+
+    Args:
+        data: the study.
+        own: what was published of it before, if anything; what it holds is taken from it.
+        others: the tables of other studies.
+        curves: as for `encode_study`.
+        rounding: likewise.
+    """
+    kept = tuple(name for name in data.quantities if curves is None or name in curves)
+    kinds = own.column_types if own else _cell_types(data, kept, rounding)
+    here = {run.run_id for run in data.runs} | {*(own.finished if own else ())}
+    steps = {run["run_id"]: run["run"]["steps"] for run in data.record["runs"]}
+    found: dict[str, PublishedRuns] = {}
+    for other in others:
+        alike = other.head.get("rounded", rounding) == rounding
+        if alike and {**other.column_types, **kinds} == other.column_types:
+            ids = [run_id for run_id in steps if run_id not in here and run_id in other.finished]
+            found = {**dict.fromkeys(ids, other), **found}
+    if own:
+        head = own.head
+    else:
+        budget = max(steps[run_id] for run_id in {*here, *found})
+        head = {**_head(data, rounding), "budget": budget}
+    found = {run_id: other for run_id, other in found.items() if _same_grid(head, other.head)}
+    if not found:
+        return own
+    tables = [own.rows([run_id for run_id in own.run_ids if run_id not in found], kinds)] if own else []
+    tables += [other.rows([run_id], kinds) for run_id, other in found.items()]
+    times = {run_id: other.times[run_id] for run_id, other in found.items() if run_id in other.times}
+    return PublishedRuns(head, pa.concat_tables(tables), {**times, **(own.times if own else {})})
+
+
+def _same_grid(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
+    return all(ours[key] == theirs[key] for key in _GRID)
 
 
 def runs_staying(data: StudyData, published: PublishedRuns | None) -> list[str]:

@@ -105,14 +105,15 @@ def publish(
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them.
 
-    Runs that were published before and are not here stay in it as they are, where the selection has
-    them: a study may thus be trained on several machines, or part by part.
+    Runs of the selection that were published before and are not here stay in it as they are: a study
+    may thus be trained on several machines, or part by part. The same runs of other studies' tables
+    count, where they hold as much.
     """
     kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.published import PublishedRuns, published_path, published_studies
-    from pneuma.analysis.published_times import encode_times, read_times, times_path
+    from pneuma.analysis.published_times import encode_times, times_path
     from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
     from pneuma.analysis.sources import open_study
 
@@ -120,16 +121,16 @@ def publish(
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
     path = published_path(store, data.study)
-    before = _published_before(store, data)
+    own = _published_before(store, data)
+    leaving = runs_leaving(data, own) if own else []
+    before = _with_other_studies(store, data, own, kept, rounding)
     staying = runs_staying(data, before)
-    leaving = runs_leaving(data, before) if before else []
     tell_left_out(data, len(staying))
     if leaving:
         say(f"Note: {len(leaving)} published runs are not in this selection and leave the table.", True)
     encoded = encode_study(data, kept, rounding, before)
-    entries = read_times(store, data.study)
     store.write(path, encoded)
-    times = {run_id: entries[run_id] for run_id in staying if run_id in entries}
+    times = {run_id: before.times[run_id] for run_id in staying if run_id in before.times} if before else {}
     store.write(times_path(store, data.study), encode_times(data, times))
     size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
     if size > MOST_PUBLISHED_BYTES:
@@ -159,6 +160,19 @@ def _published_before(store: Store, data: StudyData) -> PublishedRuns | None:
         if not data.left_out:
             return None
         raise UserError(f"{error}; or remove it, to publish the runs that are here alone") from None
+
+
+def _with_other_studies(
+    store: Store, data: StudyData, own: PublishedRuns | None, curves: tuple[str, ...] | None, rounding: bool
+) -> PublishedRuns | None:
+    """Return what was published of a study's runs before, also by other studies; see `with_other_studies`."""
+    from pneuma.analysis.published import published_studies, read_published
+    from pneuma.analysis.publishing import runs_staying, with_other_studies
+
+    if data.left_out == len(runs_staying(data, own)):
+        return own
+    others = [read_published(store, name) for name in published_studies(store) if name != data.study]
+    return with_other_studies(data, own, others, curves, rounding)
 
 
 def _read_curves(told: str | None) -> tuple[str, ...] | None:

@@ -20,62 +20,18 @@ from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import draw_study
-from pneuma.study.store import Status, Store, to_json
-from pneuma.study.tables import to_parquet
+from pneuma.study.store import Status, Store
 
-EPISODES = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
-UPDATES = ("entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "explained_variance", "dead_units")
-METRICS = ("step", *UPDATES, *(f"action_{i}" for i in range(5)))
-EVALUATIONS = ("step", "episodes", "share_killed", "random_share_killed", "hunter_share_killed")
+from .published_runs import CELLS, RECORD, SETTINGS, longer_record, record_of, save_run
+
 TIMES = ("wall-seconds", "steps-per-second")
-SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
-
-
-def _save(
-    store: Store,
-    run_id: str,
-    seed: int,
-    started: str = "2020-01-01",
-    played: float = 50,
-    valued: bool = False,
-    **about: Any,
-) -> None:
-    """Store a run whose numbers have no short binary form, so that any rounding would show."""
-    episodes = [(0, k, 50 * k, (k + seed) / 3, 50, k // 3, 0.1, "killed") for k in range(1, 21)]
-    metrics = [(100 * k, *[(k + seed) / 7] * (len(METRICS) - 1)) for k in range(1, 11)]
-    values = [(k / 3, k / 7) for k in range(1, 5)] if valued else [()] * 4
-    evaluations = [(250 * k, played, k / (11 + seed), 0.02, 0.9, *values[k - 1]) for k in range(1, 5)]
-    tables: dict[str, tuple[tuple[str, ...], list[Any]]] = {
-        "episodes": (EPISODES, episodes),
-        "metrics": (METRICS, metrics),
-        "evaluations": (EVALUATIONS + (("q_estimate", "q_true") if valued else ()), evaluations),
-    }
-    files = {
-        f"{name}.parquet": to_parquet([dict(zip(columns, row, strict=True)) for row in rows], columns)
-        for name, (columns, rows) in tables.items()
-    }
-    about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc", **about}
-    store.save_run(run_id, Status("done", 1000), {**files, "provenance.json": to_json(about)})
-
-
-def _record(cells: dict[tuple[str, int], str]) -> dict[str, Any]:
-    runs = [
-        {"condition": condition, "seed": seed, "run_id": run_id, "run": SETTINGS}
-        for (condition, seed), run_id in cells.items()
-    ]
-    texts = {"study": "mine", "title": "Mine", "figure": "fig-mine", "baseline": "a"}
-    return {**texts, "same": [], "selection": {}, "runs": runs}
-
-
-CELLS = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8, ("a", 1): "a1" * 8, ("b", 1): "b1" * 8}
-RECORD = _record(CELLS)
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "results")
     for (_, seed), run_id in CELLS.items():
-        _save(store, run_id, seed)
+        save_run(store, run_id, seed)
     return store
 
 
@@ -93,7 +49,7 @@ def test_the_same_runs_give_the_same_bytes_whenever_they_were_trained(store: Sto
     again = Store(tmp_path / "again")
     for (_, seed), run_id in CELLS.items():
         killed = [{"step": 17 * seed, "at": "2021-12-31", "differences": []}]
-        _save(again, run_id, seed, started="2021-12-31 and it took longer", resumes=killed)
+        save_run(again, run_id, seed, started="2021-12-31 and it took longer", resumes=killed)
     assert _publish(store).read_bytes() == _publish(again).read_bytes()
 
 
@@ -108,7 +64,7 @@ def test_a_resume_elsewhere_is_still_told(store: Store) -> None:
     """It could have given other bits."""
     differences = ["cpu (old, now new)", "torch (1, now 2)"]
     resumes = [{"step": 17, "at": "2021-12-31", "differences": differences[::-1]}] * 2
-    _save(store, "a0" * 8, 0, resumes=resumes)
+    save_run(store, "a0" * 8, 0, resumes=resumes)
     about = json.loads(pq.read_table(_publish(store))["provenance"][0].as_py())
     assert about["resumed_elsewhere"] == differences
 
@@ -126,8 +82,8 @@ def test_a_run_takes_a_few_kilobytes(store: Store) -> None:
     """Design section 4: 20 MB over all studies."""
     many = {("a", seed): f"{seed:016x}" for seed in range(20)}
     for seed, run_id in enumerate(many.values()):
-        _save(store, run_id, seed)
-    assert len(_publish(store, _record(many)).read_bytes()) < 20 * 12_000 + 30_000
+        save_run(store, run_id, seed)
+    assert len(_publish(store, record_of(many)).read_bytes()) < 20 * 12_000 + 30_000
 
 
 def test_rounded_it_takes_less_and_says_the_same(store: Store, tmp_path: Path) -> None:
@@ -139,7 +95,7 @@ def test_rounded_it_takes_less_and_says_the_same(store: Store, tmp_path: Path) -
     small = encode_study(data, ("return", "entropy"), rounding=True)
     published_path(clone, "mine").write_bytes(small)
     assert len(small) < 0.9 * len(encode_study(data))
-    again = open_study(clone, _record(many))
+    again = open_study(clone, record_of(many))
     assert again.quantities == ["return", "entropy"]
     for ours, theirs in zip(data.runs, again.runs, strict=True):
         assert {name: outcome(data, ours, name) for name in OUTCOMES if name not in TIMES} == pytest.approx(
@@ -229,17 +185,17 @@ def test_the_figure_is_the_same_byte_for_byte(store: Store, tmp_path: Path, band
 def test_a_selection_finds_its_runs_in_the_table_by_their_ids(store: Store, tmp_path: Path) -> None:
     clone = Store(tmp_path / "clone")
     _publish(store, to=clone)
-    wanted = _record({("b", 1): "b1" * 8, ("c", 0): "c0" * 8})
+    wanted = record_of({("b", 1): "b1" * 8, ("c", 0): "c0" * 8})
     data = open_study(clone, wanted)
     assert [(run.condition, run.seed) for run in data.runs] == [("b", 1)]
     assert data.left_out == 1
     with pytest.raises(UserError, match="no run of this selection"):
-        open_study(clone, _record({("c", 0): "c0" * 8}))
+        open_study(clone, record_of({("c", 0): "c0" * 8}))
 
 
 def test_runs_that_never_finished_keep_their_place(store: Store, tmp_path: Path) -> None:
     """The colours of a figure are given out by place."""
-    record = _record({("never", 0): "ff" * 8, **CELLS})
+    record = record_of({("never", 0): "ff" * 8, **CELLS})
     store.save_run("ff" * 8, Status("crashed", 100), {})
     clone = Store(tmp_path / "clone")
     _publish(store, record, to=clone)
@@ -251,7 +207,7 @@ def test_runs_that_never_finished_keep_their_place(store: Store, tmp_path: Path)
 
 
 def test_one_run_under_two_names_is_published_under_both(store: Store, tmp_path: Path) -> None:
-    record = {**_record({("a", 0): "a0" * 8, ("twin", 0): "a0" * 8}), "same": [["a", "twin"]]}
+    record = {**record_of({("a", 0): "a0" * 8, ("twin", 0): "a0" * 8}), "same": [["a", "twin"]]}
     clone = Store(tmp_path / "clone")
     _publish(store, record, to=clone)
     data = open_study(clone, read_published(clone, "mine").record)
@@ -271,7 +227,7 @@ def _part(tmp_path: Path, seed: int) -> Store:
     store = Store(tmp_path / f"seed {seed}")
     for (_, own), run_id in CELLS.items():
         if own == seed:
-            _save(store, run_id, own)
+            save_run(store, run_id, own)
     return store
 
 
@@ -293,8 +249,8 @@ def test_only_the_selections_runs_stay_and_those_that_are_here_are_taken_anew(
 ) -> None:
     _publish(store)
     second = _part(tmp_path, 1)
-    _save(second, "b1" * 8, 1, python="3.12.0")
-    fewer = _record({cell: run_id for cell, run_id in CELLS.items() if cell != ("b", 0)})
+    save_run(second, "b1" * 8, 1, python="3.12.0")
+    fewer = record_of({cell: run_id for cell, run_id in CELLS.items() if cell != ("b", 0)})
     data, before = open_study(second, fewer), read_published(store, "mine")
     assert runs_staying(data, before) == ["a0" * 8]
     table = pq.read_table(io.BytesIO(encode_study(data, published=before)))
@@ -330,14 +286,6 @@ def test_rounded_curves_are_not_mixed_with_exact_ones_of_the_same_columns(
         _publish_beside(_part(tmp_path, 1), store, curves=("entropy",), rounding=True)
 
 
-def _longer(seed: int) -> dict[str, Any]:
-    """The study, of which one seed has twice the steps: its curves have points that only those runs need."""
-    record = json.loads(json.dumps(RECORD))
-    for run in record["runs"]:
-        run["run"]["steps"] *= 1 + (run["seed"] == seed)
-    return dict(record)
-
-
 def _in_parts(tmp_path: Path, record: dict[str, Any]) -> bytes:
     first, second = _part(tmp_path, 0), _part(tmp_path, 1)
     _publish(first, record)
@@ -345,12 +293,12 @@ def _in_parts(tmp_path: Path, record: dict[str, Any]) -> bytes:
 
 
 def test_short_runs_join_the_grid_of_longer_ones(store: Store, tmp_path: Path) -> None:
-    assert _in_parts(tmp_path, _longer(0)) == encode_study(open_study(store, _longer(0)))
+    assert _in_parts(tmp_path, longer_record(0)) == encode_study(open_study(store, longer_record(0)))
 
 
 def test_short_runs_whose_curves_end_too_early_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="up to step 1,000, these need 2,000.* those of most steps first"):
-        _in_parts(tmp_path, _longer(1))
+        _in_parts(tmp_path, longer_record(1))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -359,7 +307,7 @@ def test_evaluations_of_action_values_join_those_without(store: Store, tmp_path:
     first, second = _part(tmp_path, 0), _part(tmp_path, 1)
     for to in (first if seed == 0 else second, store):
         for name in "ab":
-            _save(to, f"{name}{seed}" * 8, seed, valued=True)
+            save_run(to, f"{name}{seed}" * 8, seed, valued=True)
     _publish(first)
     assert _publish_beside(second, first) == encode_study(open_study(store, RECORD))
 
@@ -367,14 +315,14 @@ def test_evaluations_of_action_values_join_those_without(store: Store, tmp_path:
 def test_counts_that_are_whole_in_one_part_alone_are_fractions_in_both(store: Store, tmp_path: Path) -> None:
     first, second = _part(tmp_path, 0), _part(tmp_path, 1)
     for to in (first, store):
-        _save(to, "b0" * 8, 0, played=50.5)
+        save_run(to, "b0" * 8, 0, played=50.5)
     _publish(second)
     assert _publish_beside(first, second) == encode_study(open_study(store, RECORD))
 
 
 def test_runs_that_failed_elsewhere_are_still_told(store: Store, tmp_path: Path) -> None:
     store.save_run("ff" * 8, Status("crashed", 100), {})
-    record = _record({**CELLS, ("a", 2): "ff" * 8})
+    record = record_of({**CELLS, ("a", 2): "ff" * 8})
     _publish(store, record)
     data = open_study(_part(tmp_path, 1), record)
     encoded = encode_study(data, published=read_published(store, "mine"))
@@ -384,7 +332,7 @@ def test_runs_that_failed_elsewhere_are_still_told(store: Store, tmp_path: Path)
 def test_a_run_that_finishes_meanwhile_has_no_numbers_yet(store: Store, tmp_path: Path) -> None:
     part = _part(tmp_path, 1)
     data = open_study(part, RECORD)
-    _save(part, "a0" * 8, 0)
+    save_run(part, "a0" * 8, 0)
     published_path(part, "mine").parent.mkdir(parents=True)
     published_path(part, "mine").write_bytes(encode_study(data))
     told = read_published(part, "mine")
@@ -394,5 +342,5 @@ def test_a_run_that_finishes_meanwhile_has_no_numbers_yet(store: Store, tmp_path
 
 def test_published_runs_that_a_selection_leaves_out_are_known(store: Store) -> None:
     _publish(store)
-    fewer = _record({cell: run_id for cell, run_id in CELLS.items() if cell[0] == "a"})
+    fewer = record_of({cell: run_id for cell, run_id in CELLS.items() if cell[0] == "a"})
     assert runs_leaving(open_study(store, fewer), read_published(store, "mine")) == ["b0" * 8, "b1" * 8]

@@ -101,6 +101,28 @@ def test_what_was_published_and_is_gone_here_stays(trained: Path, tmp_path: Path
     assert called.code == 2 and "or remove it, to publish the runs that are here alone" in called.err
 
 
+def test_runs_that_another_study_has_published_are_not_trained_again(trained: Path, tmp_path: Path) -> None:
+    """Tanh is Table 6.2, which other studies have as a condition of their own."""
+    results = tmp_path / "results"
+    published = results / "published"
+    tiny = [part for part in TINY if part not in ("--condition", "tanh", "relu")]
+    ours = ["--condition", "table-6-2", "--condition", "lambda-1", "--seeds", "2", *tiny]
+    assert _call("study", "run", "policy-gradient", *ours, "--results", results).code == 0
+    assert _call("study", "publish", "policy-gradient", "--results", results).code == 0
+    whole = [path.read_bytes() for path in sorted(published.iterdir())]
+    shutil.rmtree(published)
+    both = Path(shutil.copytree(trained, tmp_path / "both"))
+    assert _call("study", "publish", "activation", "--results", both).code == 0
+    shutil.copytree(both / "published", published)
+    for folder in (both / "runs").iterdir():
+        shutil.rmtree(results / "runs" / folder.name, ignore_errors=True)
+    called = _call("study", "publish", "policy-gradient", "--results", results)
+    assert "2 runs and 2 as they were published before" in called.out and not called.err
+    table, times = sorted(published.glob("policy-gradient.*"))
+    assert table.read_bytes() == whole[0]
+    assert json.loads(times.read_bytes())["runs"].keys() == json.loads(whole[1])["runs"].keys()
+
+
 def test_published_runs_never_leave_unnoticed(trained: Path, tmp_path: Path) -> None:
     results = Path(shutil.copytree(trained, tmp_path / "results"))
     _call("study", "publish", "activation", "--results", results)

@@ -148,7 +148,7 @@ def test_golden_trace(result: Result) -> None:
     assert [(row["step"], row["length"], row["kills"], row["ending"]) for row in result.records.episodes] == [
         tuple(row) for row in golden["episodes"]
     ]
-    # The policy loss is a mean of terms of about 1 that cancel: its last bits (1e-7) differ between processors.
+    # The policy loss is a mean of terms of about 1 that cancel: processors differ in its last bits (1e-7).
     assert {key: last[key] for key in golden["metrics"]} == pytest.approx(
         golden["metrics"], rel=1e-3, abs=5e-7
     )
