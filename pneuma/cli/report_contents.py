@@ -21,6 +21,7 @@ from pneuma.study.stored_runs import default_settings
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.trajectories import StudyTrajectories
     from pneuma.figures.report_studies import Conditions, Origin, Part, StudySection
 
 SETTING_TITLES = {spec.TEXT: "In the text's environment", spec.GODOT: "In the published code's environment"}
@@ -151,13 +152,28 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     from pneuma.analysis.summaries import summary_table
     from pneuma.figures.report_pictures import study_pictures
 
+    found, notes = _trajectories(store, record)
+    part = replace(part, notes=(*part.notes, *notes))
     try:
         data = open_study(store, record)
-        return replace(
-            part, pictures=study_pictures(data), summary=summary_table(data), origins=tuple(_origins(data))
-        )
+        pictures = study_pictures(data, found)
+        return replace(part, pictures=pictures, summary=summary_table(data), origins=tuple(_origins(data)))
     except UserError as error:
         return replace(part, notes=(*part.notes, _anywhere(store, error)))
+
+
+def _trajectories(
+    store: Store, record: Mapping[str, Any]
+) -> tuple[StudyTrajectories | None, tuple[str, ...]]:
+    """Return the published trajectories of a record's runs, if any; else why not, where that is a mistake."""
+    from pneuma.analysis.trajectories import read_trajectories
+
+    try:
+        found = read_trajectories(store.root, record["study"])
+    except UserError as error:
+        return None, (_anywhere(store, error),)
+    own = found and found.of_runs({run["run_id"] for run in record["runs"]})
+    return (own if own and len(own.episodes) else None), ()
 
 
 def _can_be_written(record: Mapping[str, Any]) -> bool:

@@ -11,10 +11,12 @@ from PIL import Image
 
 from pneuma.analysis.robustness import Map, shown_level
 from pneuma.analysis.tables import StudyData
+from pneuma.analysis.trajectories import ENDINGS, StudyTrajectories, endings
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import draw_study
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness, study_maps
+from pneuma.figures.trajectories import draw_trajectories
 
 LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
@@ -26,9 +28,15 @@ COLOURS = 128
 Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 
 
-def study_pictures(data: StudyData) -> tuple[Picture, ...]:
-    """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps."""
-    return (_curves(data), *_collapses(data), *map(_map, study_maps(data)))
+def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> tuple[Picture, ...]:
+    """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps.
+
+    Args:
+        data: the study.
+        found: its trajectories, where these are published.
+    """
+    walked = [_trajectories(data, found)] if found is not None and found.level else []
+    return (_curves(data), *_collapses(data), *walked, *map(_map, study_maps(data)))
 
 
 def _curves(data: StudyData) -> Picture:
@@ -51,6 +59,19 @@ def _collapses(data: StudyData) -> list[Picture]:
     caption = f"Runs that collapsed. As a list: pneuma study collapse {data.study}."
     drawn = _smaller(lambda folder, forms: draw_collapse(data, folder, "collapse", forms))
     return [Picture(*drawn, alt, caption)]
+
+
+def _trajectories(data: StudyData, found: StudyTrajectories) -> Picture:
+    table = endings(found)
+    shares = table[table["outcome"].isin(ENDINGS) & (table["value"] > 0)]
+    told = "; ".join(
+        f"{condition} " + ", ".join(f"{row.outcome} {row.value:.0%}" for row in own.itertuples())
+        for condition, own in shares.groupby("condition", sort=False)
+    )
+    alt = f"{data.title}: ways of the final policies on the map, and how their episodes end. {told}."
+    caption = f"Where the policies go. As numbers: pneuma study trajectories {data.study}."
+    drawn = _smaller(lambda folder, forms: draw_trajectories(data, found, folder, "ways", forms))
+    return Picture(*drawn, alt, caption)
 
 
 def _map(found: Map) -> Picture:

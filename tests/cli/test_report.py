@@ -10,8 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.cli import main, report_contents
 from pneuma.config import as_settings, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
@@ -219,6 +221,39 @@ def test_a_damaged_record_is_said_and_the_rest_is_shown(store: Store, make: Call
     words = _words(make())
     assert "activation.json: damaged" in words
     assert str(store.root) not in words
+
+
+def _publish_ways(store: Store, run: dict[str, Any]) -> Path:
+    """Publish trajectories of a run that drowns once and is killed once, and of one of no study."""
+    about = {"condition": run["condition"], "seed": run["seed"], "player": 0, "steps": 1, "kills": 0}
+    places = np.array([[1000.0, 1000.0], [1200.0, 1000.0]])
+    ids = [(run["run_id"], 0, "drowned"), (run["run_id"], 1, "killed"), ("f" * 16, 0, "cleared")]
+    rows = [
+        {**about, "run_id": run_id, "episode": episode, "ending": ending, "places": places}
+        for run_id, episode, ending in ids
+    ]
+    path = trajectories_path(store.root, "activation")
+    store.write(path, encode_trajectories(gathered("thesis", rows)))
+    return path
+
+
+def test_where_policies_go_is_shown_where_that_is_published(store: Store, make: Callable[..., Any]) -> None:
+    record = _record(store, "activation", TWO)
+    _publish_ways(store, record["runs"][0])
+    page = make("activation")
+    ways = page.all("img")[-1].attributes["alt"]
+    assert len(page.all("img")) == 2
+    assert ways.endswith("how their episodes end. tanh killed 50%, drowned 50%.")
+    assert "pneuma study trajectories activation" in _words(page)
+
+
+def test_damaged_trajectories_are_said_and_the_rest_is_shown(store: Store, make: Callable[..., Any]) -> None:
+    record = _record(store, "activation", TWO)
+    path = _publish_ways(store, record["runs"][0])
+    path.write_bytes(path.read_bytes()[:-8])
+    page = make("activation")
+    assert len(page.all("img")) == 1
+    assert "activation.parquet: damaged" in _words(page) and str(store.root) not in _words(page)
 
 
 def test_a_damaged_provenance_is_said(store: Store, make: Callable[..., Any]) -> None:
