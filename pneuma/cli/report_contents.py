@@ -20,6 +20,8 @@ from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pneuma.analysis.tables import StudyData
     from pneuma.analysis.trajectories import StudyTrajectories
     from pneuma.figures.report_studies import Conditions, Origin, Part, StudySection
@@ -156,10 +158,25 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     part = replace(part, notes=(*part.notes, *notes))
     try:
         data = open_study(store, record)
-        pictures = study_pictures(data, found)
-        return replace(part, pictures=pictures, summary=summary_table(data), origins=tuple(_origins(data)))
+        return replace(
+            part,
+            pictures=study_pictures(data, found),
+            summary=summary_table(data),
+            effects=_effects(data),
+            origins=tuple(_origins(data)),
+        )
     except UserError as error:
         return replace(part, notes=(*part.notes, _anywhere(store, error)))
+
+
+def _effects(data: StudyData) -> pd.DataFrame | None:
+    """Return what the factors of a crossed study do; None of another, or one that is not whole."""
+    from pneuma.analysis.effects import effects_table, study_effects
+
+    try:
+        return effects_table(study_effects(data))
+    except UserError:
+        return None
 
 
 def _trajectories(

@@ -87,6 +87,7 @@ class Part:
         extent: how much it is, for people.
         pictures: its figures.
         summary: rows of condition, outcome, statistic, value, low, high, interval and runs.
+        effects: of a crossed study's factors, rows of effect, df, df_error, f, partial_r2, p_holm and others.
         conditions: as resolved.
         runs: every run of the selection.
         origins: what produced those that are finished.
@@ -99,6 +100,7 @@ class Part:
     extent: str = ""
     pictures: tuple[Picture, ...] = ()
     summary: pd.DataFrame | None = None
+    effects: pd.DataFrame | None = None
     conditions: Conditions | None = None
     runs: tuple[RunRow, ...] = ()
     origins: tuple[Origin, ...] = ()
@@ -162,6 +164,8 @@ def _part(part: Part, places: RunPlaces) -> Html:
         inner += [element("h4", text("Figure")), *(figure(picture) for picture in part.pictures)]
     if part.summary is not None and len(part.summary):
         inner += [element("h4", text("Numbers")), _summary(part)]
+    if part.effects is not None:
+        inner += [element("h4", text("Effects")), _effects(part, part.effects)]
     if part.conditions is not None:
         inner += [element("h4", text("Conditions")), _conditions(part, part.conditions)]
     if part.runs:
@@ -263,6 +267,20 @@ def _cell(row: Any) -> Html:
     value, low, high = numbers(row.value, row.low, row.high)
     interval = "" if pd.isna(row.low) or pd.isna(row.high) else f"[{low}, {high}] "
     return join([text(value), Html("<br>"), element("small", text(f"{interval}n = {int(row.runs)}"))])
+
+
+def _effects(part: Part, frame: pd.DataFrame) -> Html:
+    """Return what each factor does alone and with each other, a row for each effect."""
+    heads = ("Effect", "Levels", "df", "F", "Share of variance", "p (Holm)")
+    columns = [Column(text(head), numbers=head not in heads[:2]) for head in heads]
+    rows = [_effect(row) for row in frame.itertuples()]
+    told = f"'s factors on {frame['outcome'].iloc[0]}, tested by permutation; {frame['runs'].iloc[0]} runs"
+    return table(join([text("Effects of "), name(part.record), text(told)]), columns, rows)
+
+
+def _effect(row: Any) -> list[Html]:
+    told = (row.levels, f"{row.df}, {row.df_error}", numbers(row.f)[0], numbers(row.partial_r2)[0])
+    return [name(row.effect), *map(text, told), text(f"{row.p_holm:.4f}")]
 
 
 # --- Runs ------------------------------------------------------------------------------------------

@@ -247,6 +247,23 @@ def test_where_policies_go_is_shown_where_that_is_published(store: Store, make: 
     assert "pneuma study trajectories activation" in _words(page)
 
 
+def test_effects_of_crossed_factors_are_shown(store: Store, make: Callable[..., Any]) -> None:
+    """All runs evaluate alike, so that no effect has any variance."""
+    crossed = {
+        f"{activation} {scale}": {"activation": activation, "scale": scale}
+        for activation in ("tanh", "relu")
+        for scale in ("unit", "raw")
+    }
+    _record(store, "collapse", crossed)
+    page = make("collapse")
+    assert "Effects of collapse's factors on final-share-killed, tested by permutation; 8 runs" in _words(
+        page
+    )
+    cells = [cell.text for cell in page.all("td")]
+    at = cells.index("2 × 2")
+    assert cells[at : at + 5] == ["2 × 2", "1, 4", "–", "–", "1.0000"]
+
+
 def test_damaged_trajectories_are_said_and_the_rest_is_shown(store: Store, make: Callable[..., Any]) -> None:
     record = _record(store, "activation", TWO)
     path = _publish_ways(store, record["runs"][0])
