@@ -90,6 +90,7 @@ trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --
 
 trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
 	$(call trajectories,sigmoid)
+	$(call trajectories,sigmoid --setting godot)
 	$(call trajectories,activation --setting godot)
 	$(call trajectories,optimizer --setting godot --condition stationary --condition non-stationary --condition sgd)
 
