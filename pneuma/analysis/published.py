@@ -129,6 +129,16 @@ class PublishedRuns:
         """The columns that runs have their numbers in, in order, and what they hold."""
         return {field.name: field.type for field in self._table.schema if field.name not in NAMING}
 
+    def rounds_as(self, rounding: bool) -> bool:
+        """Tell whether curves are rounded, or not, as is asked; older tables tell it by their types alone.
+
+        Of those without a curve of episodes nothing tells it, and either is taken for granted.
+        """
+        if "rounded" in self.head:
+            return bool(self.head["rounded"] == rounding)
+        kinds = [kind for name, kind in self.column_types.items() if name.endswith(f" {self.windows[0]}")]
+        return not kinds or (kinds[0].value_type == pa.float32()) == rounding
+
     def row(self, run_id: str) -> dict[str, Any]:
         """Return a run's cells in these columns, as they are kept."""
         return {name: self._cell(run_id, name) for name in self.column_types}

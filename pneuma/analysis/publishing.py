@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -100,32 +100,48 @@ def with_other_studies(
         curves: as for `encode_study`.
         rounding: likewise.
     """
+    published, own = own, own if runs_staying(data, own) else None  # one of which nothing stays binds no one
     kept = tuple(name for name in data.quantities if curves is None or name in curves)
     kinds = own.column_types if own else _cell_types(data, kept, rounding)
-    here = {run.run_id for run in data.runs} | {*(own.finished if own else ())}
-    steps = {run["run_id"]: run["run"]["steps"] for run in data.record["runs"]}
-    found: dict[str, PublishedRuns] = {}
-    for other in others:
-        alike = other.head.get("rounded", rounding) == rounding
-        if alike and {**other.column_types, **kinds} == other.column_types:
-            ids = [run_id for run_id in steps if run_id not in here and run_id in other.finished]
-            found = {**dict.fromkeys(ids, other), **found}
-    if own:
-        head = own.head
-    else:
-        budget = max(steps[run_id] for run_id in {*here, *found})
-        head = {**_head(data, rounding), "budget": budget}
-    found = {run_id: other for run_id, other in found.items() if _same_grid(head, other.head)}
+    head = own.head if own else _head(data, rounding)
+    serving = [
+        other
+        for other in others
+        if other.rounds_as(rounding)
+        and {**other.column_types, **kinds} == other.column_types
+        and all(head[key] == other.head[key] for key in _GRID if key != "budget")
+    ]
+    budget, found = _found_on_one_grid(data, own, serving)
     if not found:
-        return own
+        return published
     tables = [own.rows([run_id for run_id in own.run_ids if run_id not in found], kinds)] if own else []
     tables += [other.rows([run_id], kinds) for run_id, other in found.items()]
     times = {run_id: other.times[run_id] for run_id, other in found.items() if run_id in other.times}
-    return PublishedRuns(head, pa.concat_tables(tables), {**times, **(own.times if own else {})})
+    both = pa.concat_tables(tables)
+    return PublishedRuns({**head, "budget": budget}, both, {**times, **(own.times if own else {})})
 
 
-def _same_grid(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    return all(ours[key] == theirs[key] for key in _GRID)
+def _found_on_one_grid(
+    data: StudyData, own: PublishedRuns | None, others: Sequence[PublishedRuns]
+) -> tuple[int, dict[str, PublishedRuns]]:
+    """Return up to which step the curves of a selection's runs have points, and which table holds which run.
+
+    That is the own table's, or of all runs that are had the most; tables with other points are had no more.
+    """
+    steps = {run["run_id"]: run["run"]["steps"] for run in data.record["runs"]}
+    had = {run.run_id for run in data.runs} | {*(own.finished if own else ())}
+    while True:
+        found = {
+            run_id: other
+            for other in reversed(others)  # the first that holds a run is its table
+            for run_id in steps
+            if run_id not in had and run_id in other.finished
+        }
+        budget = own.head["budget"] if own else max(steps[run_id] for run_id in {*had, *found})
+        fitting = [other for other in others if other.head["budget"] == budget]
+        if len(fitting) == len(others):
+            return budget, found
+        others = fitting
 
 
 def runs_staying(data: StudyData, published: PublishedRuns | None) -> list[str]:
@@ -181,7 +197,7 @@ def _shared_types(
     """
     before = published.column_types
     differing = {name for name in {**kinds, **before} if kinds.get(name) != before.get(name)} - {EVALUATIONS}
-    if published.head.get("rounded", rounding) != rounding:
+    if not published.rounds_as(rounding):
         differing.add("rounding")
     if differing or (EVALUATIONS in kinds) != (EVALUATIONS in before):
         names = sorted(differing) or [EVALUATIONS]

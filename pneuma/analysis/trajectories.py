@@ -176,9 +176,26 @@ def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
         head = json.loads(table.schema.metadata[b"pneuma"])
         if head["schema"] != SCHEMA:
             raise ValueError
-        level, columns = head["level"], {name: table[name].to_pylist() for name in _TYPES}
+        level, table = head["level"], table.select(list(_TYPES)).cast(pa.schema(_TYPES))
+        episodes = pd.DataFrame({name: table[name].to_pylist() for name in _TYPES})
+        if not isinstance(level, str) or not _are_episodes(table, episodes):
+            raise ValueError
     except (OSError, pa.ArrowException, TypeError, KeyError, ValueError):
         raise UserError(
             f"{path}: damaged; take it from version control again, or publish the trajectories anew"
         ) from None
-    return StudyTrajectories(level, pd.DataFrame(columns))
+    return StudyTrajectories(level, episodes)
+
+
+def _are_episodes(table: pa.Table, episodes: pd.DataFrame) -> bool:
+    """Tell whether rows, which may be a stranger's, are what `gathered` makes."""
+    x, y = (table[axis].combine_chunks() for axis in "xy")
+    if any(values.null_count for values in (*table.columns, x.flatten(), y.flatten())):
+        return False
+    places, others = episodes["x"].map(len), episodes["y"].map(len)
+    return (
+        set(episodes["ending"]) <= {*ENDINGS}
+        and bool((places == others).all() and ((places == 0) | (places == episodes["steps"] + 1)).all())
+        and bool((episodes["episode"] >= 0).all())
+        and set(episodes["run_id"]) == set(episodes["run_id"][episodes["player"] == 0]) != set()
+    )

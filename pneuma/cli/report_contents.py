@@ -154,10 +154,10 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     from pneuma.analysis.summaries import summary_table
     from pneuma.figures.report_pictures import study_pictures
 
-    found, notes = _trajectories(store, record)
-    part = replace(part, notes=(*part.notes, *notes))
     try:
         data = open_study(store, record)
+        found, notes = _trajectories(store, data)
+        part = replace(part, notes=(*part.notes, *notes))
         return replace(
             part,
             pictures=study_pictures(data, found),
@@ -179,18 +179,20 @@ def _effects(data: StudyData) -> pd.DataFrame | None:
         return None
 
 
-def _trajectories(
-    store: Store, record: Mapping[str, Any]
-) -> tuple[StudyTrajectories | None, tuple[str, ...]]:
-    """Return the published trajectories of a record's runs, if any; else why not, where that is a mistake."""
+def _trajectories(store: Store, data: StudyData) -> tuple[StudyTrajectories | None, tuple[str, ...]]:
+    """Return the published trajectories of a study's runs, if any; else why not, where there is a reason."""
     from pneuma.analysis.trajectories import read_trajectories
 
     try:
-        found = read_trajectories(store.root, record["study"])
+        found = read_trajectories(store.root, data.study)
     except UserError as error:
         return None, (_anywhere(store, error),)
-    own = found and found.of_runs({run["run_id"] for run in record["runs"]})
-    return (own if own and len(own.episodes) else None), ()
+    own = found and found.of_runs({run.run_id for run in data.runs})
+    if own is None or not len(own.episodes):
+        return None, ()
+    if not own.level:
+        return None, ("Where its policies go is published, but on several levels, which no one map shows.",)
+    return own, ()
 
 
 def _can_be_written(record: Mapping[str, Any]) -> bool:

@@ -125,6 +125,7 @@ def publish(
     leaving = runs_leaving(data, own) if own else []
     before = _with_other_studies(store, data, own, kept, rounding)
     staying = runs_staying(data, before)
+    elsewhere = len(staying) - len(runs_staying(data, own))
     tell_left_out(data, len(staying))
     if leaving:
         say(f"Note: {len(leaving)} published runs are not in this selection and leave the table.", True)
@@ -138,10 +139,17 @@ def publish(
     if json:
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
         return print_json(
-            {**document, "runs": len(data.runs), "staying": len(staying), "leaving": len(leaving)}
+            {
+                **document,
+                "runs": len(data.runs),
+                "staying": len(staying),
+                "of_other_studies": elsewhere,
+                "leaving": len(leaving),
+            }
         )
-    more = f" and {len(staying)} as they were published before" if staying else ""
-    print(f"wrote {plain(str(path))}: {len(data.runs)} runs{more}, {len(encoded) / 1000:.0f} kB")
+    sources = {"as they were published before": len(staying) - elsewhere, "of other studies": elsewhere}
+    more = "".join(f", {count} {source}" for source, count in sources.items() if count)
+    print(f"wrote {plain(str(path))}: {len(data.runs)} runs from here{more}; {len(encoded) / 1000:.0f} kB")
     return None
 
 
@@ -171,7 +179,12 @@ def _with_other_studies(
 
     if data.left_out == len(runs_staying(data, own)):
         return own
-    others = [read_published(store, name) for name in published_studies(store) if name != data.study]
+    others = []
+    for study in published_studies(store):
+        try:
+            others += [read_published(store, study)] if study != data.study else []
+        except UserError as error:
+            say(f"Note: {error}; its runs are not taken from it.", as_json=True)
     return with_other_studies(data, own, others, curves, rounding)
 
 

@@ -16,7 +16,7 @@ from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import draw_study
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness, study_maps
-from pneuma.figures.trajectories import draw_trajectories
+from pneuma.figures.trajectories import draw_trajectories, share_told
 
 LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
@@ -33,9 +33,9 @@ def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> t
 
     Args:
         data: the study.
-        found: its trajectories, where these are published.
+        found: its trajectories on one level, where these are published.
     """
-    walked = [_trajectories(data, found)] if found is not None and found.level else []
+    walked = [_trajectories(data, found)] if found is not None else []
     return (_curves(data), *_collapses(data), *walked, *map(_map, study_maps(data)))
 
 
@@ -65,8 +65,8 @@ def _trajectories(data: StudyData, found: StudyTrajectories) -> Picture:
     table = endings(found)
     shares = table[table["outcome"].isin(ENDINGS) & (table["value"] > 0)]
     told = "; ".join(
-        f"{condition} " + ", ".join(f"{row.outcome} {row.value:.0%}" for row in own.itertuples())
-        for condition, own in shares.groupby("condition", sort=False)
+        f"{condition} " + ", ".join(f"{name} {share_told(value)}" for name, value in own.items())
+        for condition, own in shares.set_index("outcome").groupby("condition", sort=False)["value"]
     )
     alt = f"{data.title}: ways of the final policies on the map, and how their episodes end. {told}."
     caption = f"Where the policies go. As numbers: pneuma study trajectories {data.study}."

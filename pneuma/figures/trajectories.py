@@ -147,16 +147,16 @@ def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
 def _told(table: pd.DataFrame) -> str:
     """Return what is written below a panel: the shares of endings, and what episodes are like."""
     means = dict(zip(table["outcome"], table["value"], strict=True))
-    shares = [f"{_rounded(means[name])} {name.replace('-', ' ')}" for name in ENDINGS if means.get(name)]
+    shares = [f"{share_told(means[name])} {name.replace('-', ' ')}" for name in ENDINGS if means.get(name)]
     an_episode = f"{means['steps']:,.0f} steps and {means['kills']:.2g} kills an episode"
     return f"{', '.join(shares)}\n{an_episode}"
 
 
-def _rounded(share: float) -> str:
+def share_told(share: float) -> str:
     """Return a share in per cent; what is not quite none or all does not look so."""
     if 0 < share < 0.005 or 0.995 < share < 1:
-        return "<1%" if share < 0.5 else ">99%"
-    return f"{share:.0%}"
+        return "<1 %" if share < 0.5 else ">99 %"
+    return f"{100 * share:.0f} %"
 
 
 def _caption(found: StudyTrajectories) -> list[str]:

@@ -222,9 +222,9 @@ class Store:
         self.write(self.root / "studies" / f"{study}.json", seal(record))
 
     def selection(self, study: str) -> dict[str, Any] | None:
-        """Return a study's latest record, or None when it was never run here, or it is damaged."""
+        """Return a study's latest record, or None when it was never run here, is damaged, or another's."""
         record = read_sealed(self.root / "studies" / f"{study}.json")
-        return record if record and _is_record(record) else None
+        return record if record and _is_record(record) and record["study"] == study else None
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""

@@ -38,6 +38,12 @@ def _other(path: Path, run_ids: list[str], record: dict[str, Any] = RECORD, **op
     return read_published(store, "other")
 
 
+def _older(table: PublishedRuns) -> PublishedRuns:
+    """The same table, as it was before tables told whether they are rounded."""
+    table.head = {key: value for key, value in table.head.items() if key != "rounded"}
+    return table
+
+
 @pytest.fixture
 def whole(tmp_path: Path) -> Store:
     return _folder(tmp_path / "whole", list(CELLS.values()))
@@ -105,6 +111,36 @@ def test_a_table_that_holds_more_curves_serves(tmp_path: Path) -> None:
     before = with_other_studies(data, None, [other], **SMALL)
     both = open_study(_folder(tmp_path / "both", ["a0" * 8, "b0" * 8]), RECORD)
     assert encode_study(data, **SMALL, published=before) == encode_study(both, **SMALL)
+
+
+@pytest.mark.parametrize("rounding", [False, True])
+def test_older_tables_tell_by_their_types_whether_they_are_rounded(tmp_path: Path, rounding: bool) -> None:
+    other = _older(_other(tmp_path / "theirs", ["a0" * 8], rounding=rounding))
+    assert other.rounds_as(rounding) and not other.rounds_as(not rounding)
+    bare = _older(_other(tmp_path / "bare", ["a0" * 8], curves=()))
+    assert bare.rounds_as(rounding)
+
+
+def test_a_table_of_which_nothing_stays_binds_no_one(whole: Store, tmp_path: Path) -> None:
+    """Before, the study was published with fewer curves; none of those runs are asked for any more."""
+    gone = _folder(tmp_path / "gone", ["a1" * 8])
+    before_that = encode_study(open_study(gone, record_of({("a", 1): "a1" * 8})), curves=("entropy",))
+    gone.write(published_path(gone, "mine"), before_that)
+    fewer = record_of({cell: run_id for cell, run_id in CELLS.items() if cell != ("a", 1)})
+    theirs = _other(tmp_path / "theirs", ["a0" * 8])
+    data = open_study(_folder(tmp_path / "ours", ["b0" * 8, "b1" * 8]), fewer)
+    before = with_other_studies(data, read_published(gone, "mine"), [theirs])
+    assert encode_study(data, published=before) == encode_study(open_study(whole, fewer))
+
+
+def test_a_table_with_other_points_keeps_none_from_being_found(whole: Store, tmp_path: Path) -> None:
+    """The first table has the run too, on points of a longer run of its own, and is not taken."""
+    longer = _other(tmp_path / "longer", ["a0" * 8, "a1" * 8], longer_record(1))
+    theirs = _other(tmp_path / "theirs", ["a0" * 8])
+    fewer = record_of({cell: run_id for cell, run_id in CELLS.items() if cell != ("a", 1)})
+    data = open_study(_folder(tmp_path / "ours", ["b0" * 8, "b1" * 8]), fewer)
+    before = with_other_studies(data, None, [longer, theirs])
+    assert encode_study(data, published=before) == encode_study(open_study(whole, fewer))
 
 
 def test_tables_with_other_points_are_passed_over(tmp_path: Path) -> None:

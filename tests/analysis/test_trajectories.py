@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pneuma.analysis.trajectories import (
@@ -88,6 +89,32 @@ def test_a_damaged_table_is_refused_by_its_path(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with pytest.raises(UserError, match="damaged"):
             read_trajectories(tmp_path, "mine")
+
+
+@pytest.mark.parametrize(
+    "strange",
+    [{"ending": "flown"}, {"player": 1}, {"steps": 3}, {"y": [1]}, {"x": [1, None, 3]}, {"kills": None}],
+)
+def test_a_whole_table_of_what_no_episodes_are_is_refused(tmp_path: Path, strange: dict[str, Any]) -> None:
+    """A stranger's: whoever writes the rows can write their checksum."""
+    found = make(row("a", "0", 0, "killed"))
+    path = trajectories_path(tmp_path, "mine")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_trajectories(found))
+    assert read_trajectories(tmp_path, "mine") is not None
+    for name, value in strange.items():
+        found.episodes[name] = pd.Series([value], dtype=object)
+    path.write_bytes(encode_trajectories(found))
+    with pytest.raises(UserError, match="damaged"):
+        read_trajectories(tmp_path, "mine")
+
+
+def test_a_table_of_no_episodes_is_refused(tmp_path: Path) -> None:
+    path = trajectories_path(tmp_path, "mine")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_trajectories(make()))
+    with pytest.raises(UserError, match="damaged"):
+        read_trajectories(tmp_path, "mine")
 
 
 def test_other_runs_that_were_published_keep_their_places() -> None:

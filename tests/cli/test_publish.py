@@ -81,6 +81,7 @@ def test_publishing_says_where_and_how_much(trained: Path, tmp_path: Path) -> No
         "bytes": path.stat().st_size,
         "runs": 4,
         "staying": 0,
+        "of_other_studies": 0,
         "leaving": 0,
     }
 
@@ -94,14 +95,16 @@ def test_what_was_published_and_is_gone_here_stays(trained: Path, tmp_path: Path
     for folder in sorted((results / "runs").iterdir())[:3]:
         shutil.rmtree(folder)
     called = _call("study", "publish", "activation", "--results", results)
-    assert "1 runs and 3 as they were published before" in called.out and not called.err
+    assert "1 runs from here, 3 as they were published before;" in called.out and not called.err
     assert [path.read_bytes() for path in files] == before
     files[0].write_bytes(files[0].read_bytes()[:-9])
     called = _call("study", "publish", "activation", "--results", results)
     assert called.code == 2 and "or remove it, to publish the runs that are here alone" in called.err
 
 
-def test_runs_that_another_study_has_published_are_not_trained_again(trained: Path, tmp_path: Path) -> None:
+def test_runs_that_another_study_has_published_are_taken_from_its_table(
+    trained: Path, tmp_path: Path
+) -> None:
     """Tanh is Table 6.2, which other studies have as a condition of their own."""
     results = tmp_path / "results"
     published = results / "published"
@@ -117,10 +120,20 @@ def test_runs_that_another_study_has_published_are_not_trained_again(trained: Pa
     for folder in (both / "runs").iterdir():
         shutil.rmtree(results / "runs" / folder.name, ignore_errors=True)
     called = _call("study", "publish", "policy-gradient", "--results", results)
-    assert "2 runs and 2 as they were published before" in called.out and not called.err
+    assert "2 runs from here, 2 of other studies;" in called.out and not called.err
     table, times = sorted(published.glob("policy-gradient.*"))
     assert table.read_bytes() == whole[0]
     assert json.loads(times.read_bytes())["runs"].keys() == json.loads(whole[1])["runs"].keys()
+
+
+def test_a_damaged_table_of_another_study_is_told_and_passed_over(trained: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    shutil.rmtree(sorted((results / "runs").iterdir())[0])
+    (results / "published").mkdir()
+    (results / "published" / "other.parquet").write_bytes(b"PAR1")
+    called = _call("study", "publish", "activation", "--results", results)
+    assert called.code == 0 and "3 runs from here;" in called.out
+    assert "other.parquet: damaged" in called.err and "its runs are not taken from it" in called.err
 
 
 def test_published_runs_never_leave_unnoticed(trained: Path, tmp_path: Path) -> None:

@@ -243,7 +243,7 @@ def test_where_policies_go_is_shown_where_that_is_published(store: Store, make: 
     page = make("activation")
     ways = page.all("img")[-1].attributes["alt"]
     assert len(page.all("img")) == 2
-    assert ways.endswith("how their episodes end. tanh killed 50%, drowned 50%.")
+    assert ways.endswith("how their episodes end. tanh killed 50 %, drowned 50 %.")
     assert "pneuma study trajectories activation" in _words(page)
 
 

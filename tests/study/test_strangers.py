@@ -257,6 +257,15 @@ def test_a_record_cannot_pose_as_a_file_that_a_person_names(store: Store, evil: 
     assert not evil.exists()
 
 
+@pytest.mark.parametrize("posing", ["../../mine", "m" * 300])
+def test_a_record_cannot_pose_as_another_study(store: Store, posing: str) -> None:
+    """Its name would become that of tables and figures."""
+    store.save_selection("mine", {**RECORD, "study": posing})
+    for command in (("study", "status", "mine"), ("study", "summary", "mine")):
+        code, told = called(*command, "--results", store.root)
+        assert code == 2 and "mine" in told and posing not in told
+
+
 def test_a_mistake_that_quotes_a_record_cannot_drive_the_terminal(store: Store) -> None:
     store.save_selection("mine", {**RECORD, "runs": [{**CELL, "condition": "a\x1b]0;owned\x07"}]})
     code, told = called("study", "status", "mine", "--condition", "c", "--results", store.root)
