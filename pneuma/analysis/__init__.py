@@ -7,6 +7,9 @@ LEARNERS_TABLE = "learners"
 """Every learner's own metrics, of runs whose players learn independently."""
 
 EXPORT_TABLES = (*RECORD_TABLES, LEARNERS_TABLE, "curves", "summary")
+PUBLISHED_TABLES = ("evaluations", "curves", "summary")
+"""Those of them that a published table gives too."""
+
 EXPORT_FORMATS = ("csv", "parquet", "latex", "markdown")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}
 

@@ -107,7 +107,7 @@ def _part(store: Store, study: str, setting: str) -> Part:
         return Part(name, title, ("No runs yet.",), mend, conditions=conditions)
     try:
         record = study_record(store, name, None)
-        states = run_states(store, record)
+        states = run_states(store, record, mixed=True)
     except UserError as error:
         return Part(name, title, (_anywhere(store, error),), mend)
     return _recorded_part(store, study, Part(name, title, mend=mend), record, states)

@@ -15,6 +15,7 @@ from pneuma.analysis import (
     EXPORT_FORMATS,
     EXPORT_SUFFIXES,
     EXPORT_TABLES,
+    PUBLISHED_TABLES,
     UPDATE_QUANTITIES,
 )
 from pneuma.cli.options import (
@@ -71,7 +72,7 @@ def export(
     from pneuma.analysis.export import encode_table
     from pneuma.analysis.sources import open_study
 
-    data = open_study(store, record)
+    data = open_study(store, record, mixed=table in PUBLISHED_TABLES)
     tell_left_out(data)
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
@@ -117,7 +118,7 @@ def publish(
     from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
     from pneuma.analysis.sources import open_study
 
-    data = open_study(store, record)
+    data = open_study(store, record, mixed=False)
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
     path = published_path(store, data.study)
@@ -199,7 +200,12 @@ def _read_curves(told: str | None) -> tuple[str, ...] | None:
 
 
 def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
-    """Say how many runs of a selection are not shown, if any."""
+    """Say how many runs of a selection are not shown, or not here, if any."""
+    from pneuma.analysis.partly_published import PartlyPublished
+
+    if isinstance(data.source, PartlyPublished):
+        of = f"{len(data.source.published_ids)} of {data.left_out + len(data.runs)} runs"
+        say(f"Note: {of} of {plain(data.study)} are not here, but taken from its table.", as_json=True)
     missing = data.left_out - found_elsewhere
     if missing:
         of = f"{missing} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"

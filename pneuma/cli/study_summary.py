@@ -21,11 +21,10 @@ from pneuma.cli.options import (
     print_json,
     read_seeds_option,
     read_workers,
-    say,
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import check_folder
+from pneuma.cli.study_output import check_folder, tell_left_out
 from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError
@@ -90,7 +89,7 @@ def collapse(
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     store = Store(results)
-    data = open_data(store, name, selection, setting)
+    data = open_data(store, name, selection, setting, mixed=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found = diagnoses(data)
@@ -118,15 +117,13 @@ def _drawn_collapses(data: StudyData, out: Path) -> list[Path]:
     return draw_collapse(data, out, f"{data.figure}-collapse")
 
 
-def open_data(store: Store, name: str, selection: Any, setting: str | None) -> StudyData:
-    """Open a study's data, saying how many runs of the selection are left out."""
+def open_data(store: Store, name: str, selection: Any, setting: str | None, mixed: bool = True) -> StudyData:
+    """Open a study's data, as `open_study` does, saying how many runs of the selection are left out."""
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.sources import open_study
 
-    data = open_study(store, record)
-    if data.left_out:
-        of = f"{data.left_out} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
-        say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
+    data = open_study(store, record, mixed)
+    tell_left_out(data)
     return data
 
 

@@ -73,7 +73,7 @@ def trajectories(
     if out is not None:
         check_folder("--out", out)
     store = Store(results)
-    data = open_data(store, name, selection, setting)
+    data = open_data(store, name, selection, setting, mixed=False)
     from pneuma.analysis.trajectories import (
         beside,
         encode_trajectories,

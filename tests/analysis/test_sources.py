@@ -1,7 +1,8 @@
-"""One contract for every source of a study's data: runs, imported logs, and the published table of either."""
+"""One contract for every source of a study's data: runs, logs, their tables, or some of each."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,10 @@ import pytest
 from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
+from pneuma.analysis.outcomes import OUTCOMES, outcome
+from pneuma.analysis.partly_published import PartlyPublished
 from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.published_times import encode_times, times_path
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
@@ -94,7 +98,7 @@ def imported(store: Store, write_events: WriteEvents) -> dict[str, Any]:
     return record
 
 
-@pytest.fixture(params=["runs", "imported", "published runs", "published logs"])
+@pytest.fixture(params=["runs", "imported", "published runs", "published logs", "partly published runs"])
 def data(request: pytest.FixtureRequest, tmp_path: Path, write_events: WriteEvents) -> StudyData:
     store = Store(tmp_path / "results")
     record = (
@@ -102,6 +106,8 @@ def data(request: pytest.FixtureRequest, tmp_path: Path, write_events: WriteEven
         if "logs" in request.param or request.param == "imported"
         else trained(store)
     )
+    if request.param.startswith("partly"):
+        return partly_published(store, record)
     found = open_study(store, record)
     return republished(found, tmp_path) if request.param.startswith("published") else found
 
@@ -113,6 +119,19 @@ def republished(data: StudyData, folder: Path) -> StudyData:
     path.parent.mkdir(parents=True)
     path.write_bytes(encode_study(data))
     return open_study(clone, read_published(clone, data.study).record)
+
+
+def partly_published(store: Store, record: dict[str, Any], **options: Any) -> StudyData:
+    """Publish a study, lose two of its runs, and open it again."""
+    whole = open_study(store, record)
+    store.write(published_path(store, whole.study), encode_study(whole, **options))
+    store.write(times_path(store, whole.study), encode_times(whole))
+    for name in ("b1" * 8, "a0" * 8):
+        shutil.rmtree(store.run_folder(name))
+    data = open_study(store, record)
+    assert isinstance(data.source, PartlyPublished)
+    assert data.source.published_ids == {"b1" * 8, "a0" * 8}
+    return data
 
 
 # --- The contract ---------------------------------------------------------------------------------
@@ -260,3 +279,36 @@ def test_a_nan_that_was_logged_stays_in_the_table_and_is_a_blank_in_the_curve(
     curve = data.curve(data.runs[0], "return")
     at = {int(step): place for place, step in enumerate(data.grid)}
     np.testing.assert_array_equal(curve[[at[198], at[200], at[298], at[300]]], [1, np.nan, np.nan, 3])
+
+
+# --- Runs here, and runs that were published ------------------------------------------------------
+
+
+def test_a_study_is_the_same_whichever_of_its_runs_are_here(tmp_path: Path) -> None:
+    stores = [Store(tmp_path / name) for name in ("whole", "part")]
+    whole = open_study(stores[0], trained(stores[0]))
+    part = partly_published(stores[1], trained(stores[1]))
+    assert (part.runs, part.left_out) == (whole.runs, 1)
+    assert encode_table(part, "curves", "csv") == encode_table(whole, "curves", "csv")
+    for run in whole.runs:
+        np.testing.assert_equal(
+            [outcome(part, run, name) for name in OUTCOMES], [outcome(whole, run, name) for name in OUTCOMES]
+        )
+
+
+def test_curves_that_were_not_published_are_shown_of_none(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    data = partly_published(store, trained(store), curves=("entropy",))
+    assert data.quantities == ["entropy"]
+    assert open_study(store, data.record, mixed=False).left_out == 3
+
+
+def test_published_runs_with_other_points_stay_apart(tmp_path: Path) -> None:
+    """The run here is twice as long as all that were published."""
+    store = Store(tmp_path / "results")
+    record = dict(partly_published(store, trained(store)).record)
+    del record["budget"]
+    record["runs"] = [{**run, "run": {**run["run"]}} for run in record["runs"]]
+    record["runs"][0]["run"]["steps"] = 2 * BUDGET
+    data = open_study(store, record)
+    assert (len(data.runs), data.left_out, data.budget) == (1, 3, 2 * BUDGET)

@@ -126,6 +126,31 @@ def test_runs_that_another_study_has_published_are_taken_from_its_table(
     assert json.loads(times.read_bytes())["runs"].keys() == json.loads(whole[1])["runs"].keys()
 
 
+def test_a_study_is_judged_and_drawn_from_its_runs_here_and_its_published_ones(
+    trained: Path, tmp_path: Path
+) -> None:
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    _call("study", "publish", "activation", "--results", results)
+    whole = _call("study", "summary", "activation", "--results", results)
+    curves = _export(results, "curves", tmp_path / "whole.csv")
+    gone = sorted((results / "runs").iterdir())[0]
+    shutil.rmtree(gone)
+    part = _call("study", "summary", "activation", "--results", results)
+    note = "Note: 1 of 4 runs of activation are not here, but taken from its table.\n"
+    assert (part.out, part.err) == (whole.out, note)
+    assert _export(results, "curves", tmp_path / "part.csv") == curves
+    assert _call("study", "collapse", "activation", "--results", results).err == note
+    episodes = ("export", "--table", "episodes", "--out", tmp_path / "episodes.csv")
+    for command in (episodes, ("trajectories", "--episodes", "1")):
+        left_out = _call("study", command[0], "activation", *command[1:], "--results", results)
+        assert left_out.code == 0 and left_out.err.startswith("Note: 1 of 4 runs of activation are not fin")
+    store = Store(results)
+    record = study_record(store, "activation", None)
+    states = {mixed: [state for _, state in run_states(store, record, mixed)] for mixed in (False, True)}
+    assert sorted(states[False]) == ["done", "done", "done", "planned"]
+    assert states[True] == ["done"] * 4
+
+
 def test_a_damaged_table_of_another_study_is_told_and_passed_over(trained: Path, tmp_path: Path) -> None:
     results = Path(shutil.copytree(trained, tmp_path / "results"))
     shutil.rmtree(sorted((results / "runs").iterdir())[0])
