@@ -1,7 +1,8 @@
 """A study's data: its finished runs, their tables and their curves, wherever these come from.
 
 There are four sources: the runs of a results folder, logs that were imported, a study's published
-table, and runs beside such a table. `StudyData` is what all further steps read; it asks one `Source` for one run at a time.
+table, and runs beside such a table. `StudyData` is what all further steps read; it asks one `Source`
+for one run at a time.
 """
 
 from __future__ import annotations

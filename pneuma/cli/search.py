@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.cli import search_promote, search_run
+from pneuma.cli.figure_files import Formats, read_formats
 from pneuma.cli.options import Json, Results, SettingName, print_json
 from pneuma.cli.plain_text import plain
+from pneuma.cli.study_output import check_choice, check_folder
 from pneuma.cli.study_records import study_record
-from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -125,21 +126,12 @@ def plot(
         ),
     ] = False,
     setting: SettingName = None,
-    format: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--format", metavar="|".join(FIGURE_FORMATS), help="File formats (default: png and svg)."
-        ),
-    ] = None,
+    format: Formats = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Draw a search: history, importances, slices, parallel coordinates, contour and Pareto front."""
-    from pneuma.cli.study_output import check_choice, check_folder
-
-    formats = tuple(format or ("png", "svg"))
-    for value in formats:
-        check_choice("--format", value, FIGURE_FORMATS)
+    formats = read_formats(format)
     for value in what or ():
         check_choice("--what", value, PLOTS)
     store, stem = Store(results), search_run.record_name(name, setting)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pneuma.cli.figure_files import Formats, read_figures_asked
 from pneuma.cli.options import (
     Json,
     Results,
@@ -18,7 +19,6 @@ from pneuma.cli.options import (
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import check_folder
 from pneuma.cli.study_summary import open_data, records
 from pneuma.errors import UserError
 from pneuma.study.store import Store
@@ -45,18 +45,20 @@ def robustness(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Draw the map, and write the figure there.")
     ] = None,
+    format: Formats = None,
     selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Compare two values of a setting in every combination of a study's other factors."""
+    formats = read_figures_asked(out, format)
     key, better, worse = _read_contrast(contrast)
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.robustness import robustness_map
 
     found = robustness_map(data, key, better, worse, outcome)
-    figures = [] if out is None else _drawn(found, f"{data.figure}-{key}", out)
+    figures = [] if out is None else _drawn(found, f"{data.figure}-{key}", out, formats)
     if json:
         return print_json({**_document(found), "figures": list(map(str, figures))})
     _print_map(found)
@@ -76,11 +78,10 @@ def _read_contrast(text: str) -> tuple[str, Any, Any]:
     return key, next(read), next(read)
 
 
-def _drawn(found: Map, stem: str, out: Path) -> list[Path]:
-    check_folder("--out", out)
+def _drawn(found: Map, stem: str, out: Path, formats: tuple[str, ...]) -> list[Path]:
     from pneuma.figures.robustness import draw_robustness
 
-    return draw_robustness(found, out, stem)
+    return draw_robustness(found, out, stem, formats)
 
 
 def _document(found: Map) -> dict[str, Any]:

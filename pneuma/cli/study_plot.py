@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.analysis import BAND_NAMES, CURVE_QUANTITIES, WINDOWS
+from pneuma.cli.figure_files import Formats, read_formats
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -29,7 +30,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_choice, check_folder, tell_left_out
 from pneuma.cli.study_records import known_studies, study_record
 from pneuma.errors import UserError
-from pneuma.figures import FIGURE_FORMATS, FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
+from pneuma.figures import FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
 from pneuma.study.plan import Selection
 from pneuma.study.store import Store, write_whole
 
@@ -64,8 +65,6 @@ class _Looks:
             check_choice("--band", self.band, BAND_NAMES)
         if self.window is not None:
             check_choice("--window", self.window, WINDOWS)
-        for form in self.formats:
-            check_choice("--format", form, FIGURE_FORMATS)
         of_curves = {"--quantity": self.quantities, "--band": self.band, "--window": self.window}
         given = [option for option, value in of_curves.items() if value]
         if self.kind == "summary" and (given or self.layout != "pneuma"):
@@ -111,14 +110,7 @@ def plot(
         str | None,
         typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages."),
     ] = None,
-    format: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--format",
-            metavar="|".join(FIGURE_FORMATS),
-            help="File formats (may be repeated; default: png and svg).",
-        ),
-    ] = None,
+    format: Formats = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
     ] = None,
@@ -133,7 +125,7 @@ def plot(
     json: Json = False,
 ) -> None:
     """Draw a study: curves over its steps, or what its runs came to."""
-    looks = _Looks(figure, tuple(quantity or ()), band, window, layout, size, tuple(format or ("png", "svg")))
+    looks = _Looks(figure, tuple(quantity or ()), band, window, layout, size, read_formats(format))
     looks.check()
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     chosen = _chosen(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pneuma.cli.figure_files import Formats, read_figures_asked
 from pneuma.cli.options import (
     Json,
     Quiet,
@@ -24,7 +25,7 @@ from pneuma.cli.options import (
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import check_folder, tell_left_out
+from pneuma.cli.study_output import tell_left_out
 from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError
@@ -79,6 +80,7 @@ def collapse(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Draw the collapses into this folder."),
     ] = None,
+    format: Formats = None,
     workers: Workers = None,
     trust: Trust = False,
     selection: Selected = None,
@@ -88,6 +90,7 @@ def collapse(
     quiet: Quiet = False,
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
+    formats = read_figures_asked(out, format)
     store = Store(results)
     data = open_data(store, name, selection, setting, mixed=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
@@ -99,7 +102,7 @@ def collapse(
         plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
         how = Supervision(workers=read_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
-    figures = [] if out is None else _drawn_collapses(data, out)
+    figures = [] if out is None else _drawn_collapses(data, out, formats)
     if json:
         document = {"schema": 1, "study": data.study, "runs": records(found)}
         print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, figures))})
@@ -110,11 +113,10 @@ def collapse(
     return 0
 
 
-def _drawn_collapses(data: StudyData, out: Path) -> list[Path]:
-    check_folder("--out", out)
+def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> list[Path]:
     from pneuma.figures.collapse import draw_collapse
 
-    return draw_collapse(data, out, f"{data.figure}-collapse")
+    return draw_collapse(data, out, f"{data.figure}-collapse", formats)
 
 
 def open_data(store: Store, name: str, selection: Any, setting: str | None, mixed: bool = True) -> StudyData:

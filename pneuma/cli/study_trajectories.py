@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pneuma.cli.figure_files import Formats, read_figures_asked
 from pneuma.cli.options import (
     Json,
     Quiet,
@@ -21,7 +22,6 @@ from pneuma.cli.options import (
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import check_folder
 from pneuma.cli.study_summary import open_data, records
 from pneuma.errors import UserError
 from pneuma.study.spec import TEXT, split_setting
@@ -62,6 +62,7 @@ def trajectories(
             help="Keep them in a small table, beside other runs' there, from which `make figures` draws.",
         ),
     ] = False,
+    format: Formats = None,
     trust: Trust = False,
     selection: Selected = None,
     setting: SettingName = None,
@@ -70,8 +71,7 @@ def trajectories(
     quiet: Quiet = False,
 ) -> None:
     """Let every run's final policy play, and say where that leads: killed, drowned, cleared, out of time."""
-    if out is not None:
-        check_folder("--out", out)
+    formats = read_figures_asked(out, format)
     store = Store(results)
     data = open_data(store, name, selection, setting, mixed=False)
     from pneuma.analysis.trajectories import (
@@ -83,7 +83,7 @@ def trajectories(
     )
 
     found = _published(data, results) or _play(store, data, episodes, trust, quiet)
-    files = _drawn(data, found, out) if out is not None else []
+    files = _drawn(data, found, out, formats) if out is not None else []
     if publish:
         path, before = trajectories_path(results, data.study), read_trajectories(results, data.study)
         store.write(path, encode_trajectories(beside(found, before) if before else found))
@@ -224,10 +224,10 @@ def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:
             }
 
 
-def _drawn(data: StudyData, found: StudyTrajectories, out: Path) -> list[Path]:
+def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...]) -> list[Path]:
     from pneuma.figures.trajectories import draw_trajectories
 
-    return draw_trajectories(data, found, out, f"{data.figure}-trajectories")
+    return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats)
 
 
 def _print(data: StudyData, table: pd.DataFrame) -> None:

@@ -106,6 +106,9 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path, capsys: pytest.Cap
     out = capsys.readouterr().out
     assert out.splitlines()[0] == "Mine: activation tanh against relu, final-share-killed: conditional"
     assert (tmp_path / "figures" / "fig-mine-activation.png").is_file()
+    pdf = ("--out", str(tmp_path / "printed"), "--format", "pdf")
+    assert main(["study", "robustness", "mine", *options, *pdf]) == 0
+    assert [path.name for path in (tmp_path / "printed").iterdir()] == ["fig-mine-activation.pdf"]
     for wrong in ("activation", "activation=tanh", "=tanh:relu"):
         assert main(["study", "robustness", "mine", "--contrast", wrong, *options[2:]]) == 2
 

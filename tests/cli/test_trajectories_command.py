@@ -68,7 +68,8 @@ def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(
     )
     clone = tmp_path / "clone"
     shutil.copytree(results / "published", clone / "published")
-    theirs = call(capsys, *GODOT, "--out", tmp_path / "theirs", "--results", clone)
+    theirs = call(capsys, *GODOT, "--out", tmp_path / "theirs", "--format", "png", "--results", clone)
+    assert [Path(file).suffix for file in theirs["files"]] == [".png"]
     assert ours["endings"] == theirs["endings"]
     name = "fig-6-5-godot-trajectories.png"
     assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
@@ -111,7 +112,11 @@ def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path, capsys:
     line = refusal(capsys, *told)
     assert f"would read the level {level}; if you trust where it is from, give --trust" in line
     document = call(capsys, *told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
-    assert [Path(file).name for file in document["files"]] == ["fig-6-5-trajectories.png"]
+    assert [Path(file).name for file in document["files"]] == [
+        "fig-6-5-trajectories.png",
+        "fig-6-5-trajectories.svg",
+    ]
+    assert "name a folder for the figure by --out DIR" in refusal(capsys, *told, "--format", "svg")
 
 
 def test_a_world_without_places_is_refused(tmp_path: Path, capsys: Captured) -> None:
