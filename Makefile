@@ -31,7 +31,8 @@ figures: install  ## Draw everything in paper_figures/, and write the verdicts i
 #
 # Stopped at any moment, each target goes on where it was. In place of `run`, DO takes any command on a
 # study's runs: `make reproduction DO=plan` tells how long it takes, DO=status how far it is, DO=publish writes the tables
-# to commit. SEEDS=2 STEPS=4096 is a quick look, and STUDIES="activation clip-range" some of a target's studies.
+# to commit. SEEDS=2 STEPS=4096 is a quick look, and STUDIES="activation clip-range" some of a target's studies;
+# UNPUBLISHED=1 trains what no table in $(RESULTS)/published holds, and leaves the rest as it is there.
 
 DO ?= run
 RESULTS ?= results
@@ -60,7 +61,8 @@ SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
 # A study in a setting; a run that crashed stops no other study, Ctrl-C and mistakes stop all.
 define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
-  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) --results $(RESULTS) \
+  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) \
+  $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) --results $(RESULTS) \
   || { code=$$?; [ $$code = 1 ] || exit $$code; failed="$$failed $(1) ($(2))"; };
 endef
 

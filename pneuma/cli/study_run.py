@@ -35,6 +35,11 @@ RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that a cell should not have when a study has been run."""
 
+Unpublished = Annotated[
+    bool,
+    typer.Option("--unpublished", help="Leave out runs that are finished in a published table of RESULTS."),
+]
+
 _STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed": "partial"}
 
 
@@ -50,6 +55,7 @@ def plan_(
         bool,
         typer.Option(help="Train a few seconds of runs of which no stored one tells how long they take."),
     ] = True,
+    unpublished: Unpublished = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -61,7 +67,8 @@ def plan_(
     at_once = read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
-    todo = execute.missing(planned, statuses)
+    published = _published(store, planned) if unpublished else frozenset()
+    todo = {key: run for key, run in execute.missing(planned, statuses).items() if key not in published}
     execute.check_environments(list(todo.values()))
     measured = foresight.measured_runs(planned, statuses, store)
     paces = foresight.known_paces(measured, store)
@@ -71,15 +78,21 @@ def plan_(
     for cell in planned.cells:
         pace = paces.get(foresight.kind(cell.run))
         seconds[cell.run_id] = (
-            pace.seconds(cell.run.steps - _kept_steps(statuses[cell.run_id])) if pace else None
+            pace.seconds(cell.run.steps - _kept_steps(statuses[cell.run_id]))
+            if pace and cell.run_id not in published
+            else None
         )
     if json:
         cells = [
-            {**_cell(cell), "state": _state(statuses[cell.run_id]), "expected_seconds": seconds[cell.run_id]}
+            {
+                **_cell(cell),
+                "state": _state(statuses[cell.run_id], cell.run_id in published),
+                "expected_seconds": seconds[cell.run_id],
+            }
             for cell in planned.cells
         ]
         return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
-    _print_plan(planned, statuses, seconds)
+    _print_plan(planned, statuses, seconds, published)
     for condition, speeds in foresight.processor_speeds(planned, measured).items():
         each = (f"{speed:,.0f} steps/s on {plain(on)} ({n} runs)" for on, (speed, n) in speeds.items())
         print(f"Measured of runs like {condition}: {', '.join(each)}.")
@@ -123,6 +136,7 @@ def run(
         str | None,
         typer.Option("--max-seeds", metavar="N", help="With --until-decided: the most seeds (default 40)."),
     ] = None,
+    unpublished: Unpublished = False,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
@@ -134,6 +148,8 @@ def run(
     most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, selection.seeds)
     if most_seeds and place.detach:
         raise UserError("--detach: --until-decided waits for what runs come to; leave it by Ctrl-C")
+    if most_seeds and unpublished:
+        raise UserError("--unpublished: --until-decided trains what it judges; leave one of them out")
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
         workers=read_workers(workers, place),
@@ -142,18 +158,24 @@ def run(
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )
+    store = Store(results)
     if most_seeds is None:
-        return train(planned, Store(results), supervision, retry_failed, json, quiet)
-    return study_stages.run_stages(
-        planned, most_seeds, Store(results), supervision, retry_failed, json, quiet
-    )
+        published = _published(store, planned) if unpublished else frozenset()
+        return train(planned, store, supervision, retry_failed, json, quiet, published)
+    return study_stages.run_stages(planned, most_seeds, store, supervision, retry_failed, json, quiet)
 
 
 def train(
-    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+    planned: plan.Plan,
+    store: Store,
+    how: Supervision,
+    retry_failed: bool,
+    json: bool,
+    quiet: bool,
+    published: frozenset[str] = frozenset(),
 ) -> int:
-    """Train what a plan lacks, showing how far it is; return the exit code."""
-    outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
+    """Train what a plan lacks, but for published runs, showing how far it is; return the exit code."""
+    outcomes = train_cells(planned, store, how, retry_failed, json, quiet, published)
     left = outcomes is None and how.place.detach
     if left:
         outcomes = [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
@@ -164,23 +186,62 @@ def train(
 
 
 def train_cells(
-    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+    planned: plan.Plan,
+    store: Store,
+    how: Supervision,
+    retry_failed: bool,
+    json: bool,
+    quiet: bool,
+    published: frozenset[str] = frozenset(),
 ) -> list[execute.Outcome] | None:
-    """Train what a plan lacks and tell how it went; return all cells' outcomes, None after Ctrl-C."""
+    """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C.
+
+    Of runs that are neither stored nor trained, as they are published, there are none.
+    """
     todo = execute.prepare(planned, store, retry_failed, how)
-    for note in (*planned.notes, *todo.notes):
+    runs = {key: run for key, run in todo.runs.items() if key not in published}
+    for note in (*planned.notes, *todo.notes, *_left_published(len(todo.runs) - len(runs))):
         say(f"Note: {note}.", as_json=True, quiet=quiet)
     try:
-        with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
-            outcomes = execute.execute(planned, todo.runs, store, how, display.update)
+        with ProgressDisplay(planned, runs, how.workers, quiet) as display:
+            outcomes = execute.execute(planned, runs, store, how, display.update)
     except Detached as left:
         say(str(left), as_json=True)
         return None
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", as_json=True)
         return None
+    elsewhere = todo.runs.keys() - runs.keys()
+    outcomes = [outcome for outcome in outcomes if outcome.cell.run_id not in elsewhere]
     _tell_outcomes(planned, outcomes, store, json, quiet)
     return outcomes
+
+
+def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
+    """Return which of a plan's runs a published table holds, of its study or another.
+
+    Raises:
+        UserError: when the study's own is damaged.
+    """
+    from pneuma.analysis.published import published_studies, read_published
+
+    found: set[str] = set()
+    for study in published_studies(store):
+        try:
+            found |= read_published(store, study).finished
+        except UserError as error:
+            if study == planned.study.name:
+                raise
+            say(f"Note: {error}; its runs are trained.", as_json=True)
+    return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
+
+
+def _left_published(runs: int) -> list[str]:
+    """Say how many runs are not trained as they are published, if any."""
+    if not runs:
+        return []
+    told = "1 run is" if runs == 1 else f"{runs} runs are"
+    return [f"{told} published, and not trained; `pneuma study publish` puts all into one table"]
 
 
 def outcome_rows(outcomes: list[execute.Outcome]) -> list[dict[str, Any]]:
@@ -199,7 +260,9 @@ def _cell(cell: plan.Cell) -> dict[str, Any]:
     return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
 
 
-def _state(status: Status) -> str:
+def _state(status: Status, published: bool = False) -> str:
+    if published and not status.finished:
+        return "published"
     return _STATES.get(status.name, "partial" if status.step else "to-train")
 
 
@@ -217,26 +280,35 @@ def _by_value(values: Mapping[str, Any]) -> str:
 
 
 def _print_plan(
-    planned: plan.Plan, statuses: Mapping[str, Status], seconds: Mapping[str, float | None]
+    planned: plan.Plan,
+    statuses: Mapping[str, Status],
+    seconds: Mapping[str, float | None],
+    published: frozenset[str],
 ) -> None:
     for note in planned.notes:
         print(f"Note: {note}.")
     for key, values in plan.differing_settings(planned).items():
         print(f"Conditions differ in {key}: {_by_value(values)}")
     width = max(18, *(len(cell.condition) for cell in planned.cells))
+    states = {key: _state(status, key in published) for key, status in statuses.items()}
     for cell in planned.cells:
         status, expected = statuses[cell.run_id], seconds[cell.run_id]
-        state = _state(status)
-        if status.failed:
+        state = states[cell.run_id]
+        if state == "published":
+            expected = None
+        elif status.failed:
             state = f"{status.name}: --retry-failed trains it again"
         elif state == "partial":
             state = f"partial, {status.step:,} steps"
         time = duration(expected) if expected is not None and not status.finished else ""
         budget = f"{cell.run.steps:>12,} steps"
         print(f"{cell.condition:<{width}} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
-    counts = Counter("failed" if status.failed else _state(status) for status in statuses.values())
-    told = {"stored": "stored", "partial": "partial", "failed": "failed", "to-train": "to train"}
-    print(", ".join(f"{counts[state]} {words}" for state, words in told.items() if counts[state]) + ".")
+    kinds = {"stored": "stored", "published": "published", "partial": "partial", "failed": "failed"}
+    kinds["to-train"] = "to train"
+    counts = Counter(
+        "failed" if statuses[key].failed and state != "published" else state for key, state in states.items()
+    )
+    print(", ".join(f"{counts[state]} {words}" for state, words in kinds.items() if counts[state]) + ".")
 
 
 def _tell_outcomes(

@@ -151,6 +151,36 @@ def test_a_study_is_judged_and_drawn_from_its_runs_here_and_its_published_ones(
     assert states[True] == ["done"] * 4
 
 
+def test_what_is_published_is_not_trained_where_that_is_asked(trained: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    assert _call("study", "publish", "activation", "--results", results).code == 0
+    table = results / "published" / "activation.parquet"
+    whole = table.read_bytes()
+    shutil.rmtree(results / "runs")
+    rest = ["activation", *TINY, "--unpublished", "--results", str(results)]
+    more = [*rest, "--seeds", "3"]
+    planned = _call("study", "plan", *more, "--no-calibrate", "--json").document["runs"]
+    assert [(run["seed"], run["state"]) for run in planned if run["condition"] == "tanh"] == [
+        (0, "published"),
+        (1, "published"),
+        (2, "to-train"),
+    ]
+    assert {run["expected_seconds"] for run in planned if run["state"] == "published"} == {None}
+    called = _call("study", "run", *more)
+    assert called.code == 0 and "activation: 2 done; 2 trained now, 0 were stored." in called.out
+    assert "Note: 4 runs are published, and not trained;" in called.err
+    assert len([*(results / "runs").iterdir()]) == 2
+    summary = _call("study", "summary", "activation", "--results", results)
+    assert summary.err == "Note: 4 of 6 runs of activation are not here, but taken from its table.\n"
+    assert _call("study", "publish", "activation", "--results", results).code == 0
+    assert _call("study", "plan", *more, "--no-calibrate").out.splitlines()[-1] == "2 stored, 4 published."
+    assert table.read_bytes() != whole
+    told = _call("study", "run", *rest, "--until-decided")
+    assert (told.code, "--unpublished: --until-decided trains what it judges" in told.err) == (2, True)
+    table.write_bytes(whole[:-9])
+    assert "activation.parquet: damaged" in _call("study", "run", *more).err
+
+
 def test_a_damaged_table_of_another_study_is_told_and_passed_over(trained: Path, tmp_path: Path) -> None:
     results = Path(shutil.copytree(trained, tmp_path / "results"))
     shutil.rmtree(sorted((results / "runs").iterdir())[0])
