@@ -1,7 +1,7 @@
 """The fourth source of a study's data: some of its runs in the results folder, the others in its table.
 
 So it is when a part of a study is trained elsewhere, or when a clone's published runs get company. Each
-run is asked of the source that has it; what only one of them could tell is told of none.
+run is asked of the source that has it. Outcomes are had of all; curves are those that the table has.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.outcomes import outcome
 from pneuma.analysis.published import PublishedRuns
 from pneuma.analysis.signs import Stretch
-from pneuma.analysis.tables import FinishedRun, Source
+from pneuma.analysis.tables import FinishedRun, Source, StudyData
 from pneuma.study.store import Status
 
 
 class PartlyPublished:
     """Runs that are here, and those of a published table that are not.
 
-    Attributes:
-        published_ids: the runs that are taken from the table.
+    Args:
+        here: the study with the former alone, on the grid of the table.
+        published: the table.
+        published_ids: the runs that are taken from it.
     """
 
     what = "the results folder with its published table"
 
-    def __init__(self, here: Source, published: PublishedRuns, published_ids: Collection[str]) -> None:
+    def __init__(self, here: StudyData, published: PublishedRuns, published_ids: Collection[str]) -> None:
         self._here = here
         self._published = published
         self.published_ids = frozenset(published_ids)
         self.tables = tuple(name for name in published.tables if name in here.tables)
         self.windows = published.windows
         self.averaged_over = published.averaged_over
-
-    def _source(self, run_id: str) -> Source:
-        return self._published if run_id in self.published_ids else self._here
 
     def status(self, run_id: str) -> Status:
         """Return how a run stands where it is had from."""
@@ -45,7 +45,7 @@ class PartlyPublished:
     def quantities(self, run: FinishedRun) -> tuple[str, ...]:
         """Return what curves the table has: a line over some of a condition's runs would mislead."""
         held = self._published.quantities(run)
-        return tuple(name for name in self._here.quantities(run) if name in held)
+        return tuple(name for name in self._here.source.quantities(run) if name in held)
 
     def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
         """Return one of a run's tables."""
@@ -68,8 +68,10 @@ class PartlyPublished:
         return self._source(run.run_id).signs(run)
 
     def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
-        """Return an outcome that the table kept; none of the runs that are here."""
-        return self._source(run.run_id).kept_outcome(run, name)
+        """Return an outcome that the table keeps, of runs that are here by all their records."""
+        if run.run_id in self.published_ids:
+            return self._published.kept_outcome(run, name)
+        return outcome(self._here, run, name) if name in self._published.kept_outcomes else None
 
     def wall_seconds(self, run: FinishedRun) -> float | None:
         """Return how long a run trained."""
@@ -82,3 +84,6 @@ class PartlyPublished:
     def provenance(self, run: FinishedRun) -> dict[str, Any]:
         """Return what produced a run."""
         return self._source(run.run_id).provenance(run)
+
+    def _source(self, run_id: str) -> Source:
+        return self._published if run_id in self.published_ids else self._here.source

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.checksums import is_whole
 from pneuma.analysis.packed import unpack_signs
 from pneuma.analysis.published_times import read_times
@@ -136,7 +136,7 @@ class PublishedRuns:
         """
         if "rounded" in self.head:
             return bool(self.head["rounded"] == rounding)
-        kinds = [kind for name, kind in self.column_types.items() if name.endswith(f" {self.windows[0]}")]
+        kinds = [kind for name, kind in self.column_types.items() if name.endswith(f" {WINDOWS[0]}")]
         return not kinds or (kinds[0].value_type == pa.float32()) == rounding
 
     def row(self, run_id: str) -> dict[str, Any]:
@@ -184,8 +184,13 @@ class PublishedRuns:
         """Return where signs of collapse hold."""
         return unpack_signs(self._cell(run.run_id, SIGNS))
 
+    @property
+    def kept_outcomes(self) -> frozenset[str]:
+        """The outcomes that were taken from curves before they were rounded or left out."""
+        return frozenset(name.removeprefix(OUTCOME) for name in self.column_types if name.startswith(OUTCOME))
+
     def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
-        """Return an outcome that was taken from curves before they were rounded or left out."""
+        """Return one of `kept_outcomes`, None for another."""
         if OUTCOME + name not in self._table.column_names:
             return None
         return float(self._cell(run.run_id, OUTCOME + name))

@@ -130,18 +130,18 @@ def _found_on_one_grid(
     """
     steps = {run["run_id"]: run["run"]["steps"] for run in data.record["runs"]}
     had = {run.run_id for run in data.runs} | {*(own.finished if own else ())}
-    while True:
+    missing = [run_id for run_id in steps if run_id not in had]
+    for budget in [own.head["budget"]] if own else sorted({table.head["budget"] for table in others})[::-1]:
+        fitting = [table for table in others if table.head["budget"] == budget]
         found = {
-            run_id: other
-            for other in reversed(others)  # the first that holds a run is its table
-            for run_id in steps
-            if run_id not in had and run_id in other.finished
+            run_id: table
+            for table in reversed(fitting)  # the first that holds a run is its table
+            for run_id in missing
+            if run_id in table.finished
         }
-        budget = own.head["budget"] if own else max(steps[run_id] for run_id in {*had, *found})
-        fitting = [other for other in others if other.head["budget"] == budget]
-        if len(fitting) == len(others):
+        if own or max(steps[run_id] for run_id in {*had, *found}) == budget:
             return budget, found
-        others = fitting
+    return data.budget, {}
 
 
 def runs_staying(data: StudyData, published: PublishedRuns | None) -> list[str]:

@@ -21,14 +21,14 @@ SOURCES: dict[str, Callable[[Store], Source]] = {"runs": RunRecords, "tensorboar
 """What a record's `source` names; one without was made by `pneuma study run`."""
 
 
-def open_study(store: Store, record: Mapping[str, Any], mixed: bool = True) -> StudyData:
+def open_study(store: Store, record: Mapping[str, Any], *, mixed: bool = True) -> StudyData:
     """Return the finished runs of a selection, from wherever they are.
 
     Args:
         store: the results folder.
         record: a selection, as `pneuma.study.execute.selection_record` makes it.
-        mixed: whether published runs may stand beside those that are here; each is then known by
-            what a published table keeps.
+        mixed: whether published runs may stand beside those that are here; of all there is then what
+            published tables keep.
 
     Raises:
         UserError: when no run of the selection has finished, or a published table is damaged.
@@ -44,22 +44,12 @@ def open_study(store: Store, record: Mapping[str, Any], mixed: bool = True) -> S
     return StudyData(published, {**record, "budget": published.record["budget"]}, str(store.root))
 
 
-def _completed(store: Store, data: StudyData) -> StudyData:
-    """Return a study with those runs of its published table that are not here, if any can be added."""
-    found = beside(store, data.record, {run.run_id for run in data.runs})
-    if found is None:
-        return data
-    published, run_ids = found
-    source = PartlyPublished(data.source, published, run_ids)
-    return StudyData(source, {**data.record, "budget": published.head["budget"]}, str(store.root))
-
-
 def beside(
     store: Store, record: Mapping[str, Any], here: Collection[str]
 ) -> tuple[PublishedRuns, list[str]] | None:
     """Return a study's published table with those of a selection's runs that it can add to others.
 
-    None where there is no such run, or where its curves have other points than those others.
+    None where there is no such run, or where its curves end before those others do.
 
     Args:
         store: the results folder.
@@ -75,8 +65,8 @@ def beside(
         return None
     published = read_published(store, record["study"])
     added = [run_id for run_id in steps if run_id not in here and run_id in published.finished]
-    budget = max((steps[run_id] for run_id in (*here, *added)), default=0)
-    return (published, added) if added and published.head["budget"] == budget else None
+    budget = max((steps[run_id] for run_id in here), default=0)
+    return (published, added) if added and published.head["budget"] >= budget else None
 
 
 def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
@@ -88,3 +78,14 @@ def open_published(results: Path, names: Sequence[str] | None = None) -> list[St
     store = Store(results)
     tables = [read_published(store, name) for name in (names or published_studies(store))]
     return [StudyData(table, table.record, str(results)) for table in tables]
+
+
+def _completed(store: Store, data: StudyData) -> StudyData:
+    """Return a study with those runs of its published table that are not here, if any can be added."""
+    found = beside(store, data.record, {run.run_id for run in data.runs})
+    if found is None:
+        return data
+    published, run_ids = found
+    record, where = {**data.record, "budget": published.head["budget"]}, str(store.root)
+    source = PartlyPublished(StudyData(data.source, record, where), published, run_ids)
+    return StudyData(source, record, where)

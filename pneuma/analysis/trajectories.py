@@ -30,6 +30,8 @@ ENDINGS = ("killed", "drowned", "cleared", "time-limit")
 """How an episode can end: killed by monsters, by a deadly coast, with all monsters dead, or neither."""
 KEPT_EPISODES = 5
 """Of each run's, those of which places are kept: on a map more hide each other."""
+FARTHEST = 1_000_000
+"""In pixels, from the middle of a world: what is farther is no place."""
 COLUMNS = ("condition", "outcome", "value", "low", "high", "interval", "runs")
 
 _TYPES = {
@@ -188,14 +190,24 @@ def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
 
 
 def _are_episodes(table: pa.Table, episodes: pd.DataFrame) -> bool:
-    """Tell whether rows, which may be a stranger's, are what `gathered` makes."""
-    x, y = (table[axis].combine_chunks() for axis in "xy")
-    if any(values.null_count for values in (*table.columns, x.flatten(), y.flatten())):
+    """Tell whether rows, which may be a stranger's, are what `gathered` makes, of a world of some size."""
+    axes = [table[axis].combine_chunks() for axis in "xy"]
+    values = [axis.flatten() for axis in axes]
+    if any(column.null_count for column in (*table.columns, *values)):
         return False
-    places, others = episodes["x"].map(len), episodes["y"].map(len)
+    kept = episodes["episode"] < KEPT_EPISODES
+    places = np.where(kept, episodes["steps"] + 1, 0)
+    first = episodes[episodes["player"] == 0]
+    whose, which = ["condition", "run_id"], ["condition", "run_id", "episode"]
     return (
         set(episodes["ending"]) <= {*ENDINGS}
-        and bool((places == others).all() and ((places == 0) | (places == episodes["steps"] + 1)).all())
-        and bool((episodes["episode"] >= 0).all())
-        and set(episodes["run_id"]) == set(episodes["run_id"][episodes["player"] == 0]) != set()
+        and bool((episodes[["episode", "player", "steps"]] >= 0).all(axis=None))
+        and all((episodes[axis].map(len) == places).all() for axis in "xy")
+        and all(np.abs(own.to_numpy()).max(initial=0) <= FARTHEST for own in values)
+        and _distinct(episodes[which]) == _distinct(first[which])  # every episode has a first player
+        and _distinct(episodes[whose]) == _distinct(first[whose][first["episode"] == 0]) != set()
     )
+
+
+def _distinct(rows: pd.DataFrame) -> set[tuple[Any, ...]]:
+    return set(rows.itertuples(index=False, name=None))

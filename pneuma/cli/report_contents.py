@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.cli.study_records import known_studies, run_states, study_record
+from pneuma.cli.study_records import known_studies, shown_states, study_record
 from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
@@ -107,7 +107,7 @@ def _part(store: Store, study: str, setting: str) -> Part:
         return Part(name, title, ("No runs yet.",), mend, conditions=conditions)
     try:
         record = study_record(store, name, None)
-        states = run_states(store, record, mixed=True)
+        states = shown_states(store, record)
     except UserError as error:
         return Part(name, title, (_anywhere(store, error),), mend)
     return _recorded_part(store, study, Part(name, title, mend=mend), record, states)

@@ -204,7 +204,8 @@ def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
     from pneuma.analysis.partly_published import PartlyPublished
 
     if isinstance(data.source, PartlyPublished):
-        of = f"{len(data.source.published_ids)} of {data.left_out + len(data.runs)} runs"
+        published = sum(run.run_id in data.source.published_ids for run in data.runs)
+        of = f"{published} of {data.left_out + len(data.runs)} runs"
         say(f"Note: {of} of {plain(data.study)} are not here, but taken from its table.", as_json=True)
     missing = data.left_out - found_elsewhere
     if missing:

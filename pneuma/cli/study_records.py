@@ -61,43 +61,52 @@ def known_studies(store: Store, setting: str | None = None) -> list[str]:
     )
 
 
-def run_states(
-    store: Store, record: Mapping[str, Any], mixed: bool = False
-) -> list[tuple[dict[str, Any], str]]:
+def run_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
     """Return every run of a record with the name of its status, as published where no run is stored.
-
-    Args:
-        store: the results folder.
-        record: the record.
-        mixed: whether runs that are not finished here are told as published beside some that are.
 
     Raises:
         UserError: when the published table is damaged.
     """
-    states = [(run, store.status(run["run_id"]).name) for run in record["runs"]]
-    finished = {run["run_id"] for run, state in states if state in FINISHED}
-    if finished if mixed else any(state != "planned" for _, state in states):
-        return _with_published(store, record, states, finished) if mixed else states
-    from pneuma.analysis.published import published_path, read_published
-
-    if not published_path(store, record["study"]).exists():
+    states = _stored_states(store, record)
+    if any(state != "planned" for _, state in states):
         return states
-    published = read_published(store, record["study"])
-    return [(run, published.status(run["run_id"]).name) for run in record["runs"]]
+    return _published_states(store, record, states)
 
 
-def _with_published(
-    store: Store, record: Mapping[str, Any], states: list[tuple[dict[str, Any], str]], finished: set[str]
-) -> list[tuple[dict[str, Any], str]]:
-    """Return states with those of runs that `open_study` takes from the published table."""
+def shown_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
+    """Return every run of a record with its status where `open_study` has it from.
+
+    Raises:
+        UserError: when the published table is damaged.
+    """
     from pneuma.analysis.sources import beside
 
+    states = _stored_states(store, record)
+    finished = {run["run_id"] for run, state in states if state in FINISHED}
+    if record.get("source") == "published":
+        return _published_states(store, record, states)
     found = beside(store, record, finished)
     if found is None:
         return states
     published, run_ids = found
     taken = {run_id: published.status(run_id).name for run_id in run_ids}
     return [(run, taken.get(run["run_id"], state)) for run, state in states]
+
+
+def _stored_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
+    return [(run, store.status(run["run_id"]).name) for run in record["runs"]]
+
+
+def _published_states(
+    store: Store, record: Mapping[str, Any], states: list[tuple[dict[str, Any], str]]
+) -> list[tuple[dict[str, Any], str]]:
+    """Return the states of a published table, if there is one, in place of others."""
+    from pneuma.analysis.published import published_path, read_published
+
+    if not published_path(store, record["study"]).exists():
+        return states
+    published = read_published(store, record["study"])
+    return [(run, published.status(run["run_id"]).name) for run, _ in states]
 
 
 def _record_name(name: str, setting: str | None) -> str:

@@ -119,12 +119,14 @@ def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> li
     return draw_collapse(data, out, f"{data.figure}-collapse", formats)
 
 
-def open_data(store: Store, name: str, selection: Any, setting: str | None, mixed: bool = True) -> StudyData:
+def open_data(
+    store: Store, name: str, selection: Any, setting: str | None, *, mixed: bool = True
+) -> StudyData:
     """Open a study's data, as `open_study` does, saying how many runs of the selection are left out."""
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.sources import open_study
 
-    data = open_study(store, record, mixed)
+    data = open_study(store, record, mixed=mixed)
     tell_left_out(data)
     return data
 

@@ -28,6 +28,9 @@ SHORE_TILES = 1.5
 VEIL = 0.55
 """How much of the map's colours is taken away, so that lines stand out."""
 
+STEEPEST = 4.0
+"""How high a panel is at most, as a multiple of its width."""
+
 SIZE = SIZES["page"]
 WORDS_INCHES = 0.6
 """Of a panel, above and below its map."""
@@ -110,9 +113,9 @@ class _Backdrop:
 
     @property
     def height_by_width(self) -> float:
-        """How high the map is, as a multiple of its width."""
+        """How high a panel is, as a multiple of its width: the map's form, unless that is a mere line."""
         left, right, bottom, top = self.edges
-        return float((bottom - top) / max(right - left, 1))
+        return float(np.clip((bottom - top) / max(right - left, 1), 1 / STEEPEST, STEEPEST))
 
     def put(self, axes: Axes) -> None:
         """Put it behind a panel; y points down, as the world's does."""

@@ -133,6 +133,19 @@ def test_a_table_of_which_nothing_stays_binds_no_one(whole: Store, tmp_path: Pat
     assert encode_study(data, published=before) == encode_study(open_study(whole, fewer))
 
 
+def test_a_table_with_more_points_than_its_run_needs_keeps_no_other_from_serving(tmp_path: Path) -> None:
+    """Its run is of 2,000 steps and its curves end at 3,000; of the second table both end at 1,000."""
+    record = longer_record(1)
+    record["runs"][1]["run"]["steps"] = 3000
+    longer = _other(tmp_path / "longer", ["b0" * 8, "a1" * 8], record)
+    theirs = _other(tmp_path / "theirs", ["a0" * 8])
+    ours = longer_record(1)
+    ours["runs"] = [run for run in ours["runs"] if run["run_id"] != "b1" * 8]
+    data = open_study(_folder(tmp_path / "ours", ["b0" * 8]), ours)
+    before = with_other_studies(data, None, [longer, theirs])
+    assert runs_staying(data, before) == ["a0" * 8]
+
+
 def test_a_table_with_other_points_keeps_none_from_being_found(whole: Store, tmp_path: Path) -> None:
     """The first table has the run too, on points of a longer run of its own, and is not taken."""
     longer = _other(tmp_path / "longer", ["a0" * 8, "a1" * 8], longer_record(1))

@@ -284,12 +284,13 @@ def test_a_nan_that_was_logged_stays_in_the_table_and_is_a_blank_in_the_curve(
 # --- Runs here, and runs that were published ------------------------------------------------------
 
 
-def test_a_study_is_the_same_whichever_of_its_runs_are_here(tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", [{}, {"curves": ("entropy",)}, {"curves": (), "rounding": True}])
+def test_a_study_is_the_same_whichever_of_its_runs_are_here(tmp_path: Path, options: dict[str, Any]) -> None:
     stores = [Store(tmp_path / name) for name in ("whole", "part")]
     whole = open_study(stores[0], trained(stores[0]))
-    part = partly_published(stores[1], trained(stores[1]))
+    part = partly_published(stores[1], trained(stores[1]), **options)
     assert (part.runs, part.left_out) == (whole.runs, 1)
-    assert encode_table(part, "curves", "csv") == encode_table(whole, "curves", "csv")
+    assert options or encode_table(part, "curves", "csv") == encode_table(whole, "curves", "csv")
     for run in whole.runs:
         np.testing.assert_equal(
             [outcome(part, run, name) for name in OUTCOMES], [outcome(whole, run, name) for name in OUTCOMES]
@@ -301,6 +302,18 @@ def test_curves_that_were_not_published_are_shown_of_none(tmp_path: Path) -> Non
     data = partly_published(store, trained(store), curves=("entropy",))
     assert data.quantities == ["entropy"]
     assert open_study(store, data.record, mixed=False).left_out == 3
+
+
+def test_a_part_of_a_study_is_had_on_the_points_of_the_whole(tmp_path: Path) -> None:
+    """The longest run of the table is not asked for, and its curves' points are those that there are."""
+    store = Store(tmp_path / "results")
+    record = trained(store)
+    record["runs"] = [{**run, "run": {**run["run"]}} for run in record["runs"]]
+    record["runs"][0]["run"]["steps"] = 2 * BUDGET
+    store.write(published_path(store, "mine"), encode_study(open_study(store, record)))
+    shutil.rmtree(store.run_folder("b1" * 8))
+    data = open_study(store, {**record, "runs": record["runs"][1:]})
+    assert (len(data.runs), data.left_out, data.budget) == (2, 1, 2 * BUDGET)
 
 
 def test_published_runs_with_other_points_stay_apart(tmp_path: Path) -> None:

@@ -93,7 +93,17 @@ def test_a_damaged_table_is_refused_by_its_path(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "strange",
-    [{"ending": "flown"}, {"player": 1}, {"steps": 3}, {"y": [1]}, {"x": [1, None, 3]}, {"kills": None}],
+    [
+        {"ending": "flown"},
+        {"player": 1},
+        {"episode": 1},
+        {"steps": -1},
+        {"x": [1, 2, 2**30]},
+        {"steps": 3},
+        {"y": [1]},
+        {"x": [1, None, 3]},
+        {"kills": None},
+    ],
 )
 def test_a_whole_table_of_what_no_episodes_are_is_refused(tmp_path: Path, strange: dict[str, Any]) -> None:
     """A stranger's: whoever writes the rows can write their checksum."""
@@ -105,6 +115,15 @@ def test_a_whole_table_of_what_no_episodes_are_is_refused(tmp_path: Path, strang
     for name, value in strange.items():
         found.episodes[name] = pd.Series([value], dtype=object)
     path.write_bytes(encode_trajectories(found))
+    with pytest.raises(UserError, match="damaged"):
+        read_trajectories(tmp_path, "mine")
+
+
+def test_a_condition_without_a_first_player_is_refused(tmp_path: Path) -> None:
+    path = trajectories_path(tmp_path, "mine")
+    path.parent.mkdir(parents=True)
+    rows = row("a", "0", 0, "killed"), row("b", "0", 0, "killed", player=1)
+    path.write_bytes(encode_trajectories(make(*rows)))
     with pytest.raises(UserError, match="damaged"):
         read_trajectories(tmp_path, "mine")
 
