@@ -93,6 +93,7 @@ trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --
 trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
 	$(call trajectories,sigmoid)
 	$(call trajectories,sigmoid --setting godot)
+	$(call trajectories,algorithms --condition a2c --condition a2c-no-baseline)
 	$(call trajectories,activation --setting godot)
 	$(call trajectories,optimizer --setting godot --condition stationary --condition non-stationary --condition sgd)
 
