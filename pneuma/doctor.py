@@ -21,6 +21,7 @@ from importlib.util import cache_from_source, find_spec
 from pathlib import Path
 from typing import Any
 
+from pneuma.analysis.checksums import is_whole
 from pneuma.errors import UserError
 from pneuma.study import spec
 from pneuma.study.executors.local import available_cores, one_thread_environment
@@ -276,7 +277,11 @@ def _results(folder: Path) -> list[Finding]:
     free = shutil.disk_usage(there).free
     state, mend = (GOOD, "") if free >= LITTLE_BYTES else (NOTE, "free some space: `study plan` foretells it")
     known = "" if folder.is_dir() else "not made yet, "
-    return [Finding("results", state, f"{folder}: {known}{free / 1e9:.1f} GB free", mend), *_runs(folder)]
+    return [
+        Finding("results", state, f"{folder}: {known}{free / 1e9:.1f} GB free", mend),
+        *_runs(folder),
+        *_tables(folder),
+    ]
 
 
 def _runs(folder: Path) -> list[Finding]:
@@ -291,6 +296,23 @@ def _runs(folder: Path) -> list[Finding]:
     if counted["damaged"]:
         return [Finding("runs", NOTE, told, "`pneuma study run` trains damaged runs again")]
     return [Finding("runs", GOOD, told)]
+
+
+def _tables(folder: Path) -> list[Finding]:
+    """Look whether published tables are what was written."""
+    tables = sorted((folder / "published").rglob("*.parquet"))
+    damaged = [path for path in tables if not _is_whole(path)]
+    if damaged:
+        mend = "take them from version control again, or remove them and publish these studies anew"
+        return [Finding("tables", NOTE, f"damaged: {', '.join(map(str, damaged))}", mend)]
+    return [Finding("tables", GOOD, f"{len(tables)} published")] if tables else []
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        return is_whole(path.read_bytes())
+    except OSError:
+        return False
 
 
 # --- Extras ----------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from pneuma import doctor
+from pneuma.analysis.checksums import NO_SUM, with_sum
 from pneuma.cli import main
 from pneuma.doctor import BROKEN, GOOD, NOTE, Finding, examine
 from pneuma.study.store import Status, Store
@@ -108,6 +109,15 @@ def test_damaged_runs_are_counted(tmp_path: Path) -> None:
     assert (_find("runs", tmp_path).state, _find("runs", tmp_path).told) == (GOOD, "3 done")
     (tmp_path / "runs" / f"{1:016x}" / "run.json").write_bytes(b"{ }")
     assert (_find("runs", tmp_path).state, _find("runs", tmp_path).told) == (NOTE, "1 damaged, 2 done")
+
+
+def test_damaged_tables_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "published" / "mine.parquet"
+    path.parent.mkdir()
+    path.write_bytes(with_sum(b"table " + NO_SUM.encode()))
+    assert (_find("tables", tmp_path).state, _find("tables", tmp_path).told) == (GOOD, "1 published")
+    path.write_bytes(path.read_bytes() + b"\0")
+    assert (_find("tables", tmp_path).state, _find("tables", tmp_path).told) == (NOTE, f"damaged: {path}")
 
 
 @pytest.mark.parametrize("filled", [False, True])

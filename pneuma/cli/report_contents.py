@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.cli.study_records import known_studies, shown_states, study_record
+from pneuma.cli.study_records import RunState, known_studies, run_states, study_record
 from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
@@ -107,31 +108,31 @@ def _part(store: Store, study: str, setting: str) -> Part:
         return Part(name, title, ("No runs yet.",), mend, conditions=conditions)
     try:
         record = study_record(store, name, None)
-        states = shown_states(store, record)
+        states = run_states(store, record)
     except UserError as error:
         return Part(name, title, (_anywhere(store, error),), mend)
     return _recorded_part(store, study, Part(name, title, mend=mend), record, states)
 
 
 def _recorded_part(
-    store: Store, study: str, part: Part, record: Mapping[str, Any], states: list[tuple[dict[str, Any], str]]
+    store: Store, study: str, part: Part, record: Mapping[str, Any], states: list[RunState]
 ) -> Part:
     """Fill a part with what its record and its runs tell."""
     from dataclasses import replace
 
     from pneuma.figures.report_studies import RunRow
 
-    rows = tuple(RunRow(*_cell(run), state, _engine(run["run"])) for run, state in states)
-    whole = all(state in FINISHED for _, state in states)
+    rows = tuple(RunRow(*_cell(run), state, _engine(run["run"])) for run, state, _ in states)
+    whole = all(state.status in FINISHED for state in states)
     part = replace(
         part,
-        notes=tuple(_notes(record, [state for _, state in states])),
+        notes=tuple(_notes(record, [state.status for state in states])),
         mend="" if whole else part.mend,
         extent=_extent(record),
         conditions=_conditions(study, record),
         runs=rows,
     )
-    if not any(state in FINISHED for _, state in states):
+    if not any(state.status in FINISHED for state in states):
         return part
     if not _can_be_written(record):
         return replace(part, notes=(*part.notes, "A name in it is no text, so nothing is drawn of it."))
@@ -211,7 +212,9 @@ def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
     if missing == len(states):
         return [*notes, "No run has finished yet."]
     if missing:
-        notes.append(f"{missing} of {len(states)} runs are not finished, or damaged, and left out below.")
+        notes.append(
+            f"{missing} of {len(states)} runs are not here, not finished or damaged, and left out below."
+        )
     diverged = states.count("diverged")
     if diverged:
         notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
@@ -219,12 +222,14 @@ def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
 
 
 def _extent(record: Mapping[str, Any]) -> str:
-    """Say how much a record is, as '3 conditions × 10 seeds × 50,176 steps'."""
+    """Say how much a record is, as '3 conditions, 10 seeds each, 50,176 agent steps a run'."""
     runs = record["runs"]
     steps = sorted({run["run"]["steps"] for run in runs})
     amounts = f"{steps[0]:,}" if len(steps) == 1 else f"{steps[0]:,} to {steps[-1]:,}"
-    conditions, seeds = len({run["condition"] for run in runs}), len({run["seed"] for run in runs})
-    return f"{_count(conditions, 'condition')}, {_count(seeds, 'seed')}, {amounts} agent steps a run"
+    each = Counter(run["condition"] for run in runs)
+    least, most = min(each.values()), max(each.values())
+    seeds = _count(most, "seed") if least == most else f"{least} to {most} seeds"
+    return f"{_count(len(each), 'condition')}, {seeds} each, {amounts} agent steps a run"
 
 
 def _count(number: int, what: str) -> str:

@@ -138,15 +138,20 @@ def status(
     for study in names:
         record = study_record(store, study, selection, setting)
         states = run_states(store, record)
-        marks = unusual_origins(stored_origins(store, (run["run_id"] for run, _ in states)))
-        runs = [{**_identity(run), "status": state, "trained": False} for run, state in states]
-        own_jobs = {run["run_id"]: _job(jobs[run["run_id"]]) for run, _ in states if run["run_id"] in jobs}
+        ids = [state.run["run_id"] for state in states]
+        marks = unusual_origins(stored_origins(store, ids))
+        runs = [
+            {**_identity(run), "status": status, "published": published, "trained": False}
+            for run, status, published in states
+        ]
+        own_jobs = {run_id: _job(jobs[run_id]) for run_id in ids if run_id in jobs}
         document = {"schema": 1, "study": record["study"], "runs": runs, "unlike_most": marks}
         documents.append({**document, "jobs": own_jobs})
         if not json:
-            counts = Counter(state for _, state in states)
-            print(f"{plain(record['study'])}: " + ", ".join(f"{n} {state}" for state, n in counts.items()))
-            for run, state in states:
+            told = [f"{status} as published" if published else status for _, status, published in states]
+            counts = ", ".join(f"{n} {state}" for state, n in Counter(told).items())
+            print(f"{plain(record['study'])}: {counts}")
+            for run, state in zip((state.run for state in states), told, strict=True):
                 job = jobs.get(run["run_id"])
                 mark = f"  ({marks[run['run_id']]} than most)" if run["run_id"] in marks else ""
                 queued = f"  job {job.id} {job.state.lower()}" if job else ""

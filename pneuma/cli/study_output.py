@@ -101,6 +101,9 @@ def publish(
     rounding: Annotated[
         bool, typer.Option("--round", help="Keep curves to a thousandth of their range: a third of the size.")
     ] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Let published runs leave the table that are not selected.")
+    ] = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -128,8 +131,11 @@ def publish(
     staying = runs_staying(data, before)
     elsewhere = len(staying) - len(runs_staying(data, own))
     tell_left_out(data, len(staying))
-    if leaving:
-        say(f"Note: {len(leaving)} published runs are not in this selection and leave the table.", True)
+    if leaving and not replace:
+        raise UserError(
+            f"study {data.study}: {len(leaving)} published runs are not in this selection; select them too "
+            "(--preset, --condition, --seeds), or let them leave the table by --replace"
+        )
     encoded = encode_study(data, kept, rounding, before)
     store.write(path, encoded)
     times = {run_id: before.times[run_id] for run_id in staying if run_id in before.times} if before else {}
@@ -168,7 +174,8 @@ def _published_before(store: Store, data: StudyData) -> PublishedRuns | None:
     except UserError as error:
         if not data.left_out:
             return None
-        raise UserError(f"{error}; or remove it, to publish the runs that are here alone") from None
+        mend = "take it from version control again, or remove it to publish the runs that are here alone"
+        raise UserError(f"{str(error).split(';')[0]}; {mend}") from None
 
 
 def _with_other_studies(
@@ -210,7 +217,7 @@ def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
     missing = data.left_out - found_elsewhere
     if missing:
         of = f"{missing} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
-        say(f"Note: {of} are not finished, or damaged, and left out.", as_json=True)
+        say(f"Note: {of} are not here, not finished or damaged, and left out.", as_json=True)
 
 
 def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:

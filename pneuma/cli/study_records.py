@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
-from pneuma.study.store import FINISHED, Store
+from pneuma.study.store import Store
 from pneuma.study.trust import own_things
 
 
@@ -61,52 +61,43 @@ def known_studies(store: Store, setting: str | None = None) -> list[str]:
     )
 
 
-def run_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
-    """Return every run of a record with the name of its status, as published where no run is stored.
+class RunState(NamedTuple):
+    """How a run of a record stands.
+
+    Attributes:
+        run: its entry in the record.
+        status: the name of its status.
+        published: whether that is told by the published table, as the run is not here.
+    """
+
+    run: dict[str, Any]
+    status: str
+    published: bool
+
+
+def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
+    """Return how every run of a record stands where `open_study` has it from.
 
     Raises:
         UserError: when the published table is damaged.
     """
-    states = _stored_states(store, record)
-    if any(state != "planned" for _, state in states):
-        return states
-    return _published_states(store, record, states)
-
-
-def shown_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
-    """Return every run of a record with its status where `open_study` has it from.
-
-    Raises:
-        UserError: when the published table is damaged.
-    """
+    here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
+    if all(status.finished for status in here.values()) or not (store.root / "published").is_dir():
+        return [RunState(run, here[run["run_id"]].name, False) for run in record["runs"]]
+    from pneuma.analysis.published import published_path, read_published
     from pneuma.analysis.sources import beside
 
-    states = _stored_states(store, record)
-    finished = {run["run_id"] for run, state in states if state in FINISHED}
-    if record.get("source") == "published":
-        return _published_states(store, record, states)
-    found = beside(store, record, finished)
-    if found is None:
-        return states
-    published, run_ids = found
-    taken = {run_id: published.status(run_id).name for run_id in run_ids}
-    return [(run, taken.get(run["run_id"], state)) for run, state in states]
-
-
-def _stored_states(store: Store, record: Mapping[str, Any]) -> list[tuple[dict[str, Any], str]]:
-    return [(run, store.status(run["run_id"]).name) for run in record["runs"]]
-
-
-def _published_states(
-    store: Store, record: Mapping[str, Any], states: list[tuple[dict[str, Any], str]]
-) -> list[tuple[dict[str, Any], str]]:
-    """Return the states of a published table, if there is one, in place of others."""
-    from pneuma.analysis.published import published_path, read_published
-
-    if not published_path(store, record["study"]).exists():
-        return states
-    published = read_published(store, record["study"])
-    return [(run, published.status(run["run_id"]).name) for run, _ in states]
+    nothing = all(status.name == "planned" for status in here.values())
+    if (nothing or record.get("source") == "published") and published_path(store, record["study"]).exists():
+        table = read_published(store, record["study"])
+        taken = {run_id: table.status(run_id).name for run_id in here}
+    else:
+        found = beside(store, record, {run_id for run_id, status in here.items() if status.finished})
+        taken = {run_id: found[0].status(run_id).name for run_id in found[1]} if found else {}
+    return [
+        RunState(run, taken.get(run["run_id"], here[run["run_id"]].name), run["run_id"] in taken)
+        for run in record["runs"]
+    ]
 
 
 def _record_name(name: str, setting: str | None) -> str:
@@ -234,7 +225,7 @@ def _unknown(store: Store, name: str, stem: str, setting: str | None) -> UserErr
     if path.exists():
         return UserError(f"{path}: damaged; `pneuma study run {told}` writes it anew")
     if not _is_asked_for(name):
-        return unknown_name("study", name, sorted({*spec.list_studies(), *store.studies()}))
+        return unknown_name("study", name, {*spec.list_studies(), *store.studies(), *spec.files_called(name)})
     return UserError(
         f"study {stem} has no runs in {store.root}: run `pneuma study run {told}` first, "
         "or name the folder with --results"

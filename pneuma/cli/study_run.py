@@ -221,12 +221,15 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
     """Return which of a plan's runs a published table holds, of its study or another.
 
     Raises:
-        UserError: when the study's own is damaged.
+        UserError: when there is no table, or the study's own is damaged.
     """
     from pneuma.analysis.published import published_studies, read_published
 
     found: set[str] = set()
-    for study in published_studies(store):
+    studies = published_studies(store)
+    if not studies:
+        raise UserError(f"--unpublished: nothing is published in {store.root}; leave it out to train all")
+    for study in studies:
         try:
             found |= read_published(store, study).finished
         except UserError as error:
@@ -241,7 +244,10 @@ def _left_published(runs: int) -> list[str]:
     if not runs:
         return []
     told = "1 run is" if runs == 1 else f"{runs} runs are"
-    return [f"{told} published, and not trained; `pneuma study publish` puts all into one table"]
+    return [
+        f"{told} published, and not trained; those in other studies' tables are drawn and judged here "
+        "once this study is published whole"
+    ]
 
 
 def outcome_rows(outcomes: list[execute.Outcome]) -> list[dict[str, Any]]:
@@ -325,7 +331,7 @@ def _tell_outcomes(
             say(f"{told} {state.name} at step {state.step:,}", as_json)
     trained = sum(outcome.trained for outcome in outcomes)
     counts = Counter(outcome.status.name for outcome in outcomes)
-    states = ", ".join(f"{n} {state}" for state, n in counts.items())
+    states = ", ".join(f"{n} {state}" for state, n in counts.items()) or "nothing to train"
     kept = len(outcomes) - trained
     say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
     if not any(counts[name] for name in UNWELL):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 
-_HEAD = ("claim", "section", "text", "godot", "published", "effect", "95 % interval", "seeds")
+_HEAD = ("claim", "section", "text", "godot", "published", "numbers of", "effect", "95 % interval", "seeds")
 
 
 def verify(
@@ -130,13 +130,17 @@ def _row(places: dict[str, Judged]) -> tuple[str, ...]:
     from pneuma.analysis.judgement import LOGS
 
     some = next(iter(places.values()))
-    told = next((one.told for one in places.values() if one.told and not one.told.contrast.reason), None)
+    numbers = [
+        (place, *_numbers(one.told))
+        for place, one in places.items()
+        if one.told and not one.told.contrast.reason
+    ]
     verdicts = [_verdict(places.get(place)) for place in (*SETTINGS, LOGS)]
     return (
         plain(some.claim.name),
         some.claim.section,
         *verdicts,
-        *(_numbers(told) if told else ("", "", "")),
+        *(numbers[0] if numbers else [""] * 4),
     )
 
 

@@ -58,6 +58,11 @@ NO_STUDIES = ("claims.toml",)
 """Files beside the shipped studies that are none."""
 
 
+def files_called(name: str) -> list[str]:
+    """Return the study file that a person may mean by a name without its ending, if it is here."""
+    return [f"{name}.toml"] if Path(f"{name}.toml").is_file() else []
+
+
 def load_study(name: str, setting: str | None = None) -> Study:
     """Load a shipped study by its name, or any by the path of its file.
 
@@ -71,7 +76,7 @@ def load_study(name: str, setting: str | None = None) -> Study:
     if not name.endswith(".toml"):
         own, told = split_setting(name)
         if own not in list_studies():
-            raise unknown_name("study", name, list_studies())
+            raise unknown_name("study", name, [*list_studies(), *files_called(name)])
         setting = _one(name, told, setting)
         return _read_study(read_toml(studies_folder() / f"{own}.toml")).in_setting(setting)
     path = Path(name)

@@ -88,9 +88,10 @@ def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     assert main(command) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == [
-        "claim", "section", "text", "godot", "published", "effect", "95", "%", "interval", "seeds",
+        "claim", "section", "text", "godot", "published",
+        "numbers", "of", "effect", "95", "%", "interval", "seeds",
     ]  # fmt: skip
-    assert lines[1].split()[:6] == ["better", "6", "supported", "untestable", "-", "0.5"]
+    assert lines[1].split()[:7] == ["better", "6", "supported", "untestable", "-", "text", "0.5"]
     assert any("text: no runs" in line for line in lines)
 
 

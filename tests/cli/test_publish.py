@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pneuma.cli import main
-from pneuma.cli.study_records import run_states, shown_states, study_record
+from pneuma.cli.study_records import run_states, study_record
 from pneuma.study.store import Store
 
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
@@ -143,14 +143,20 @@ def test_a_study_is_judged_and_drawn_from_its_runs_here_and_its_published_ones(
     episodes = ("export", "--table", "episodes", "--out", tmp_path / "episodes.csv")
     for command in (episodes, ("trajectories", "--episodes", "1")):
         left_out = _call("study", command[0], "activation", *command[1:], "--results", results)
-        assert left_out.code == 0 and left_out.err.startswith("Note: 1 of 4 runs of activation are not fin")
+        assert left_out.code == 0 and left_out.err.startswith(
+            "Note: 1 of 4 runs of activation are not here, not"
+        )
     store = Store(results)
     record = study_record(store, "activation", None)
-    assert sorted(state for _, state in run_states(store, record)) == ["done", "done", "done", "planned"]
-    assert [state for _, state in shown_states(store, record)] == ["done"] * 4
+    assert sorted((status, published) for _, status, published in run_states(store, record)) == [
+        *[("done", False)] * 3,
+        ("done", True),
+    ]
+    told = _call("study", "status", "activation", "--results", results).out
+    assert "3 done" in told and "1 done as published" in told.splitlines()[0]
     (results / "studies" / "activation.json").unlink()
     record = study_record(store, "activation", None)
-    assert [state for _, state in shown_states(store, record)] == ["done"] * 4
+    assert [tuple(state[1:]) for state in run_states(store, record)] == [("done", True)] * 4
 
 
 def test_what_is_published_is_not_trained_where_that_is_asked(trained: Path, tmp_path: Path) -> None:
@@ -196,9 +202,14 @@ def test_a_damaged_table_of_another_study_is_told_and_passed_over(trained: Path,
 def test_published_runs_never_leave_unnoticed(trained: Path, tmp_path: Path) -> None:
     results = Path(shutil.copytree(trained, tmp_path / "results"))
     _call("study", "publish", "activation", "--results", results)
+    table = results / "published" / "activation.parquet"
+    whole = table.read_bytes()
     called = _call("study", "publish", "activation", "--condition", "relu", "--results", results)
-    assert called.err == "Note: 2 published runs are not in this selection and leave the table.\n"
-    assert called.code == 0
+    assert called.code == 2 and "2 published runs are not in this selection" in called.err
+    assert table.read_bytes() == whole
+    part = ("--condition", "relu", "--replace", "--results", results)
+    assert _call("study", "publish", "activation", *part).code == 0
+    assert len(table.read_bytes()) < len(whole)
 
 
 def test_a_fresh_clone_draws_the_same_figure(trained: Path, clone: Path, tmp_path: Path) -> None:
@@ -253,4 +264,4 @@ def test_the_states_of_runs_are_told_from_the_table(trained: Path, clone: Path) 
     for folder in (trained, clone):
         store = Store(folder)
         states = run_states(store, study_record(store, "activation", None))
-        assert [(run["seed"], state) for run, state in states] == [(0, "done")] * 2 + [(1, "done")] * 2
+        assert [(run["seed"], status) for run, status, _ in states] == [(0, "done")] * 2 + [(1, "done")] * 2

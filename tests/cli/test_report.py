@@ -132,7 +132,7 @@ def test_runs_that_are_missing_or_diverged_are_counted(store: Store, make: Calla
     (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
     _store_run(store, record["runs"][1]["run_id"], "diverged")
     words = _words(make("activation"))
-    assert "1 of 4 runs are not finished, or damaged, and left out below." in words
+    assert "1 of 4 runs are not here, not finished or damaged, and left out below." in words
     assert "1 of 4 runs diverged; they count in every number below." in words
 
 

@@ -166,7 +166,7 @@ def test_status_is_of_the_latest_selection(trained: Trained) -> None:
     document = called.document
     assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
     assert [set(run) for run in document["runs"]] == [
-        {"run_id", "condition", "seed", "status", "trained"}
+        {"run_id", "condition", "seed", "status", "published", "trained"}
     ] * 4
     assert {(run["condition"], run["seed"], run["status"], run["trained"]) for run in document["runs"]} == {
         (condition, seed, "done", False) for condition in ("tanh", "relu") for seed in (0, 1)
