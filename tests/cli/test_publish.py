@@ -99,7 +99,7 @@ def test_what_was_published_and_is_gone_here_stays(trained: Path, tmp_path: Path
     assert [path.read_bytes() for path in files] == before
     files[0].write_bytes(files[0].read_bytes()[:-9])
     called = _call("study", "publish", "activation", "--results", results)
-    assert called.code == 2 and "or remove it, to publish the runs that are here alone" in called.err
+    assert called.code == 2 and "or remove it to publish the runs that are here alone" in called.err
 
 
 def test_runs_that_another_study_has_published_are_taken_from_its_table(
