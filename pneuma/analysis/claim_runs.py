@@ -72,8 +72,6 @@ class ClaimRuns:
         if not missing:
             return self._machines(claim, setting, names)
         command = training_command(self.study(claim.study, setting), self._claims.path)
-        if command and published_path(self._store, self.study(claim.study, setting).name).exists():
-            command += " --unpublished"
         return "; ".join([*missing, *([f"{MEND} {command}"] if command else [])])
 
     def undefined(self, claim: Claim, setting: str) -> str:
