@@ -171,11 +171,13 @@ def _published_before(store: Store, data: StudyData) -> PublishedRuns | None:
     path = published_path(store, data.study)
     try:
         return read_published(store, data.study) if path.exists() else None
-    except UserError as error:
+    except UserError:
         if not data.left_out:
             return None
-        mend = "take it from version control again, or remove it to publish the runs that are here alone"
-        raise UserError(f"{str(error).split(';')[0]}; {mend}") from None
+        raise UserError(
+            f"{path}: damaged, or of another version; take it from version control again, or remove it to "
+            "publish the runs that are here alone"
+        ) from None
 
 
 def _with_other_studies(

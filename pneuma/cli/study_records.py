@@ -90,7 +90,8 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     nothing = all(status.name == "planned" for status in here.values())
     if (nothing or record.get("source") == "published") and published_path(store, record["study"]).exists():
         table = read_published(store, record["study"])
-        taken = {run_id: table.status(run_id).name for run_id in here}
+        here = {run_id: table.status(run_id) for run_id in here}
+        taken = {run_id: status.name for run_id, status in here.items() if status.finished}
     else:
         found = beside(store, record, {run_id for run_id, status in here.items() if status.finished})
         taken = {run_id: found[0].status(run_id).name for run_id in found[1]} if found else {}
@@ -225,7 +226,9 @@ def _unknown(store: Store, name: str, stem: str, setting: str | None) -> UserErr
     if path.exists():
         return UserError(f"{path}: damaged; `pneuma study run {told}` writes it anew")
     if not _is_asked_for(name):
-        return unknown_name("study", name, {*spec.list_studies(), *store.studies(), *spec.files_called(name)})
+        return unknown_name(
+            "study", name, sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})
+        )
     return UserError(
         f"study {stem} has no runs in {store.root}: run `pneuma study run {told}` first, "
         "or name the folder with --results"

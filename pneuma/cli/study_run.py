@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -67,8 +68,9 @@ def plan_(
     at_once = read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
-    published = _published(store, planned) if unpublished else frozenset()
-    todo = {key: run for key, run in execute.missing(planned, statuses).items() if key not in published}
+    if unpublished:
+        planned = replace(planned, published=_published(store, planned))
+    todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
     measured = foresight.measured_runs(planned, statuses, store)
     paces = foresight.known_paces(measured, store)
@@ -79,20 +81,20 @@ def plan_(
         pace = paces.get(foresight.kind(cell.run))
         seconds[cell.run_id] = (
             pace.seconds(cell.run.steps - _kept_steps(statuses[cell.run_id]))
-            if pace and cell.run_id not in published
+            if pace and cell.run_id not in planned.published
             else None
         )
     if json:
         cells = [
             {
                 **_cell(cell),
-                "state": _state(statuses[cell.run_id], cell.run_id in published),
+                "state": _state(statuses[cell.run_id], cell.run_id in planned.published),
                 "expected_seconds": seconds[cell.run_id],
             }
             for cell in planned.cells
         ]
         return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
-    _print_plan(planned, statuses, seconds, published)
+    _print_plan(planned, statuses, seconds)
     for condition, speeds in foresight.processor_speeds(planned, measured).items():
         each = (f"{speed:,.0f} steps/s on {plain(on)} ({n} runs)" for on, (speed, n) in speeds.items())
         print(f"Measured of runs like {condition}: {', '.join(each)}.")
@@ -160,22 +162,17 @@ def run(
     )
     store = Store(results)
     if most_seeds is None:
-        published = _published(store, planned) if unpublished else frozenset()
-        return train(planned, store, supervision, retry_failed, json, quiet, published)
+        if unpublished:
+            planned = replace(planned, published=_published(store, planned))
+        return train(planned, store, supervision, retry_failed, json, quiet)
     return study_stages.run_stages(planned, most_seeds, store, supervision, retry_failed, json, quiet)
 
 
 def train(
-    planned: plan.Plan,
-    store: Store,
-    how: Supervision,
-    retry_failed: bool,
-    json: bool,
-    quiet: bool,
-    published: frozenset[str] = frozenset(),
+    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
-    """Train what a plan lacks, but for published runs, showing how far it is; return the exit code."""
-    outcomes = train_cells(planned, store, how, retry_failed, json, quiet, published)
+    """Train what a plan lacks, showing how far it is; return the exit code."""
+    outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
     left = outcomes is None and how.place.detach
     if left:
         outcomes = [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
@@ -186,33 +183,21 @@ def train(
 
 
 def train_cells(
-    planned: plan.Plan,
-    store: Store,
-    how: Supervision,
-    retry_failed: bool,
-    json: bool,
-    quiet: bool,
-    published: frozenset[str] = frozenset(),
+    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> list[execute.Outcome] | None:
-    """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C.
-
-    Of runs that are neither stored nor trained, as they are published, there are none.
-    """
+    """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C."""
     todo = execute.prepare(planned, store, retry_failed, how)
-    runs = {key: run for key, run in todo.runs.items() if key not in published}
-    for note in (*planned.notes, *todo.notes, *_left_published(len(todo.runs) - len(runs))):
+    for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", as_json=True, quiet=quiet)
     try:
-        with ProgressDisplay(planned, runs, how.workers, quiet) as display:
-            outcomes = execute.execute(planned, runs, store, how, display.update)
+        with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
+            outcomes = execute.execute(planned, todo.runs, store, how, display.update)
     except Detached as left:
         say(str(left), as_json=True)
         return None
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", as_json=True)
         return None
-    elsewhere = todo.runs.keys() - runs.keys()
-    outcomes = [outcome for outcome in outcomes if outcome.cell.run_id not in elsewhere]
     _tell_outcomes(planned, outcomes, store, json, quiet)
     return outcomes
 
@@ -237,17 +222,6 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
                 raise
             say(f"Note: {error}; its runs are trained.", as_json=True)
     return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
-
-
-def _left_published(runs: int) -> list[str]:
-    """Say how many runs are not trained as they are published, if any."""
-    if not runs:
-        return []
-    told = "1 run is" if runs == 1 else f"{runs} runs are"
-    return [
-        f"{told} published, and not trained; those in other studies' tables are drawn and judged here "
-        "once this study is published whole"
-    ]
 
 
 def outcome_rows(outcomes: list[execute.Outcome]) -> list[dict[str, Any]]:
@@ -286,17 +260,14 @@ def _by_value(values: Mapping[str, Any]) -> str:
 
 
 def _print_plan(
-    planned: plan.Plan,
-    statuses: Mapping[str, Status],
-    seconds: Mapping[str, float | None],
-    published: frozenset[str],
+    planned: plan.Plan, statuses: Mapping[str, Status], seconds: Mapping[str, float | None]
 ) -> None:
     for note in planned.notes:
         print(f"Note: {note}.")
     for key, values in plan.differing_settings(planned).items():
         print(f"Conditions differ in {key}: {_by_value(values)}")
     width = max(18, *(len(cell.condition) for cell in planned.cells))
-    states = {key: _state(status, key in published) for key, status in statuses.items()}
+    states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
     for cell in planned.cells:
         status, expected = statuses[cell.run_id], seconds[cell.run_id]
         state = states[cell.run_id]

@@ -84,7 +84,9 @@ def prepare(
 def execute(
     plan: Plan, todo: Mapping[str, Run], store: Store, supervision: Supervision, on_progress: OnProgress
 ) -> list[Outcome]:
-    """Train the runs that `prepare` found missing; return the outcomes of all the plan's cells.
+    """Train the runs that `prepare` found missing; return the outcomes of the plan's cells.
+
+    Of runs that are published and not stored there are none.
 
     Raises:
         KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
@@ -104,7 +106,8 @@ def execute(
     how = _with_gpus(plan, supervision)
     if todo or how.place.executor == SLURM:  # whose jobs may have ended, and wait to be put away
         load_executor(how.place).run_groups(groups(todo, how), store, how, report)
-    return [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
+    outcomes = [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
+    return [own for own in outcomes if own.status.finished or own.cell.run_id not in plan.published]
 
 
 def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
@@ -140,12 +143,12 @@ def _outcome(cell: Cell, stored: Status, end: Event | None) -> Outcome:
 
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:
-    """Return the plan's runs that are to be trained, by id, each once: neither results nor failures."""
+    """Return the plan's runs that are to be trained, by id, each once: no results, failures or published."""
     return {
         cell.run_id: cell.run
         for cell in plan.cells
         for status in [statuses[cell.run_id]]
-        if not status.finished and (retry_failed or not status.failed)
+        if not status.finished and (retry_failed or not status.failed) and cell.run_id not in plan.published
     }
 
 
@@ -155,9 +158,16 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     notes = [
         f"{told[name]}: {status.detail!r} is damaged; the run is trained again"
         for name, status in statuses.items()
-        if status.name == "damaged"
+        if status.name == "damaged" and name in todo
     ]
-    failed = [name for name, status in statuses.items() if status.failed and name not in todo]
+    published = [name for name in plan.published if not statuses[name].finished]
+    if published:
+        runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
+        notes.append(
+            f"{runs} published, and not trained; those in other studies' tables are drawn and judged here "
+            "once this study is published whole"
+        )
+    failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))
         runs = "1 run" if len(failed) == 1 else f"{len(failed)} runs"

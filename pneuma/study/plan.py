@@ -67,6 +67,7 @@ class Plan:
     Attributes:
         same: groups of conditions that resolve to one configuration: comparing them is A/A.
         notes: sentences, such as that the budget was rounded up.
+        published: ids of runs that need not be trained, as a published table holds them.
     """
 
     study: Study
@@ -74,6 +75,7 @@ class Plan:
     cells: tuple[Cell, ...]
     same: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
+    published: frozenset[str] = frozenset()
 
     @property
     def conditions(self) -> tuple[str, ...]:
