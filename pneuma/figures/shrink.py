@@ -24,7 +24,12 @@ def shrink(path: Path) -> None:
 
 
 def _shrink_png(path: Path) -> None:
-    """Give it a palette, which takes a third of the space, and no more dots than a page shows."""
+    """Give it a palette, which takes a third of the space, and no more dots than a page shows.
+
+    The palette covers all colours that there are, however few dots have them. One made by their number
+    (Pillow's default, the median cut) spends itself on the greys of letters, and gives the marks of one
+    condition the colour of another's.
+    """
     with Image.open(path) as image:
         dots = image.info["dpi"][0]
         share = min(1.0, DOTS_PER_INCH / dots)
@@ -32,7 +37,7 @@ def _shrink_png(path: Path) -> None:
         small = image.convert("RGB")
         if share < 1:
             small = small.resize(size, Image.Resampling.LANCZOS)
-    palette = small.quantize(COLOURS, dither=Image.Dither.NONE)
+    palette = small.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     palette.save(path, "PNG", optimize=True, dpi=(dots * share, dots * share))
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from pneuma.figures.shrink import DOTS_PER_INCH, shrink, shrunk_svg
+from pneuma.figures.style import COLOURS
 
 
 def _save(path: Path, dots: int) -> bytes:
@@ -27,6 +29,22 @@ def test_a_png_has_a_palette_and_as_many_dots_as_a_page_shows(tmp_path: Path) ->
         assert round(image.info["dpi"][0]) == DOTS_PER_INCH
         shown = image.convert("RGB")
     assert (shown.getpixel((10, 10)), shown.getpixel((140, 140))) == ((255, 0, 0), (255, 255, 255))
+
+
+def test_colours_of_few_dots_are_not_taken_for_others(tmp_path: Path) -> None:
+    """A page of letters in all greys, and small marks of eight conditions, each faint, fainter and whole."""
+    pixels = np.full((160, 480, 3), 255, np.uint8)
+    pixels[:100] = np.random.default_rng(0).integers(0, 256, (100, 480, 1))
+    colours = 255 * np.array([[to_rgb(colour) for colour in COLOURS]])
+    for row, alpha in enumerate((0.3, 0.5, 0.8, 1.0)):
+        marks = (255 - alpha * (255 - colours)).round().astype(np.uint8)
+        pixels[110 + 10 * row : 113 + 10 * row, 10 : 10 + 3 * marks.shape[1]] = marks.repeat(3, axis=1)
+    path = tmp_path / "marks.png"
+    Image.fromarray(pixels).save(path, dpi=(DOTS_PER_INCH, DOTS_PER_INCH))
+    shrink(path)
+    with Image.open(path) as image:
+        shown = np.asarray(image.convert("RGB"))
+    assert np.abs(shown.astype(int) - pixels).max() <= 25  # of 255: a tenth, less than two neighbouring looks
 
 
 def test_a_png_of_few_dots_keeps_them(tmp_path: Path) -> None:
