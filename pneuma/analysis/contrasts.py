@@ -1,8 +1,9 @@
 """Contrasts: one arm of runs against another, or against a constant, with an effect, an interval and tests.
 
-A contrast carries three one-sided p-values, each valid by itself: that the effect is above no
-difference, below it, and within the margin on both sides. What they come to for a claim is for
-`pneuma.analysis.verdicts`. Which test each kind uses, and what it assumes, is in docs/evidence.md.
+A contrast carries five one-sided p-values, each valid by itself: that the effect is above no
+difference, below it, within the margin on both sides, and beyond it, above and below. What they come to
+for a claim is for `pneuma.analysis.verdicts`. Which test each kind uses, and what it assumes, is in
+docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 from pneuma.analysis import incidence, intervals, permutation, two_arms
 from pneuma.analysis.estimates import deviation, finite
 from pneuma.analysis.intervals import Interval, no_interval
-from pneuma.analysis.two_arms import PValues
+from pneuma.analysis.two_arms import OneSided, PValues, two_one_sided
 
 CONTRAST_KINDS = ("mean", "spread", "incidence", "paired")
 """Difference of means; ratio of standard deviations; difference of shares of runs with an event (values
@@ -42,6 +43,7 @@ class Contrast:
         seeds: runs of a and of b; 0 for a constant.
         reason: what hinders a conclusion, in words; empty where nothing does.
         smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
+        p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 where there is none.
     """
 
     kind: str
@@ -54,6 +56,8 @@ class Contrast:
     reason: str = ""
     smallest_greater: float = 0.0
     smallest_less: float = 0.0
+    p_far_greater: float = 1.0
+    p_far_less: float = 1.0
 
     @property
     def p_different(self) -> float:
@@ -62,7 +66,7 @@ class Contrast:
 
     @property
     def p_any(self) -> float:
-        """The p-value of the list's correction: it bounds the chance of any false verdict."""
+        """The p-value of anything found: it bounds the chance of any false finding."""
         return min(self.p_different, self.p_equivalent)
 
 
@@ -170,8 +174,7 @@ def _one_sample(
     signs = permutation.sign_flips(differences.size, generator)
     shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
     p_greater, p_less = permutation.tails(signs @ (differences + shifts[:, None]).T)
-    equivalent = np.ones(1) if margin is None else np.maximum(p_less[1:2], p_greater[2:])
-    found = PValues(p_greater[:1], p_less[:1], equivalent)
+    found = two_one_sided(p_greater, p_less, 1)
     interval = intervals.mean_interval(differences)
     return _contrast(kind, float(differences.mean()), interval, found, seeds, 1 / len(signs))
 
@@ -182,15 +185,14 @@ def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Con
     count, above, below = _count(runs), incidence.p_share_above, incidence.p_share_below
     own = intervals.incidence_interval(count, runs.size)
     interval = Interval(own.low - value, own.high - value, own.level, own.method)
-    equivalent = 1.0
-    if margin is not None:
-        low, high = value - margin, value + margin  # beyond an end of the scale no share can be
-        equivalent = max(
-            above(count, runs.size, low) if low >= 0 else 0.0,
-            below(count, runs.size, high) if high <= 1 else 0.0,
-        )
-    one_sided = (above(count, runs.size, value), below(count, runs.size, value), equivalent)
-    found = PValues(*(np.array([p]) for p in one_sided))
+
+    def one_sided(share: float) -> OneSided:  # beyond an end of the scale no share can be
+        p_above = 0.0 if share < 0 else 1.0 if share > 1 else above(count, runs.size, share)
+        p_below = 0.0 if share > 1 else 1.0 if share < 0 else below(count, runs.size, share)
+        return np.array([p_above]), np.array([p_below])
+
+    beyond = (None, None) if margin is None else (one_sided(value + margin), one_sided(value - margin))
+    found = two_arms.p_values(one_sided(value), *beyond)
     smallest = (above(runs.size, runs.size, value), below(0, runs.size, value))
     return _contrast("incidence", float(runs.mean() - value), interval, found, (runs.size, 0), *smallest)
 
@@ -205,9 +207,12 @@ def _contrast(
     smallest_less: float | None = None,
 ) -> Contrast:
     """Return the contrast of one sample; both directions have the same smallest p unless it is given."""
-    one_sided = (float(found.greater[0]), float(found.less[0]), float(found.equivalent[0]))
+    greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in found)
     smallest = (smallest_greater, smallest_greater if smallest_less is None else smallest_less)
-    return Contrast(kind, effect, interval, *one_sided, seeds, _reason(min(smallest)), *smallest)
+    reason = _reason(min(smallest))
+    return Contrast(
+        kind, effect, interval, greater, less, equivalent, seeds, reason, *smallest, far_greater, far_less
+    )
 
 
 def _count(runs: np.ndarray) -> int:

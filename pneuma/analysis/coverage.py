@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+
 ENOUGH = 0.9
 """A band that covers less often is drawn with the runs themselves, and marked."""
 
@@ -18,13 +20,14 @@ LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
 def coverage(band: str, runs: int) -> float | None:
     """Return how often a band of `pneuma.analysis.bands.BANDS` covers the mean of what its runs are from.
 
-    It is that of the largest number in `SEEDS` not above the number of runs, and 0 of fewer: what they
-    may cover was not drawn. None for a band that is no interval of a mean.
+    Of a number of runs between two of `SEEDS` it is the lesser of theirs, as it need not grow with the
+    runs; and 0 of fewer than the first: what they may cover was not drawn. None for a band that is no
+    interval of a mean.
     """
     if band not in LEAST_COVERAGE:
         return None
-    known = [covered for seeds, covered in zip(SEEDS, LEAST_COVERAGE[band], strict=True) if seeds <= runs]
-    return known[-1] if known else 0.0
+    below, above = bisect_right(SEEDS, runs), bisect_left(SEEDS, runs)
+    return min(LEAST_COVERAGE[band][max(below - 1, 0) : above + 1]) if below else 0.0
 
 
 def is_trusted(band: str, runs: int) -> bool:

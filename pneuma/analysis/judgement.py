@@ -18,12 +18,19 @@ import numpy as np
 from pneuma.analysis.claim_runs import MEND, Arm, ClaimRuns
 from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_with
-from pneuma.analysis.corrections import holm
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.log_contrasts import compare_logs
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.power import seeds_needed
-from pneuma.analysis.verdicts import INCONCLUSIVE, REFUTED, SUPPORTED, judge_list, smallest_p, together
+from pneuma.analysis.verdicts import (
+    INCONCLUSIVE,
+    REFUTED,
+    SUPPORTED,
+    Verdict,
+    judge_list,
+    smallest_p,
+    together,
+)
 from pneuma.config import stream_seed
 from pneuma.study.spec import SETTINGS
 from pneuma.study.store import Store
@@ -115,14 +122,11 @@ def judge(claims: ClaimList, store: Store) -> list[Judged]:
     ]
     family = [(pair.contrast, claim.direction) for claim, _, pairs in open_cases for pair in pairs]
     found = judge_list(family, ALPHA)
-    left = found.count(INCONCLUSIVE)
-    verdicts, corrected = iter(found), iter(holm([contrast.p_any for contrast, _ in family]))
+    left = sum(verdict.word == INCONCLUSIVE for verdict in found)
+    verdicts = iter(found)
     judged = []
     for claim, place, pairs in open_cases:
-        decided = tuple(
-            _decided(replace(pair, verdict=next(verdicts), p=float(next(corrected))), claim, left)
-            for pair in pairs
-        )
+        decided = tuple(_decided(pair, next(verdicts), claim, left) for pair in pairs)
         if place in (*claim.settings, LOGS) and (decided or place != LOGS):
             judged.append(_judged(claim, place, _planned(claim, place, runs, decided, len(family))))
         elif place != LOGS:
@@ -200,14 +204,16 @@ def _none(claim: Claim, reason: str) -> Contrast:
 # --- Verdicts ------------------------------------------------------------------------------------
 
 
-def _decided(pair: Pair, claim: Claim, left: int) -> Pair:
-    """Call a contrast untestable that has a reason, or that no p-value of so few runs could have supported.
+def _decided(pair: Pair, verdict: Verdict, claim: Claim, left: int) -> Pair:
+    """Give a contrast its verdict: untestable for a reason, or where so few runs could not support it.
 
     Args:
-        pair: with the verdict of the list.
+        pair: without a verdict.
+        verdict: the list's on it.
         claim: whose it is.
         left: contrasts of the list that are not decided: by their number Holm multiplies the next p-value.
     """
+    pair = replace(pair, verdict=verdict.word, p=verdict.p)
     smallest = smallest_p(pair.contrast, claim.direction)
     if pair.verdict == INCONCLUSIVE and not pair.contrast.reason and smallest * left > ALPHA:
         told = (

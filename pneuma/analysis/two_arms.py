@@ -14,13 +14,39 @@ import numpy as np
 from pneuma.analysis import incidence
 from pneuma.analysis.permutation import LEAST_VARIANCE, Relabelings, studentised_difference, tails
 
+OneSided = tuple[np.ndarray, np.ndarray]
+"""P-values of above and of below, each (samples,)."""
+
 
 class PValues(NamedTuple):
-    """One-sided p-values, each (samples,)."""
+    """One-sided p-values, each (samples,).
+
+    Attributes:
+        greater, less: that the effect is above no difference, and below it.
+        equivalent: that it is within the margin on both sides; 1 where there is no margin.
+        far_greater, far_less: that it is beyond the margin, above and below; likewise.
+    """
 
     greater: np.ndarray
     less: np.ndarray
     equivalent: np.ndarray
+    far_greater: np.ndarray
+    far_less: np.ndarray
+
+
+def p_values(at_zero: OneSided, at_margin: OneSided | None, at_minus_margin: OneSided | None) -> PValues:
+    """Put together p-values of an effect being above, and below, three places.
+
+    Args:
+        at_zero: no difference, (samples,) each.
+        at_margin: the margin; None where there is none.
+        at_minus_margin: the margin the other way; likewise.
+    """
+    if at_margin is None or at_minus_margin is None:
+        none = np.ones_like(at_zero[0])
+        return PValues(*at_zero, none, none, none)
+    equivalent = np.maximum(at_margin[1], at_minus_margin[0])
+    return PValues(*at_zero, equivalent, at_margin[0], at_minus_margin[1])
 
 
 def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
@@ -34,7 +60,7 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
     """
     shifts = [0.0] if margin is None else [0.0, -margin, margin]
     rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts])
-    return _two_one_sided(*tails(studentised_difference(rows, labels)), len(a))
+    return two_one_sided(*tails(studentised_difference(rows, labels)), len(a))
 
 
 def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
@@ -60,7 +86,7 @@ def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: 
         p_greater, p_less = tails(_log_ratios(np.concatenate(rows), labels))
         greatest_greater = np.maximum(greatest_greater, p_greater)
         greatest_less = np.maximum(greatest_less, p_less)
-    return _two_one_sided(greatest_greater, greatest_less, len(a))
+    return two_one_sided(greatest_greater, greatest_less, len(a))
 
 
 def _middles(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
@@ -89,15 +115,15 @@ def incidence_p_values(
 
     greater, less = above(0.0), below(0.0)
     if margin is None or margin >= 1:
-        return PValues(greater, less, np.ones_like(greater))
-    return PValues(greater, less, np.maximum(above(-margin), below(-margin)))
+        return p_values((greater, less), None, None)
+    return p_values((greater, less), (above(margin), below(-margin)), (above(-margin), below(margin)))
 
 
-def _two_one_sided(p_greater: np.ndarray, p_less: np.ndarray, samples: int) -> PValues:
+def two_one_sided(p_greater: np.ndarray, p_less: np.ndarray, samples: int) -> PValues:
     """Sort out p-values of rows that were shifted by nothing, down by the margin, and up by it."""
     greater, less = p_greater.reshape(-1, samples), p_less.reshape(-1, samples)
-    equivalent = np.maximum(less[1], greater[2]) if len(greater) == 3 else np.ones(samples)
-    return PValues(greater[0], less[0], equivalent)
+    at = [(own, other) for own, other in zip(greater, less, strict=True)]
+    return p_values(at[0], *(at[1:] if len(at) == 3 else (None, None)))
 
 
 def _log_ratios(samples: np.ndarray, labels: Relabelings) -> np.ndarray:

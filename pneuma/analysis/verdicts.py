@@ -1,11 +1,15 @@
 """Verdicts over a list of claims, so that the chance of any false one among them stays at most alpha.
 
-Each claim enters Holm's correction with one p-value: the lesser of its two-sided p-value of a
-difference and its p-value of equivalence. That bounds the chance of any false verdict on the claim,
-whatever the truth. With no difference only the two-sided test can err. With one inside the margin only
-the wrong direction can, at half that rate. At the margin or beyond it, equivalence errs, and so does
-the wrong direction, but where that one is significant the test against the near margin is too: both
-errors lie within that one test's.
+Each claim enters Holm's correction with one p-value, the lesser of what can decide it. For one of a
+direction, or of any difference, these are the two-sided p-value of a difference and the p-value of
+equivalence. That bounds the chance of any false verdict on the claim, whatever the truth. With no difference
+only the two-sided test can err. With one inside the margin only the wrong direction can, at half that
+rate. At the margin or beyond it, equivalence errs, and so does the wrong direction, but where that one is
+significant the test against the near margin is too: both errors lie within that one test's.
+
+A claim that there is no difference, or none downwards, is not refuted by one inside the margin, which counts
+as none: it takes a difference beyond the margin, tested two-sided there. Inside the margin only that
+test can err; at the margin or beyond, only equivalence, or the direction that would support the claim.
 
 A claim on several contrasts speaks of all of them, or of any. With all, it is supported where every
 contrast is, and refuted where one is; with any, the other way round. A claim's verdict is false only where
@@ -17,6 +21,7 @@ Every contrast keeps its own place in Holm's family, so the bound on false verdi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.corrections import holm
@@ -26,21 +31,37 @@ DIRECTIONS = ("greater", "less", "different", "equal", "not-less")
 _SUPPORTED_BY = {"different": ("greater", "less"), "not-less": ("greater", "equal")}
 """What a contrast must show, where that is not the direction itself."""
 
+_MARGINAL = ("equal", "not-less")
+"""What a difference inside the margin does not refute."""
+
 NEEDS = ("all", "any")
 """Of how many of its contrasts a claim speaks."""
 
 
-def judge_list(contrasts: Sequence[tuple[Contrast, str]], alpha: float = 0.05) -> list[str]:
+class Verdict(NamedTuple):
+    """What a list comes to on one of its contrasts.
+
+    Attributes:
+        word: supported, refuted or inconclusive.
+        p: the p-value after Holm's correction over the list.
+    """
+
+    word: str
+    p: float
+
+
+def judge_list(contrasts: Sequence[tuple[Contrast, str]], alpha: float = 0.05) -> list[Verdict]:
     """Return the verdict on each claim of a list, judged together.
 
     Args:
         contrasts: each claim's contrast and the direction of `DIRECTIONS` that it claims.
         alpha: the chance of any false verdict in the list.
     """
-    adjusted = holm([contrast.p_any for contrast, _ in contrasts])
+    read = [_read(contrast, direction) for contrast, direction in contrasts]
+    adjusted = holm([own.p for own in read])
     return [
-        _verdict(found(contrast) if p <= alpha else None, direction)
-        for (contrast, direction), p in zip(contrasts, adjusted, strict=True)
+        Verdict(own.word if p <= alpha else INCONCLUSIVE, float(p))
+        for own, p in zip(read, adjusted, strict=True)
     ]
 
 
@@ -84,8 +105,18 @@ def _supporting(claimed: str) -> tuple[str, ...]:
     return _SUPPORTED_BY.get(claimed, (claimed,))
 
 
-def _verdict(shown: str | None, claimed: str) -> str:
+def _read(contrast: Contrast, claimed: str) -> Verdict:
+    """Return what a contrast comes to if its p-value, uncorrected here, is small enough."""
     supporting = _supporting(claimed)
-    if shown is None:
-        return INCONCLUSIVE
-    return SUPPORTED if shown in supporting else REFUTED
+    if claimed not in _MARGINAL:
+        word = SUPPORTED if found(contrast) in supporting else REFUTED
+        return Verdict(word, contrast.p_any)
+    one_sided = {"greater": contrast.p_greater, "less": contrast.p_less}
+    p_supported = min(
+        contrast.p_equivalent, *(2 * p for way, p in one_sided.items() if way in supporting), 1.0
+    )
+    beyond = (
+        [contrast.p_far_less] if "greater" in supporting else [contrast.p_far_less, contrast.p_far_greater]
+    )
+    p_refuted = min(2 * min(beyond), 1.0)
+    return Verdict(SUPPORTED, p_supported) if p_supported <= p_refuted else Verdict(REFUTED, p_refuted)

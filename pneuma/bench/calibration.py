@@ -18,12 +18,15 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
 
     Args:
         lists: how many lists of claims to simulate in each setting.
-        seed: of the generators of everything that is drawn; the stages have one of their own.
+        seed: of the generators of everything that is drawn; equivalence and stages have their own.
     """
     generator = np.random.default_rng(seed)
     for row in coverage.coverages(lists * COVERED_PER_LIST, generator):
         yield "coverage", row
     for row in claim_lists.false_verdicts(lists, generator):
+        yield "false_verdicts", row
+    equal = np.random.default_rng([seed, 2])
+    for row in claim_lists.false_verdicts_on_equivalence(lists, equal):
         yield "false_verdicts", row
     for row in claim_lists.staged_verdicts(lists, np.random.default_rng([seed, 1])):
         yield "false_verdicts", row

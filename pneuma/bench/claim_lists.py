@@ -1,8 +1,8 @@
 """How often a list of claims holds a false verdict: lists are simulated, and judged by what judges claims.
 
 Every list has claims on means, on spread and on incidence. What is true of a claim is known: its arms
-are alike, or they differ by exactly the margin, where a verdict of equivalence is hardest to hold back,
-or they lie far apart.
+are alike, or they differ by half the margin, which counts as no difference, or by exactly the margin, where a
+verdict of equivalence is hardest to hold back, or they lie far apart.
 """
 
 from __future__ import annotations
@@ -29,6 +29,13 @@ MARGINS = {"mean": 0.5, "spread": 1.5, "incidence": 0.2}
 FAR = {"mean": 2.0, "spread": 6.0, "incidence": 0.7}
 """What lies far apart: the effect itself."""
 TRUTHS = {"alike": ("alike",), "at the margin": ("edge",), "mixed": ("alike", "edge", "far")}
+"""What is true of the claims of lists that claim a direction."""
+EQUAL_TRUTHS = {
+    "no difference, alike": ("alike",),
+    "no difference, half": ("half",),
+    "no difference, mixed": ("half", "edge", "far"),
+}
+"""What is true of the claims of lists that claim equivalence."""
 OTHER_TRUTHS_LISTS = 4
 """Lists whose arms are not all alike are simulated so many times more rarely."""
 EVENT_SHARE = 0.2
@@ -41,6 +48,8 @@ CLOSE = 0.1
 """A p-value by few draws that is at most this is found again by many; no other can come to a verdict."""
 TRUE_FINDINGS = {"alike": ("equal",), "edge": ("greater",), "far": ("greater",)}
 """What may be found of each truth without being false."""
+TRUE_OF_EQUAL = {"alike": "supported", "half": "supported", "edge": "refuted", "far": "refuted"}
+"""What may be said of a claim of equivalence."""
 
 Draw = Callable[[np.random.Generator, tuple[int, int]], np.ndarray]
 
@@ -69,6 +78,16 @@ def false_verdicts(lists: int, generator: np.random.Generator) -> Iterator[dict[
                 yield _row(truth, name, str(seeds), wrong, count)
 
 
+def false_verdicts_on_equivalence(lists: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield the same rates for lists of claims that there is no difference."""
+    count = max(1, lists // OTHER_TRUTHS_LISTS)
+    for truth, kinds in EQUAL_TRUTHS.items():
+        for name, draw in DISTRIBUTIONS.items():
+            for seeds in SEEDS:
+                wrong = _wrong_lists(count, draw, seeds, kinds, generator, "equal")
+                yield _row(truth, name, str(seeds), wrong, count)
+
+
 def staged_verdicts(lists: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Yield the rates for lists of a few contrasts, all arms alike, that are judged in stages."""
     stages = "/".join(str(stage.seeds) for stage in make_stages())
@@ -88,19 +107,32 @@ def _row(truth: str, distribution: str, seeds: str, wrong: int, lists: int) -> d
 
 
 def _wrong_lists(
-    lists: int, draw: Draw, seeds: int, kinds: tuple[str, ...], generator: np.random.Generator
+    lists: int,
+    draw: Draw,
+    seeds: int,
+    kinds: tuple[str, ...],
+    generator: np.random.Generator,
+    claimed: str = "greater",
 ) -> int:
+    """Return how many of so many lists, all of whose claims are of one direction, hold a false verdict."""
     claims = _make_claims(lists, draw, seeds, kinds, CLAIMS, generator)
-    contrasts = _contrasts(claims, seeds, generator)
     return sum(
         any(
-            verdict != INCONCLUSIVE and found(contrast) not in TRUE_FINDINGS[truth]
+            _is_false(verdict.word, contrast, truth, claimed)
             for verdict, contrast, truth in zip(
-                judge_list([(c, "greater") for c in judged]), judged, claims.truths, strict=True
+                judge_list([(c, claimed) for c in judged]), judged, claims.truths, strict=True
             )
         )
-        for judged in contrasts
+        for judged in _contrasts(claims, seeds, generator)
     )
+
+
+def _is_false(verdict: str, contrast: Contrast, truth: str, claimed: str) -> bool:
+    if verdict == INCONCLUSIVE:
+        return False
+    if claimed == "equal":
+        return verdict != TRUE_OF_EQUAL[truth]
+    return found(contrast) not in TRUE_FINDINGS[truth]
 
 
 def _wrong_staged(lists: int, draw: Draw, generator: np.random.Generator) -> int:
@@ -139,7 +171,11 @@ def _make_claims(
     for kind, size in sizes.items():
         truths = [kinds[i % len(kinds)] for i in range(size)]
         none = 1.0 if kind == "spread" else 0.0
-        effect = np.array([{"alike": none, "edge": MARGINS[kind], "far": FAR[kind]}[t] for t in truths])
+        margin = MARGINS[kind]
+        half = margin**0.5 if kind == "spread" else margin / 2
+        effect = np.array(
+            [{"alike": none, "half": half, "edge": margin, "far": FAR[kind]}[t] for t in truths]
+        )
         shape = (lists * size, seeds)
         each = np.tile(effect, lists)[:, None]
         if kind == "incidence":
@@ -158,8 +194,11 @@ def _contrasts(claims: _Claims, seeds: int, generator: np.random.Generator) -> l
     for kind, (a, b) in claims.arms.items():
         found_p = _p_values(kind, a[:, :seeds], b[:, :seeds], generator)
         for i, p in enumerate(zip(*found_p, strict=True)):
-            one_sided = (float(p[0]), float(p[1]), float(p[2]))
-            contrast = Contrast(kind, float("nan"), no_interval(), *one_sided, (seeds, seeds))
+            greater, less, equivalent, far_greater, far_less = map(float, p)
+            contrast = Contrast(
+                kind, float("nan"), no_interval(), greater, less, equivalent, (seeds, seeds),
+                p_far_greater=far_greater, p_far_less=far_less,
+            )  # fmt: skip
             lists[i // claims.sizes[kind]].append(contrast)
     return lists
 
@@ -167,13 +206,13 @@ def _contrasts(claims: _Claims, seeds: int, generator: np.random.Generator) -> l
 def _p_values(
     kind: str, a: np.ndarray, b: np.ndarray, generator: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
-    """Return one-sided p-values that a is greater, less, and alike, each (samples,)."""
+    """Return one-sided p-values as `two_arms.PValues` has them, each (samples,)."""
     seeds = a.shape[1]
     if kind == "incidence":
         return two_arms.incidence_p_values(a.sum(axis=1), seeds, b.sum(axis=1), seeds, MARGINS[kind])
     test = two_arms.mean_p_values if kind == "mean" else two_arms.spread_p_values
     few = relabel(seeds, seeds, generator, FEW_DRAWS)
-    p = np.empty((3, len(a)))
+    p = np.empty((len(two_arms.PValues._fields), len(a)))
     for rows in _split(np.arange(len(a)), FEW_ROWS):
         p[:, rows] = test(a[rows], b[rows], MARGINS[kind], few)
     if few.exact:

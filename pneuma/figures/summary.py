@@ -138,7 +138,17 @@ def _draw_runs(
         runs, colour = values[condition], looks[condition]["color"]
         places = np.full(len(runs), float(row))
         faint = 0.7 if len(runs) < 20 else 0.4
-        axes.plot(runs, places, "o", color=colour, markersize=0.5 * mark, alpha=faint, markeredgewidth=0)
+        axes.plot(
+            runs,
+            places,
+            "o",
+            color=colour,
+            markersize=0.5 * mark,
+            alpha=faint,
+            markeredgewidth=0,
+            clip_on=False,  # runs that killed nothing lie on the axis: whole, and above it
+            zorder=2.6,
+        )
         for statistic, (marker, beside) in _STATISTICS.items():
             found = table[(table["condition"] == condition) & (table["statistic"] == statistic)]
             for one in found.itertuples():
@@ -178,6 +188,7 @@ def _draw_interval(axes: Axes, row: object, place: float, marker: str, face: str
         markerfacecolor=face,
         markeredgewidth=0.8,
         clip_on=False,
+        zorder=2.7,
     )
 
 

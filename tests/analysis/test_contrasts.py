@@ -39,6 +39,8 @@ def test_means_are_tested_as_scipy_permutes_welchs_t() -> None:
     below = by_scipy([a - 0.5 for a in A], B, "less")
     above = by_scipy([a + 0.5 for a in A], B, "greater")
     assert own.p_equivalent == pytest.approx(max(below, above), abs=1e-12)
+    assert own.p_far_greater == pytest.approx(by_scipy([a - 0.5 for a in A], B, "greater"), abs=1e-12)
+    assert own.p_far_less == pytest.approx(by_scipy([a + 0.5 for a in A], B, "less"), abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(4))

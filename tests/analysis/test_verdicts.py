@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
 from pneuma.analysis import two_arms
-from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.corrections import holm
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.permutation import relabel
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS, judge_list, smallest_p, together
 
 
-def contrast(greater: float, less: float, equivalent: float) -> Contrast:
-    return Contrast("mean", 0.0, no_interval(), greater, less, equivalent, (10, 10))
+def contrast(
+    greater: float, less: float, equivalent: float, far_greater: float = 1.0, far_less: float = 1.0
+) -> Contrast:
+    interval = no_interval()
+    return Contrast(
+        "mean", 0.0, interval, greater, less, equivalent, (10, 10),
+        p_far_greater=far_greater, p_far_less=far_less,
+    )  # fmt: skip
+
+
+def judged(*claims: tuple[Contrast, str], alpha: float = 0.05) -> list[str]:
+    return [verdict.word for verdict in judge_list(claims, alpha)]
 
 
 def test_holm_by_hand() -> None:
@@ -28,8 +39,9 @@ def test_holm_by_hand() -> None:
 @pytest.mark.parametrize(
     ("p", "greater", "less", "different", "equal"),
     [
-        ((0.02, 0.98, 0.9), "supported", "refuted", "supported", "refuted"),
-        ((0.98, 0.02, 0.9), "refuted", "supported", "supported", "refuted"),
+        ((0.002, 0.998, 0.9, 0.02), "supported", "refuted", "supported", "refuted"),
+        ((0.998, 0.002, 0.9, 1.0, 0.02), "refuted", "supported", "supported", "refuted"),
+        ((0.002, 0.998, 0.9, 0.03), "supported", "refuted", "supported", "inconclusive"),  # margin: 0.06
         ((0.4, 0.6, 0.04), "refuted", "refuted", "refuted", "supported"),
         (
             (0.03, 0.97, 0.9),
@@ -38,24 +50,42 @@ def test_holm_by_hand() -> None:
             "inconclusive",
             "inconclusive",
         ),  # two-sided: 0.06
-        ((0.001, 0.999, 0.01), "supported", "refuted", "supported", "refuted"),
+        ((0.001, 0.999, 0.01), "supported", "refuted", "supported", "supported"),
         ((0.01, 0.99, 0.001), "refuted", "refuted", "refuted", "supported"),
     ],
 )
-def test_one_claim(
-    p: tuple[float, float, float], greater: str, less: str, different: str, equal: str
-) -> None:
+def test_one_claim(p: tuple[float, ...], greater: str, less: str, different: str, equal: str) -> None:
     for direction, verdict in zip(
         ("greater", "less", "different", "equal"), (greater, less, different, equal), strict=True
     ):
-        assert judge_list([(contrast(*p), direction)]) == [verdict]
+        assert judged((contrast(*p), direction)) == [verdict]
 
 
 def test_not_less_is_greater_or_equal() -> None:
-    shown = {"supported": [(0.02, 0.98, 0.9), (0.4, 0.6, 0.04)], "refuted": [(0.98, 0.02, 0.9)]}
+    shown: dict[str, list[tuple[float, ...]]] = {
+        "supported": [(0.02, 0.98, 0.9, 0.9, 1.0), (0.4, 0.6, 0.04)],
+        "refuted": [(1.0, 0.001, 0.9, 1.0, 0.02)],
+        "inconclusive": [(0.98, 0.02, 0.9, 1.0, 0.4), (0.98, 0.02, 0.9, 0.01, 0.4)],
+    }
     for verdict, found in shown.items():
         for p in found:
-            assert judge_list([(contrast(*p), "not-less")]) == [verdict]
+            assert judged((contrast(*p), "not-less")) == [verdict]
+
+
+def test_a_difference_inside_the_margin_does_not_refute_that_there_is_none() -> None:
+    """Twenty runs an arm, a margin of 1, differences of 0.7 and of 1.6 beyond doubt."""
+    spread = np.linspace(-0.2, 0.2, 20)
+    for kind, apart in (("mean", (0.7, 1.6)), ("paired", (0.7, 1.6))):
+        inside, beyond = (
+            compare(kind, spread + difference, spread[::-1], 1.0, np.random.default_rng(0))
+            for difference in apart
+        )
+        assert inside.p_different < 0.001 and inside.p_far_greater > 0.9
+        assert judged((inside, "equal"), (inside, "not-less")) == ["supported", "supported"]
+        assert judged((beyond, "equal"), (beyond, "not-less")) == ["refuted", "supported"]
+    less = compare("mean", spread - 0.7, spread, 1.0, np.random.default_rng(0))
+    assert judged((less, "equal"), (less, "not-less")) == ["supported", "supported"]
+    assert judged((replace(less, p_equivalent=1.0), "not-less")) == ["inconclusive"]
 
 
 def test_the_smallest_p_is_of_the_claimed_direction() -> None:
@@ -78,10 +108,11 @@ def test_a_claims_verdict_is_false_only_where_a_contrasts_is(truth: tuple[bool, 
 
 def test_the_list_is_corrected_as_one() -> None:
     weak, strong = contrast(0.02, 0.98, 1.0), contrast(0.001, 0.999, 1.0)
-    assert judge_list([(weak, "greater")]) == ["supported"]
-    assert judge_list([(weak, "greater"), (weak, "greater")]) == ["inconclusive"] * 2
-    assert judge_list([(strong, "greater"), (weak, "greater")]) == ["supported", "supported"]
-    assert judge_list([(weak, "greater")], alpha=0.01) == ["inconclusive"]
+    assert judged((weak, "greater")) == ["supported"]
+    assert judged((weak, "greater"), (weak, "greater")) == ["inconclusive"] * 2
+    assert judged((strong, "greater"), (weak, "greater")) == ["supported", "supported"]
+    assert judged((weak, "greater"), alpha=0.01) == ["inconclusive"]
+    assert [verdict.p for verdict in judge_list([(strong, "greater"), (weak, "greater")])] == [0.004, 0.04]
     with pytest.raises(ValueError, match="direction of 'more'"):
         judge_list([(weak, "more")])
 

@@ -36,8 +36,10 @@ def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
     assert band_coverage("minmax", runs) == pytest.approx(1 - 2 / 8, abs=0.011)  # not all on one side
 
 
-def test_between_the_numbers_of_runs_the_fewer_count() -> None:
-    assert table.coverage("ci", 4) == table.coverage("ci", 3)
+def test_between_two_numbers_of_runs_the_lesser_coverage_counts() -> None:
+    assert table.coverage("ci", 3) == 0.815
+    assert table.coverage("ci", 4) == table.coverage("ci", 5) == table.coverage("ci", 6) == 0.752
+    assert table.coverage("ci", 1_000) == table.coverage("ci", 50) == 0.942
     assert table.coverage("ci", 19) == table.coverage("ci", 10) == 0.886
     assert table.is_trusted("ci", 20) and not table.is_trusted("ci", 19)
     assert not table.is_trusted("se", 50)
@@ -71,13 +73,34 @@ def test_distributions_have_mean_0_and_deviation_1() -> None:
 def test_what_counts_as_a_false_verdict(
     monkeypatch: pytest.MonkeyPatch, truths: tuple[str, ...], p: tuple[float, float, float], wrong: bool
 ) -> None:
+    assert _wrong_of_three(monkeypatch, truths, (*p, 1.0, 1.0), "greater") == (3 if wrong else 0)
+
+
+@pytest.mark.parametrize(
+    ("truths", "p", "wrong"),
+    [
+        (("half",), (1e-6, 1.0, 0.9, 0.9, 1.0), False),  # a difference that counts as none
+        (("half",), (1e-6, 1.0, 1.0, 1e-6, 1.0), True),
+        (("half",), (0.5, 0.5, 1e-6, 1.0, 1.0), False),
+        (("edge",), (0.5, 0.5, 1e-6, 1.0, 1.0), True),
+        (("far",), (1e-6, 1.0, 1.0, 1e-6, 1.0), False),
+    ],
+)
+def test_what_counts_as_a_false_verdict_on_equivalence(
+    monkeypatch: pytest.MonkeyPatch, truths: tuple[str, ...], p: tuple[float, ...], wrong: bool
+) -> None:
+    assert _wrong_of_three(monkeypatch, truths, p, "equal") == (3 if wrong else 0)
+
+
+def _wrong_of_three(
+    monkeypatch: pytest.MonkeyPatch, truths: tuple[str, ...], p: tuple[float, ...], claimed: str
+) -> int:
     def given(kind: str, a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> PValues:
         return PValues(*(np.full(len(a), each) for each in p))
 
     monkeypatch.setattr(claim_lists, "_p_values", given)
     draw = claim_lists.DISTRIBUTIONS["normal"]
-    count = claim_lists._wrong_lists(3, draw, 4, truths, np.random.default_rng(4))
-    assert count == (3 if wrong else 0)
+    return claim_lists._wrong_lists(3, draw, 4, truths, np.random.default_rng(4), claimed)
 
 
 @pytest.mark.slow
