@@ -5,8 +5,8 @@
 A run collapses where, for a twentieth of its budget or more, most updates of its policy have no entropy
 and one action alone; or where two evaluations or more in a row kill at most half of its best, a tenth of the
 monsters less than that best, and the best had been a tenth above the random player. It has recovered where
-that ends, and relearned where it then kills four fifths of its best before. Returns are not looked at:
-XP that never resets lets them sink in a straight line without any collapse.
+that ends and does not come again, and relearned where it then kills four fifths of its best before. Returns
+are not looked at: XP that never resets lets them sink in a straight line without any collapse.
 
 Logs that hold neither actions nor evaluations are judged by their entropy alone; what could not be
 seen is told.
@@ -51,7 +51,7 @@ RELEARNED = 0.8
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What became of one run; of its first collapse where there are several.
+    """What became of one run; of several collapses, how the first began and how the last ended.
 
     Attributes:
         collapsed: whether it ever did.
@@ -60,7 +60,7 @@ class Diagnosis:
         sound_step: the last update, or evaluation, before it: from where a fork can begin.
         signs: those of `SIGNS` that held over most of it.
         unseen: those that the run's records cannot tell of.
-        recovered_step: where the collapse ended; None where it lasts.
+        recovered_step: where the last collapse ended; None where one lasts to the run's end.
         relearned: whether it plays as before afterwards; None without a collapse or evaluations.
     """
 
@@ -89,8 +89,8 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     onset, last = spells[0]
     signs = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST]
     fell = [fall for fall in falls if onset <= fall[0] <= last]
-    end = min(run.end, seen.last_step)
-    recovered = None if last >= end - gap or last >= max(steps, default=np.inf) else int(last)
+    end, ended = min(run.end, seen.last_step), spells[-1][1]
+    recovered = None if ended >= end - gap or ended >= max(steps, default=np.inf) else int(ended)
     return Diagnosis(
         True,
         int(onset),

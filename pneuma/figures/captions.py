@@ -14,6 +14,7 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
+from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
 
@@ -120,12 +121,18 @@ def _marks(
     if step is not None:
         words.append(f"Upright line: {step:,} steps, the most that all runs were to reach: compare there.")
     words += [_above(data, name, group) for name, group in curves.items()]
-    if any(reference_levels(data, name) and not shared_levels(data, name) for name in curves):
+    in_one_panel = len(data.conditions) <= MOST_IN_A_PANEL  # otherwise each panel has its own
+    if in_one_panel and any(
+        reference_levels(data, name) and not shared_levels(data, name) for name in curves
+    ):
         words.append("Random player and scripted hunter differ between conditions, and are not drawn.")
     words = [word for word in words if word]
     logs = [curve for name, group in curves.items() if is_log(look_of(name), group) for curve in group]
     if any((curve.band(band)[0] <= 0).any() for curve in logs):
         words.append("What of a band lies below zero is cut off from a logarithmic axis.")
+    shares = [curve for name, group in curves.items() for curve in group if look_of(name).percent]
+    if any((curve.band(band)[0] < 0).any() for curve in shares):
+        words.append("What of a band lies below 0 % is cut off.")
     return words
 
 

@@ -15,6 +15,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import diagnoses, incidence
 from pneuma.analysis.run_view import Series, view
+from pneuma.analysis.signs import NO_ENTROPY
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.figures.captions import headline_of
 from pneuma.figures.looks import condition_looks
@@ -82,6 +83,10 @@ def _told(shares: pd.DataFrame) -> str:
 
 def _caption(data: StudyData, left_out: int) -> list[str]:
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
+    unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
+    if unseen:
+        told = ", ".join(name for name in data.conditions if name in unseen)
+        none = f"Of {told} no entropy is recorded, and only a fall is seen. {none}"
     return [
         f"{', '.join(data.environments)}. Left: each run that collapsed, in its condition's colour, by its "
         "steps before and after the onset; means over 5 % of the budget, and single evaluations. Right: "

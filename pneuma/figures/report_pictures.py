@@ -13,7 +13,8 @@ from pneuma.analysis.robustness import Map, shown_level
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import ENDINGS, StudyTrajectories, endings
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import draw_study
+from pneuma.figures.curves import draw_study, settle
+from pneuma.figures.quantities import look_of
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.trajectories import draw_trajectories, share_told
@@ -40,8 +41,7 @@ def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> t
 
 
 def _curves(data: StudyData) -> Picture:
-    panels = ["return in training", "share of monsters killed in evaluation"]
-    shown = " and ".join(panels if "evaluations" in data.tables else panels[:1])
+    shown = " and ".join(look_of(name).title.lower() for name in settle(data).quantities)
     lines = ", ".join(f"{name} ({len(data.of_condition(name))} runs)" for name in data.conditions)
     alt = f"{data.title}: {shown} over {data.budget:,} environment steps, for {lines}."
     caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."

@@ -96,7 +96,7 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
             _draw_improvement(places[1], data, improved, labelled=stacked)
     if profiled:
         _draw_profiles(places[-1], data, values, outcome)
-    words = Words(headline_of(data, "at the end of training"), "", _caption(data, outcome, values))
+    words = Words(headline_of(data, "at the end of training"), "", _caption(data, outcome, values, table))
     entries = {
         "a run": Line2D([], [], color="#777777", marker="o", linestyle="", markersize=3),
         "mean, 95 % interval (Student's t)": Line2D([], [], color=_INK, marker="D", markersize=4),
@@ -219,8 +219,9 @@ def _draw_profiles(axes: Axes, data: StudyData, values: dict[str, np.ndarray], o
         axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
 
 
-def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray]) -> list[str]:
-    shown = find_outcome(outcome).words
+def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], table: pd.DataFrame) -> list[str]:
+    known_outcome = find_outcome(outcome)
+    shown = known_outcome.words
     words = [f"{', '.join(data.environments)}. {shown[:1].upper()}{shown[1:]}."]
     step = common_step(data)
     if step is not None:
@@ -234,6 +235,8 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray]) -> li
             words.append(
                 f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere here."
             )
+    if known_outcome.bounds == (0.0, 1.0) and (table["low"] < 0).any():
+        words.append("What of an interval lies below 0 % is cut off.")
     counts = [len(known) for known in values.values()]
     if any(0 < count < 3 for count in counts):
         words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")

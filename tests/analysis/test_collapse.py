@@ -68,9 +68,10 @@ def test_two_signs_of_one_collapse_are_one_with_the_earlier_onset(tmp_path: Path
 
 
 def test_an_interruption_shorter_than_a_hundredth_of_the_budget_is_none(tmp_path: Path) -> None:
-    updates = one_action(61)
+    """What comes after a longer one is too short to be a collapse of its own."""
+    updates = one_action(61, 84)
     updates[79] = healthy()[79]
-    assert diagnosed(tmp_path, updates, learning()).recovered_step is None
+    assert diagnosed(tmp_path, updates, learning()).recovered_step == 8400
     updates[80] = healthy()[80]
     assert diagnosed(tmp_path, updates, learning()).recovered_step == 7900
 
@@ -143,6 +144,16 @@ def test_a_collapse_that_ends_has_recovered_and_relearned_by_its_evaluations(
     found = diagnosed(tmp_path, one_action(51, 70), shares)
     assert (found.onset_update, found.recovered_step) == (51, 7000)
     assert found.relearned is relearned
+
+
+@pytest.mark.parametrize(("last", "recovered"), [(90, 9_000), (100, None)])
+def test_a_run_that_collapses_again_has_recovered_only_once_that_ends_too(
+    tmp_path: Path, last: int, recovered: int | None
+) -> None:
+    updates = np.where(np.arange(1, 101)[:, None] > 60, one_action(71, last), one_action(21, 40))
+    found = diagnosed(tmp_path, updates, learning())
+    assert (found.onset_update, found.recovered_step) == (21, recovered)
+    assert found.relearned is (recovered is not None)
 
 
 def test_a_diverged_run_is_diagnosed_up_to_its_end(tmp_path: Path) -> None:
