@@ -121,10 +121,8 @@ def _marks(
     if step is not None:
         words.append(f"Upright line: {step:,} steps, the most that all runs were to reach: compare there.")
     words += [_above(data, name, group) for name, group in curves.items()]
-    in_one_panel = len(data.conditions) <= MOST_IN_A_PANEL  # otherwise each panel has its own
-    if in_one_panel and any(
-        reference_levels(data, name) and not shared_levels(data, name) for name in curves
-    ):
+    unlike = any(reference_levels(data, name) and not shared_levels(data, name) for name in curves)
+    if unlike and len(data.conditions) <= MOST_IN_A_PANEL:  # of more, each panel has its own
         words.append("Random player and scripted hunter differ between conditions, and are not drawn.")
     words = [word for word in words if word]
     logs = [curve for name, group in curves.items() if is_log(look_of(name), group) for curve in group]
