@@ -78,16 +78,20 @@ def run_until_decided(
         train: trains what a plan lacks; False where it did not come to its end, and nothing is looked at.
 
     Raises:
-        UserError: before anything is trained, where the selection has no two conditions to compare.
+        UserError: before anything is trained, where the selection has no two conditions to compare; after
+            the first stage, where no run has what they are compared by.
     """
     stages = make_stages(most_seeds)
     plans = [make_plan(study, replace(selection, seeds=tuple(range(s.seeds)))) for s in stages]
     others = compared(plans[0])
     looks: list[Look] = []
     for stage, planned in zip(stages, plans, strict=True):
-        if not train(planned):
-            return
+        trained = train(planned)
         record = execute.selection_record(planned)
+        if not trained:
+            if looks:  # that seeds were added by looking is told of a study that was stopped, too
+                store.save_selection(study.name, {**record, "adaptive": _as_record(stages, looks)})
+            return
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
         store.save_selection(study.name, {**record, "adaptive": _as_record(stages, looks)})
@@ -127,6 +131,11 @@ def _look(
     at_step = common_step(data)
     base = outcome_values(data, baseline, OUTCOME, at_step)
     arms = {name: outcome_values(data, name, OUTCOME, at_step) for name in others}
+    if not np.isfinite(np.concatenate([base, *arms.values()])).any():
+        raise UserError(
+            f"--until-decided compares by {OUTCOME}, which no run of study {data.study} has; "
+            "give a number of --seeds"
+        )
     contrasts = {
         name: compare("mean", _had(values), _had(base), MARGIN_SHARE, _generator(stage, name))
         for name, values in arms.items()
@@ -171,7 +180,7 @@ def look_document(look: Look) -> dict[str, Any]:
         "contrasts": [
             {
                 "condition": finding.condition,
-                "effect": finding.contrast.effect,
+                "effect": finding.contrast.effect if np.isfinite(finding.contrast.effect) else None,
                 "p": finding.contrast.p_any,
                 "decided": finding.decided or None,
                 "left_out": finding.left_out,

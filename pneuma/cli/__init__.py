@@ -61,8 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader of our output has gone, as in `pneuma … | head`
-        sys.stderr.close()
+    except (BrokenPipeError, SystemExit) as ended:  # Typer exits by 1 where a pipe is closed
+        if isinstance(ended, SystemExit) and not isinstance(ended.__context__, BrokenPipeError):
+            raise
+        sys.stderr.close()  # the reader of our output has gone, as in `pneuma … | head`
         return 0
     return code if isinstance(code, int) else 0
 

@@ -9,6 +9,7 @@ import math
 import sys
 import tomllib
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -302,6 +303,11 @@ def print_json(document: object) -> None:
 
 
 def say(text: str, as_json: bool = False, quiet: bool = False) -> None:
-    """Print a line for people: on standard error when standard output is for JSON."""
-    if not quiet:
+    """Print a line for people: on standard error when standard output is for JSON.
+
+    Nobody need read standard error for a command to go on.
+    """
+    if quiet:
+        return
+    with suppress(BrokenPipeError) if as_json else nullcontext():
         print(text, file=sys.stderr if as_json else sys.stdout)

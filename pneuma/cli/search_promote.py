@@ -25,7 +25,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.search_run import RunSteps, SearchName, record_name
-from pneuma.cli.study_run import train
+from pneuma.cli.study_run import exit_code, train, train_cells
 from pneuma.study import plan, spec
 from pneuma.study.executors.base import Supervision
 from pneuma.study.store import Store
@@ -70,7 +70,7 @@ def promote(
     store.write(path, promoting.promoted_study(search, record, chosen).encode())
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
     say(f"wrote {plain(str(path))}", as_json=True, quiet=quiet)
-    code = train(planned, store, how, retry_failed=True, json=False, quiet=True)
+    code = exit_code(train_cells(planned, store, how, retry_failed=True, json=json, quiet=True))
     if code:
         say(f"Not all runs ended: pneuma study status {path} --results {store.root}", as_json=True)
         return code

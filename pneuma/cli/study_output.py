@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -67,6 +68,8 @@ def export(
         endings = ", ".join(EXPORT_SUFFIXES)
         raise UserError(f"--out {out}: its ending tells no format; end it in {endings}, or give --format")
     check_choice("--format", form, EXPORT_FORMATS)
+    if json and str(out) == "-":
+        raise UserError("--json: standard output is for the table; name a file by --out")
     store = Store(results)
     record = study_record(store, name, selection, setting)
     from pneuma.analysis.export import encode_table
@@ -82,7 +85,10 @@ def export(
     if str(out) == "-":
         sys.stdout.buffer.write(encoded)
         return None
-    write_whole(out, encoded)
+    try:
+        write_whole(out, encoded)
+    except OSError as error:
+        raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
     if json:
         return print_json({"schema": 1, "file": str(out), "rows": rows})
     print(f"wrote {out}: {rows:,} rows")
@@ -125,7 +131,7 @@ def publish(
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
     path = published_path(store, data.study)
-    own = _published_before(store, data)
+    own = _published_before(store, data, replace)
     leaving = runs_leaving(data, own) if own else []
     before = _with_other_studies(store, data, own, kept, rounding)
     staying = runs_staying(data, before)
@@ -160,11 +166,11 @@ def publish(
     return None
 
 
-def _published_before(store: Store, data: StudyData) -> PublishedRuns | None:
-    """Return what was published of a study before; where all runs are here, damage is no matter.
+def _published_before(store: Store, data: StudyData, replace: bool) -> PublishedRuns | None:
+    """Return what was published of a study before; None where that cannot be read and is to be replaced.
 
     Raises:
-        UserError: for such a table otherwise: writing over it might lose runs.
+        UserError: for such a table otherwise: what runs it holds, and would lose, nobody can tell.
     """
     from pneuma.analysis.published import published_path, read_published
 
@@ -172,11 +178,11 @@ def _published_before(store: Store, data: StudyData) -> PublishedRuns | None:
     try:
         return read_published(store, data.study) if path.exists() else None
     except UserError:
-        if not data.left_out:
+        if replace:
             return None
         raise UserError(
-            f"{path}: damaged, or of another version; take it from version control again, or remove it to "
-            "publish the runs that are here alone"
+            f"{path}: damaged, or of another version; take it from version control again, or publish the "
+            "runs that are here alone in its place by --replace"
         ) from None
 
 
@@ -232,8 +238,6 @@ def check_folder(option: str, folder: Path) -> None:
     """Refuse a folder that cannot be written, before any work is done."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".pneuma-probe"
-        probe.touch()
-        probe.unlink()
+        TemporaryFile(dir=folder).close()
     except OSError as error:
         raise UserError(f"{option} {folder}: cannot be written ({error.strerror})") from None

@@ -228,16 +228,16 @@ def _write(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str,
 
     if out is not None:
         check_folder("--out", out)
-        before = read_index(out)
+        read_index(out)  # refused before anything is drawn
         entries = draw(out)
-        write_whole(out / INDEX, encode_index([*before, *entries]))
+        write_whole(out / INDEX, encode_index([*read_index(out), *entries]))  # another may have added to it
         return [out / entry["file"] for entry in entries]
     store.check_writable()
     target = store.root / "figures"
-    before = read_index(target)
+    read_index(target)
     with TemporaryDirectory() as folder:
         entries = draw(Path(folder))
         for entry in entries:
             store.write(target / entry["file"], (Path(folder) / entry["file"]).read_bytes())
-    store.write(target / INDEX, encode_index([*before, *entries]))
+    store.write(target / INDEX, encode_index([*read_index(target), *entries]))
     return [target / entry["file"] for entry in entries]

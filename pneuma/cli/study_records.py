@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pneuma.cli.options import say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import Store
@@ -24,7 +25,7 @@ def study_record(
         UserError: for a study that is nowhere, or a selection or setting that it does not have.
     """
     stem = _record_name(name, setting)
-    record = store.selection(stem) or _published_record(store, stem)
+    record = _own_record(store, name, stem) or _published_record(store, stem)
     if record is None and selection is None:
         raise _unknown(store, name, stem, setting)
     if selection is None:
@@ -119,12 +120,36 @@ def _check_setting(setting: str | None) -> None:
         raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', spec.SETTINGS)}")
 
 
-def _published_record(store: Store, study: str) -> dict[str, Any] | None:
-    if not (store.root / "published").is_dir():
-        return None
-    from pneuma.analysis.published import published_path, read_published
+def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
+    """Return the record of what was run here; None without one, or where it is damaged, which is told.
 
-    return read_published(store, study).record if published_path(store, study).exists() else None
+    Raises:
+        UserError: where that is the record of another file of the same name.
+    """
+    record = store.selection(stem)
+    if record is None and store.selection_path(stem).exists() and published_here(store, stem):
+        path = store.selection_path(stem)
+        say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", as_json=True)
+    if record is not None and name.endswith(".toml"):
+        execute.check_same_file(record, Path(name), store)
+    return record
+
+
+def _published_record(store: Store, study: str) -> dict[str, Any] | None:
+    if not published_here(store, study):
+        return None
+    from pneuma.analysis.published import read_published
+
+    return read_published(store, study).record
+
+
+def published_here(store: Store, study: str) -> bool:
+    """Tell whether a study has a published table in a results folder, damaged or not."""
+    if not (store.root / "published").is_dir():
+        return False
+    from pneuma.analysis.published import published_path
+
+    return published_path(store, study).exists()
 
 
 def _is_asked_for(name: str) -> bool:
@@ -221,10 +246,11 @@ def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any
 
 
 def _unknown(store: Store, name: str, stem: str, setting: str | None) -> UserError:
-    path = store.root / "studies" / f"{stem}.json"
+    path = store.selection_path(stem)
     told = f"{name} --setting {setting}" if setting else name
     if path.exists():
-        return UserError(f"{path}: damaged; `pneuma study run {told}` writes it anew")
+        anew = f"`pneuma study run {told}` writes it" if _is_asked_for(name) else "import or fork its runs"
+        return UserError(f"{path}: damaged; {anew} anew")
     if not _is_asked_for(name):
         return unknown_name(
             "study", name, sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})

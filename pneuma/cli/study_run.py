@@ -176,7 +176,7 @@ def train(
     left = outcomes is None and how.place.detach
     if left:
         outcomes = [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
-    if outcomes and json:
+    if outcomes is not None and json:
         rows = outcome_rows(outcomes)
         print_json({"schema": 1, "study": planned.study.name, "runs": rows})
     return 0 if left else exit_code(outcomes)
@@ -305,7 +305,7 @@ def _tell_outcomes(
     states = ", ".join(f"{n} {state}" for state, n in counts.items()) or "nothing to train"
     kept = len(outcomes) - trained
     say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
-    if not any(counts[name] for name in UNWELL):
+    if outcomes and not any(counts[name] for name in UNWELL):
         say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", as_json, quiet)
 
 

@@ -61,7 +61,7 @@ def run_stages(
         looks.append(look)
         for line in _told(look, most_seeds, planned.study.baseline):
             say(line, json)
-    if json and outcomes:
+    if json and outcomes is not None:
         documents = [look_document(look) for look in looks]
         print_json(
             {

@@ -27,7 +27,7 @@ from pneuma.config import (
     settings_read,
 )
 from pneuma.errors import UserError
-from pneuma.study.definition import join_settings, studies_folder
+from pneuma.study.definition import is_shipped_file, join_settings
 from pneuma.study.faults import (
     JUDGED_BY_THE_ENVIRONMENT,
     Check,
@@ -148,7 +148,7 @@ def _check_environments(
     file: TomlFile, base: str, shared: Mapping[str, Any], conditions: Mapping[str, Mapping[str, Any]]
 ) -> None:
     """Refuse what only an environment can judge, in a file of the user's own; shipped ones are tested."""
-    if file.path.parent == studies_folder():
+    if is_shipped_file(file.path):
         return
     seen = set()
     for name, own in conditions.items():
@@ -223,11 +223,12 @@ def _read_field_factor(file: TomlFile, key: str, values: object) -> Levels:
 
 
 def _short(value: object) -> str:
-    """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]."""
+    """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]; no two have the same name."""
     if isinstance(value, float):
         digits, _, power = f"{value:e}".partition("e")
         scientific = f"{digits.rstrip('0').rstrip('.')}e{int(power)}"
-        return min(f"{value:g}", scientific, key=len)
+        short = min(f"{value:g}", scientific, key=len)
+        return short if float(short) == value else repr(value)
     return value if isinstance(value, str) else shown(value)
 
 
@@ -253,6 +254,9 @@ def _cross(
                 place = ("conditions", name) if factor == CONDITION else ("factors",)
                 raise file.mistake(place, message, min(twice) if factor == CONDITION else factor)
             own |= every[factor][name]
+        if ", ".join(names) in crossed:
+            message = f"two combinations are both called {', '.join(names)}; name their values otherwise"
+            raise file.mistake(("factors",), message)
         crossed[", ".join(names)] = own
         levels[", ".join(names)] = dict(zip(every, names, strict=True))
     return crossed, levels

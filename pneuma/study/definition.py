@@ -120,7 +120,7 @@ class Study:
     @property
     def own_path(self) -> str | None:
         """The path of a user's own file; None for a shipped study, and for one that is no file."""
-        if self.path is None or self.path.parent == studies_folder():
+        if self.path is None or is_shipped_file(self.path):
             return None
         return str(self.path.resolve())
 
@@ -151,6 +151,11 @@ def split_setting(name: str) -> tuple[str, str]:
     """Return the study's own name and the setting that a name stands for."""
     own = name.removesuffix(f"-{GODOT}")
     return (own, GODOT) if own != name else (name, TEXT)
+
+
+def is_shipped_file(path: Path) -> bool:
+    """Tell whether a study's file is one of the toolkit's own, however its path is given."""
+    return path.resolve().parent == studies_folder().resolve()
 
 
 def studies_folder() -> Path:

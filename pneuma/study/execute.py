@@ -10,9 +10,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
+from pneuma.errors import UserError
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
@@ -67,8 +69,12 @@ def prepare(
 
     Raises:
         UserError: before anything is written, for an environment that cannot be made, a results folder
-            that cannot be written, or runs that cannot be trained where `supervision` says.
+            that cannot be written or has runs of another file of that name, or runs that cannot be
+            trained where `supervision` says.
     """
+    recorded = store.selection(plan.study.name)
+    if recorded is not None and plan.study.own_path is not None:
+        check_same_file(recorded, Path(plan.study.own_path), store)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
@@ -165,7 +171,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
         runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
         notes.append(
             f"{runs} published, and not trained; those in other studies' tables are drawn and judged here "
-            "once this study is published whole"
+            "once this study is published, with a run of its own or more"
         )
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
@@ -206,6 +212,24 @@ def selection_record(plan: Plan) -> dict[str, Any]:
             for cell in plan.cells
         ],
     }
+
+
+def check_same_file(record: Mapping[str, Any], path: Path, store: Store) -> None:
+    """Refuse a study's file where the record of its name was made from another one, or from none.
+
+    A file may have moved: one that is there no more stands in nobody's way.
+
+    Raises:
+        UserError: for such a file.
+    """
+    other = record.get("path")
+    if isinstance(other, str) and (Path(other) == path.resolve() or not Path(other).is_file()):
+        return
+    of = other or "no file (imported, published or forked)"
+    raise UserError(
+        f"{path}: the runs of study {record['study']} in {store.root} are of {of}; give the file another "
+        "name, or --results another folder"
+    )
 
 
 def recorded_selection(record: Mapping[str, Any]) -> Selection:

@@ -60,7 +60,10 @@ NO_STUDIES = ("claims.toml",)
 
 def files_called(name: str) -> list[str]:
     """Return the study file that a person may mean by a name without its ending, if it is here."""
-    return [f"{name}.toml"] if Path(f"{name}.toml").is_file() else []
+    try:
+        return [f"{name}.toml"] if Path(f"{name}.toml").is_file() else []
+    except OSError:  # longer than any file's name
+        return []
 
 
 def load_study(name: str, setting: str | None = None) -> Study:

@@ -223,8 +223,12 @@ class Store:
 
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here, is damaged, or another's."""
-        record = read_sealed(self.root / "studies" / f"{study}.json")
+        record = read_sealed(self.selection_path(study))
         return record if record and _is_record(record) and record["study"] == study else None
+
+    def selection_path(self, study: str) -> Path:
+        """Return where a study's record is, if it was run here."""
+        return self.root / "studies" / f"{study}.json"
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""

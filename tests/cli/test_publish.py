@@ -99,7 +99,48 @@ def test_what_was_published_and_is_gone_here_stays(trained: Path, tmp_path: Path
     assert [path.read_bytes() for path in files] == before
     files[0].write_bytes(files[0].read_bytes()[:-9])
     called = _call("study", "publish", "activation", "--results", results)
-    assert called.code == 2 and "or remove it to publish the runs that are here alone" in called.err
+    assert called.code == 2 and "publish the runs that are here alone in its place by --replace" in called.err
+
+
+def test_a_table_that_cannot_be_read_is_written_over_only_where_that_is_asked_for(
+    trained: Path, tmp_path: Path
+) -> None:
+    """All selected runs are here, but what else it held nobody can tell."""
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    _call("study", "publish", "activation", "--results", results)
+    path = results / "published" / "activation.parquet"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-9])
+    assert _call("study", "publish", "activation", "--results", results).code == 2
+    assert path.read_bytes() == whole[:-9]
+    assert _call("study", "publish", "activation", "--replace", "--results", results).code == 0
+    assert path.read_bytes() == whole
+
+
+def test_where_all_is_published_there_is_nothing_to_train_and_still_a_document(
+    clone: Path, tmp_path: Path
+) -> None:
+    results = Path(shutil.copytree(clone, tmp_path / "results"))
+    options = ["--seeds", "2", "--unpublished", "--json", "--results", str(results)]
+    called = _call("study", "run", "activation", *TINY, *options)
+    assert called.code == 0 and called.document == {"schema": 1, "study": "activation", "runs": []}
+    assert "nothing to train" in called.err and "Draw it" not in called.err
+
+
+def test_a_damaged_record_does_not_give_way_to_the_published_one_unsaid(clone: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(clone, tmp_path / "results"))
+    assert not _call("study", "status", "activation", "--results", results).err
+    (results / "studies").mkdir()
+    (results / "studies" / "activation.json").write_text("{")
+    called = _call("study", "status", "activation", "--results", results)
+    assert called.code == 0 and "activation.json is damaged; what is published" in called.err
+
+
+def test_a_table_and_a_document_do_not_share_standard_output(clone: Path) -> None:
+    called = _call(
+        "study", "export", "activation", "--table", "curves", "--out", "-", "--json", "--results", clone
+    )
+    assert called.code == 2 and "name a file by --out" in called.err
 
 
 def test_runs_that_another_study_has_published_are_taken_from_its_table(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 import typer
@@ -10,6 +13,7 @@ import typer
 from pneuma.cli import main
 from pneuma.study import spec
 
+CLI = Path(__file__).parents[2] / "cli.py"
 Captured = pytest.CaptureFixture[str]
 
 
@@ -42,3 +46,11 @@ def test_an_interrupted_command_leaves_with_code_130(
     monkeypatch.setattr(spec, "list_studies", interrupt)
     assert main(["study", "list"]) == 130
     assert capsys.readouterr().err in ("", "pneuma: stopped\n")
+
+
+def test_a_reader_who_has_gone_is_no_mistake() -> None:
+    """As in `pneuma study list | head -1`; 1 would say that a run crashed."""
+    process = subprocess.Popen([sys.executable, str(CLI), "study", "list"], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait(60) == 0

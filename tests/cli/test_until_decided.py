@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,20 @@ import pytest
 from pneuma import until_decided
 from pneuma.cli import main
 from pneuma.errors import UserError
+from pneuma.study import execute
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from pneuma.until_decided import compared, run_until_decided
 
 STUDY = "activation"
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Stands in for a study's data: its name."""
+
+    study: str
 
 
 class Written:
@@ -53,6 +62,33 @@ def test_it_stops_as_soon_as_all_is_decided(monkeypatch: pytest.MonkeyPatch, tmp
     assert record is not None and record["adaptive"]["stages"] == [10, 20, 40]
     assert [look["seeds"] for look in record["adaptive"]["looks"]] == [10, 20]
     assert len(record["runs"]) == 3 * 20
+
+
+def test_a_study_that_was_stopped_still_tells_that_its_seeds_came_by_looking(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    study, store = load_study(STUDY), Store(tmp_path)
+    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.2))
+
+    def stopped_at_the_second_stage(planned: Plan) -> bool:
+        execute.prepare(planned, store)
+        return written.train(planned) and len(planned.seeds) == 10
+
+    looks = list(run_until_decided(study, Selection(), 40, store, stopped_at_the_second_stage))
+    record = store.selection(STUDY)
+    assert len(looks) == 1 and record is not None and len(record["runs"]) == 3 * 20
+    assert [look["seeds"] for look in record["adaptive"]["looks"]] == [10]
+
+
+def test_what_no_run_has_cannot_decide(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    study = load_study(STUDY)
+    written = Written(monkeypatch, dict.fromkeys(study.conditions, np.nan))
+    monkeypatch.setattr(until_decided, "open_study", lambda store, record: Opened(STUDY))
+    monkeypatch.setattr(written, "_values", lambda *told: np.full(10, np.nan))
+    monkeypatch.setattr(until_decided, "outcome_values", written._values)
+    with pytest.raises(UserError, match="no run of study activation has"):
+        list(run_until_decided(study, Selection(), 40, Store(tmp_path), written.train))
+    assert written.trained == [10]
 
 
 def test_what_is_decided_stays_decided(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

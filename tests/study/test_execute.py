@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from pneuma.cli.study_records import study_record
 from pneuma.config import Run, as_settings
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
@@ -34,7 +35,7 @@ from pneuma.study.execute import (
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
-from pneuma.study.spec import load_study
+from pneuma.study.spec import load_study, studies_folder
 from pneuma.study.store import Store, to_json
 from pneuma.study.tables import from_parquet
 
@@ -373,3 +374,27 @@ def test_a_run_whose_numbers_explode_has_diverged_and_not_crashed(tmp_path: Path
     executed = _execute(plan, tmp_path, workers=1)
     assert executed.outcomes[0].status.name == "diverged"
     assert tuple(_rows(executed, 0, "metrics")[0]) == METRIC_COLUMNS
+
+
+def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
+    """The record is kept by the file's name alone, and would show one file's runs for the other's."""
+    paths = [tmp_path / folder / "mine.toml" for folder in ("a", "b")]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(TINY)
+    first, second = (make_plan(load_study(str(path)), Selection()) for path in paths)
+    store = Store(tmp_path / "results")
+    prepare(first, store)
+    prepare(first, store)
+    with pytest.raises(UserError, match="are of .*a/mine.toml; give the file another name"):
+        prepare(second, store)
+    with pytest.raises(UserError, match="are of .*a/mine.toml"):
+        study_record(store, str(paths[1]), None)
+    paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
+    prepare(second, store)
+    assert study_record(store, str(paths[1]), None)["path"] == str(paths[1])
+
+
+def test_a_shipped_file_is_shipped_however_its_path_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(studies_folder().parent)
+    assert load_study(f"{studies_folder().name}/activation.toml").own_path is None

@@ -80,11 +80,33 @@ def test_a_study_without_factors_has_no_levels(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "name"), [(0.5, "0.5"), (1e-4, "1e-4"), (2.5e-5, "2.5e-5"), (1, "1"), (100.0, "100")]
+    ("value", "name"),
+    [(0.5, "0.5"), (1e-4, "1e-4"), (2.5e-5, "2.5e-5"), (1, "1"), (100.0, "100"), (0.12345678, "0.12345678")],
 )
 def test_a_number_is_named_as_short_as_can_be(value: float, name: str, tmp_path: Path) -> None:
     text = CROSSED.replace("[3e-4, 1e-3]", f"[{value}, 0.77]")
     assert next(iter(_load(tmp_path, text).conditions)).startswith(f"learning_rate={name}, ")
+
+
+def test_values_that_differ_by_little_are_conditions_of_their_own(tmp_path: Path) -> None:
+    text = CROSSED.replace("learning_rate = [3e-4, 1e-3]", "gamma = [0.9, 0.9999999, 0.99999999]")
+    rates = {name.split(", ")[0] for name in _load(tmp_path, text).conditions}
+    assert rates == {"gamma=0.9", "gamma=0.9999999", "gamma=0.99999999"}
+
+
+def test_combinations_of_one_name_are_refused(tmp_path: Path) -> None:
+    """Of names that hold commas, two pairs may read alike."""
+    values = """[factors.first]
+"a" = { epochs = 3 }
+"a, b" = { epochs = 4 }
+
+[factors.second]
+"b, c" = { horizon = 512 }
+"c" = { horizon = 1024 }
+"""
+    text = CROSSED[: CROSSED.index("[run]")] + values + CROSSED[CROSSED.index("[conditions.tanh]") - 1 :]
+    with pytest.raises(UserError, match="two combinations are both called a, b, c, tanh"):
+        _load(tmp_path, text)
 
 
 MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
