@@ -352,7 +352,8 @@ def as_settings(config: EnvConfig) -> dict[str, Any]:
 def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:
     """Return the 64-bit seed of one random stream of a run, keyed by the run's `stream`.
 
-    Streams are keyed by hash, never by adding: no two purposes, slots or runs share one.
+    Streams are keyed by hash, never by adding: no two purposes, slots or seeds share one. Runs of one seed
+    in several conditions do, and so begin with the same weights, where these have one shape, and worlds.
     """
     digest = hashlib.sha256(f"{stream}/{purpose}/{slot}".encode()).digest()
     return int.from_bytes(digest[:8], "little")
