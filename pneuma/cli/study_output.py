@@ -86,6 +86,7 @@ def export(
         sys.stdout.buffer.write(encoded)
         return None
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, encoded)
     except OSError as error:
         raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
@@ -235,9 +236,9 @@ def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
 
 
 def check_folder(option: str, folder: Path) -> None:
-    """Refuse a folder that cannot be written, before any work is done."""
+    """Refuse a folder that cannot be written, or made, before any work is done; make none yet."""
+    there = next((path for path in (folder, *folder.resolve().parents) if path.exists()), folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        TemporaryFile(dir=folder).close()
+        TemporaryFile(dir=there).close()
     except OSError as error:
         raise UserError(f"{option} {folder}: cannot be written ({error.strerror})") from None

@@ -230,6 +230,7 @@ def _write(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str,
         check_folder("--out", out)
         read_index(out)  # refused before anything is drawn
         entries = draw(out)
+        out.mkdir(parents=True, exist_ok=True)
         write_whole(out / INDEX, encode_index([*read_index(out), *entries]))  # another may have added to it
         return [out / entry["file"] for entry in entries]
     store.check_writable()

@@ -142,3 +142,13 @@ def test_what_cannot_be_drawn_is_told_and_nothing_written(
     code, _, said = _call("study", "plot", "mine", *options, "--results", results)
     assert code == 2 and told in said and said.count("\n") == 1
     assert not (results / "figures").exists()
+
+
+def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:
+    for command in (
+        ("search", "plot", "nosuch"),
+        ("study", "collapse", "nosuch"),
+        ("study", "plot", "nosuch"),
+    ):
+        code, _, err = _call(*command, "--out", tmp_path / "new" / "deep", "--results", tmp_path / "results")
+        assert code == 2 and err and not (tmp_path / "new").exists(), command
