@@ -27,7 +27,7 @@ def coverage(band: str, runs: int) -> float | None:
     if band not in LEAST_COVERAGE:
         return None
     below, above = bisect_right(SEEDS, runs), bisect_left(SEEDS, runs)
-    return min(LEAST_COVERAGE[band][max(below - 1, 0) : above + 1]) if below else 0.0
+    return min(LEAST_COVERAGE[band][below - 1 : above + 1]) if below else 0.0
 
 
 def is_trusted(band: str, runs: int) -> bool:

@@ -92,7 +92,9 @@ class Judged:
 
     @property
     def seeds_needed(self) -> int | None:
-        """Seeds per arm that its open contrasts need, all or any as the claim does, where known of each."""
+        """Seeds per arm that an open claim needs for its open contrasts, all or any, where known of each."""
+        if self.verdict != INCONCLUSIVE:
+            return None
         needed = [pair.seeds_needed for pair in self.pairs if pair.verdict == INCONCLUSIVE]
         known = [count for count in needed if count is not None]
         most = max if self.claim.need == "all" else min

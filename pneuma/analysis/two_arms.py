@@ -122,8 +122,8 @@ def incidence_p_values(
 def two_one_sided(p_greater: np.ndarray, p_less: np.ndarray, samples: int) -> PValues:
     """Sort out p-values of rows that were shifted by nothing, down by the margin, and up by it."""
     greater, less = p_greater.reshape(-1, samples), p_less.reshape(-1, samples)
-    at = [(own, other) for own, other in zip(greater, less, strict=True)]
-    return p_values(at[0], *(at[1:] if len(at) == 3 else (None, None)))
+    at_zero, *beyond = zip(greater, less, strict=True)
+    return p_values(at_zero, *(beyond or (None, None)))
 
 
 def _log_ratios(samples: np.ndarray, labels: Relabelings) -> np.ndarray:

@@ -111,12 +111,9 @@ def _read(contrast: Contrast, claimed: str) -> Verdict:
     if claimed not in _MARGINAL:
         word = SUPPORTED if found(contrast) in supporting else REFUTED
         return Verdict(word, contrast.p_any)
-    one_sided = {"greater": contrast.p_greater, "less": contrast.p_less}
-    p_supported = min(
-        contrast.p_equivalent, *(2 * p for way, p in one_sided.items() if way in supporting), 1.0
-    )
-    beyond = (
-        [contrast.p_far_less] if "greater" in supporting else [contrast.p_far_less, contrast.p_far_greater]
-    )
-    p_refuted = min(2 * min(beyond), 1.0)
+    if claimed == "equal":
+        p_supported, p_beyond = contrast.p_equivalent, min(contrast.p_far_less, contrast.p_far_greater)
+    else:
+        p_supported, p_beyond = min(contrast.p_equivalent, 2 * contrast.p_greater), contrast.p_far_less
+    p_refuted = min(2 * p_beyond, 1.0)
     return Verdict(SUPPORTED, p_supported) if p_supported <= p_refuted else Verdict(REFUTED, p_refuted)

@@ -9,7 +9,6 @@ import math
 import sys
 import tomllib
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -309,5 +308,8 @@ def say(text: str, as_json: bool = False, quiet: bool = False) -> None:
     """
     if quiet:
         return
-    with suppress(BrokenPipeError) if as_json else nullcontext():
+    try:
         print(text, file=sys.stderr if as_json else sys.stdout)
+    except BrokenPipeError:
+        if not as_json:
+            raise

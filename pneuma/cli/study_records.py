@@ -127,7 +127,7 @@ def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
         UserError: where that is the record of another file of the same name.
     """
     record = store.selection(stem)
-    if record is None and store.selection_path(stem).exists() and published_here(store, stem):
+    if record is None and store.selection_path(stem).exists() and _has_table(store, stem):
         path = store.selection_path(stem)
         say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", as_json=True)
     if record is not None and name.endswith(".toml"):
@@ -136,14 +136,14 @@ def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
 
 
 def _published_record(store: Store, study: str) -> dict[str, Any] | None:
-    if not published_here(store, study):
+    if not _has_table(store, study):
         return None
     from pneuma.analysis.published import read_published
 
     return read_published(store, study).record
 
 
-def published_here(store: Store, study: str) -> bool:
+def _has_table(store: Store, study: str) -> bool:
     """Tell whether a study has a published table in a results folder, damaged or not."""
     if not (store.root / "published").is_dir():
         return False

@@ -6,6 +6,7 @@ Plan → groups of runs → executor → store
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -223,7 +224,7 @@ def check_same_file(record: Mapping[str, Any], path: Path, store: Store) -> None
         UserError: for such a file.
     """
     other = record.get("path")
-    if isinstance(other, str) and (Path(other) == path.resolve() or not Path(other).is_file()):
+    if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
         return
     of = other or "no file (imported, published or forked)"
     raise UserError(

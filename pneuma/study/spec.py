@@ -6,6 +6,7 @@ changes (`conditions.py`). `plan.py` resolves it to runs.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -60,10 +61,7 @@ NO_STUDIES = ("claims.toml",)
 
 def files_called(name: str) -> list[str]:
     """Return the study file that a person may mean by a name without its ending, if it is here."""
-    try:
-        return [f"{name}.toml"] if Path(f"{name}.toml").is_file() else []
-    except OSError:  # longer than any file's name
-        return []
+    return [f"{name}.toml"] if os.path.isfile(f"{name}.toml") else []  # a Path would refuse a long name
 
 
 def load_study(name: str, setting: str | None = None) -> Study:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 from importlib.metadata import version
@@ -11,6 +12,7 @@ import pytest
 import typer
 
 from pneuma.cli import main
+from pneuma.cli.options import say
 from pneuma.study import spec
 
 CLI = Path(__file__).parents[2] / "cli.py"
@@ -54,3 +56,15 @@ def test_a_reader_who_has_gone_is_no_mistake() -> None:
     assert process.stdout is not None
     process.stdout.close()
     assert process.wait(60) == 0
+
+
+def test_a_command_goes_on_where_nobody_reads_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stderr", Gone())
+    say("for people", as_json=True)
+    monkeypatch.setattr(sys, "stdout", Gone())
+    with pytest.raises(BrokenPipeError):
+        say("what was asked for")
