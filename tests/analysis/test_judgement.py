@@ -99,6 +99,19 @@ def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path
     assert one.seeds_needed is not None and one.seeds_needed > SEEDS
 
 
+def test_a_claim_that_one_contrast_has_refuted_needs_no_seeds_for_its_open_ones(
+    store: Store, tmp_path: Path
+) -> None:
+    claims = _changed(('b = "low"', 'b = ["low", "middle"]'))
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})
+    save_runs(store, tmp_path, {"middle": [share + 5 for share in HIGH]})
+    one = _one(store, tmp_path, claims)
+    assert [pair.verdict for pair in one.pairs] == ["inconclusive", "refuted"]
+    assert one.pairs[0].seeds_needed
+    assert (one.verdict, one.seeds_needed) == ("refuted", None)
+
+
 def test_a_claim_on_several_arms_must_hold_for_each(store: Store, tmp_path: Path) -> None:
     claims = _changed(('b = "low"', 'b = ["low", "middle"]'))
     write_files(tmp_path, claims)

@@ -60,6 +60,18 @@ def test_gradient_norms_have_a_logarithmic_axis_without_tex(
     assert "$" not in words(drawn[0])
 
 
+def test_a_band_that_reaches_below_nothing_is_said_to_be_cut_off(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study.draw(tmp_path, band="std", formats=("svg",))  # each condition's runs are alike: no width
+    study.add("relu", 2, evaluations=(0.5, 0.1, 0.1, 0.2))  # of 0, 0 and 0.5: 0.17 ± 0.29
+    study.draw(tmp_path, band="std", formats=("svg",))
+    study.draw(tmp_path, band="minmax", formats=("svg",))
+    told = ["lies below 0 % is cut off" in _caption(figure) for figure in drawn]
+    assert told == [False, True, False]
+    assert drawn[1].axes[0].get_ylim()[0] == pytest.approx(0, abs=0.01)
+
+
 def test_a_quantity_that_is_not_there_is_told(study: HandMade, tmp_path: Path) -> None:
     with pytest.raises(
         UserError, match="the results folder holds no entropi; its curves are: return, length"
@@ -103,6 +115,16 @@ def test_levels_that_differ_between_conditions_are_not_drawn_as_one(
     study.draw(tmp_path, formats=("svg",))
     assert "scripted hunter" not in legend(drawn[0])
     assert "differ between conditions, and are not drawn" in _caption(drawn[0])
+
+
+def test_many_conditions_have_levels_in_their_own_panels_and_nothing_is_said(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    for number in range(7):
+        study.add(f"other-{number}", 0, hunter=0.9 if number else 0.5)
+    study.draw(tmp_path, formats=("svg",))
+    assert "scripted hunter" in legend(drawn[0])
+    assert "differ between conditions" not in _caption(drawn[0])
 
 
 # --- Layouts and sizes -----------------------------------------------------------------------------

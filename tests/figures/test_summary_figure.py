@@ -66,6 +66,18 @@ def test_few_runs_have_no_interval_and_it_is_said(tmp_path: Path, drawn: list[Fi
     assert "of one none at all" in words(drawn[0]).replace("\n", " ")
 
 
+def test_an_interval_that_reaches_below_nothing_is_said_to_be_cut_off(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study = HandMade(tmp_path)
+    for condition, shares in {"adam": (0.3, 0.31, 0.32), "sgd": (0.0, 0.0, 0.1)}.items():
+        for seed, share in enumerate(shares):
+            study.add(condition, seed, evaluations=(0.0, share))
+        draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
+    told = ["lies below 0 % is cut off" in words(figure).replace("\n", " ") for figure in drawn]
+    assert told == [False, True]
+
+
 def test_many_conditions_are_rows_without_profiles(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path)
     for number in range(9):

@@ -1,0 +1,80 @@
+"""The figure of collapses, and what a report says of pictures to those who cannot see them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.figures import collapse
+from pneuma.figures.report_pictures import study_pictures
+from pneuma.study.store import Store
+
+from .collapse_records import healthy, learning, one_action, save_run, study_record
+
+RECOVERED = 61, 80
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that were about to be saved."""
+    seen: list[Figure] = []
+    monkeypatch.setattr(collapse, "save_figure", lambda figure, *rest: seen.append(figure) or [])
+    return seen
+
+
+def _study(folder: Path) -> StudyData:
+    """Two runs of tanh collapse, one of them for a while; of dqn no entropy is known, and one falls."""
+    store = Store(folder / "results")
+    unknown = healthy()
+    unknown[:, 0] = np.nan
+    fallen = learning()
+    fallen[14:] = 0.1
+    runs = {
+        ("tanh", 0): (one_action(61), learning()),
+        ("tanh", 1): (one_action(*RECOVERED), learning()),
+        ("tanh", 2): (healthy(), learning()),
+        ("dqn", 0): (unknown, fallen),
+        ("dqn", 1): (unknown, learning()),
+    }
+    ids = {key: f"{place:016x}" for place, key in enumerate(runs)}
+    for key, (updates, shares) in runs.items():
+        save_run(store, ids[key], updates, shares)
+    return open_study(store, study_record(ids))
+
+
+def test_bars_are_shares_of_runs_and_hollow_where_they_recovered(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
+    collapse.draw_collapse(_study(tmp_path), tmp_path, "collapse")
+    (bars,) = [axes for axes in figures[0].axes if axes.get_title(loc="left") == "How often"]
+    lengths = [(bar.get_x(), bar.get_width()) for bar in bars.patches]  # type: ignore[attr-defined]
+    full_tanh, hollow_tanh, full_dqn, hollow_dqn = lengths
+    assert full_tanh == pytest.approx((0, 2 / 3)) and hollow_tanh == pytest.approx((1 / 3, 1 / 3))
+    assert full_dqn == pytest.approx((0, 1 / 2)) and hollow_dqn == pytest.approx((1 / 2, 0))
+    (entropy,) = [axes for axes in figures[0].axes if axes.get_title(loc="left") == "Entropy (nats)"]
+    drawn = [line for line in entropy.get_lines() if len(np.asarray(line.get_xdata())) > 2]
+    assert len(drawn) == 2  # dqn's collapsed run has no entropy to draw
+
+
+def test_what_cannot_be_seen_of_a_condition_is_said_of_it_alone(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
+    collapse.draw_collapse(_study(tmp_path), tmp_path, "collapse")
+    texts = [text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text)]
+    caption = " ".join(texts).replace("\n", " ")
+    assert "Of dqn no entropy is recorded, and only a fall is seen." in caption
+
+
+def test_a_reports_pictures_are_told_in_words(tmp_path: Path) -> None:
+    curves, collapses = (picture.alt for picture in study_pictures(_study(tmp_path)))
+    assert curves == (
+        "Mine: monsters killed in evaluation and return in training over 10,000 environment steps, "
+        "for tanh (3 runs), dqn (2 runs)."
+    )
+    assert collapses.endswith("Collapsed: tanh 2 of 3 runs, dqn 1 of 2 runs.")
