@@ -24,7 +24,7 @@ RECOVERED = 61, 80
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """The figures that were about to be saved."""
     seen: list[Figure] = []
-    monkeypatch.setattr(collapse, "save_figure", lambda figure, *rest: seen.append(figure) or [])
+    monkeypatch.setattr(collapse, "save_figure", lambda figure, *_: seen.append(figure))
     return seen
 
 
