@@ -50,6 +50,15 @@ def test_an_interrupted_command_leaves_with_code_130(
     assert capsys.readouterr().err in ("", "pneuma: stopped\n")
 
 
+def test_a_command_that_leaves_by_itself_leaves_with_its_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    def leave() -> None:
+        raise SystemExit(143)
+
+    monkeypatch.setattr(spec, "list_studies", leave)
+    with pytest.raises(SystemExit, match="143"):
+        main(["study", "list"])
+
+
 def test_a_reader_who_has_gone_is_no_mistake() -> None:
     """As in `pneuma study list | head -1`; 1 would say that a run crashed."""
     process = subprocess.Popen([sys.executable, str(CLI), "study", "list"], stdout=subprocess.PIPE)
