@@ -1,4 +1,4 @@
-"""The one error a person is meant to see, and the nearest right name to a wrong one.
+"""The one error a person is meant to see, the nearest right name to a wrong one, and counts in words.
 
 Every layer raises `UserError` for a mistake made outside the code (a key, a value, a file, an
 option); the command line prints it as one line and leaves with exit code 2.
@@ -12,6 +12,11 @@ from collections.abc import Iterable
 
 class UserError(Exception):
     """A mistake in a command or a file, told in one line that says what to mend."""
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: 1 run, 2 runs, 10,000 runs."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
 def nearest_name(word: str, names: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ COVERED_PER_LIST = 10
 
 
 def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield rows of two tables as they come: ("false_verdicts", row), then ("coverage", row).
+    """Yield rows of two tables as they come: ("coverage", row), then ("false_verdicts", row).
 
     Args:
         lists: how many lists of claims to simulate in each setting.

@@ -1,8 +1,10 @@
-"""The option that all commands share which write figures: as what kinds of file."""
+"""What commands share that write figures: as what kinds of file, and into which folder."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -10,6 +12,7 @@ import typer
 from pneuma.cli.study_output import check_choice, check_folder
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
+from pneuma.study.store import Store
 
 USUAL_FORMATS = ("png", "svg")
 
@@ -47,3 +50,23 @@ def read_figures_asked(out: Path | None, told: list[str] | None) -> tuple[str, .
     if told:
         raise UserError(f"--format {told[0]}: name a folder for the figure by --out DIR")
     return ()
+
+
+def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]]) -> list[Path]:
+    """Draw into a folder that a person names, or else into that of the results; return the files written.
+
+    In a results folder, which may be a stranger's, no link is followed.
+
+    Raises:
+        UserError: where it cannot be written, before anything is drawn.
+    """
+    if out is not None:
+        check_folder("--out", out)
+        return draw(out)
+    store.check_writable()
+    target = store.root / "figures"
+    with TemporaryDirectory() as folder:
+        drawn = draw(Path(folder))
+        for path in drawn:
+            store.write(target / path.name, path.read_bytes())
+    return [target / path.name for path in drawn]

@@ -8,7 +8,7 @@ import json
 import math
 import sys
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -291,14 +291,17 @@ def _read_value(text: str) -> Any:
     return text
 
 
-def finite_or_none(value: float) -> float | None:
-    """Return a number, or None for what JSON cannot hold."""
-    return float(value) if math.isfinite(value) else None
-
-
 def print_json(document: object) -> None:
-    """Print the one JSON document of a command."""
-    print(json.dumps(document, indent=2))
+    """Print the one JSON document of a command; numbers that JSON has not, as NaN, are null in it."""
+    print(json.dumps(_without_nan(document), indent=2, allow_nan=False))
+
+
+def _without_nan(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _without_nan(own) for key, own in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(own) for own in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def say(text: str, as_json: bool = False, quiet: bool = False) -> None:

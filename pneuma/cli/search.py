@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneuma.cli import search_promote, search_run
-from pneuma.cli.figure_files import Formats, read_formats
+from pneuma.cli.figure_files import Formats, draw_files, read_formats
 from pneuma.cli.options import Json, Results, SettingName, print_json
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import check_choice, check_folder
+from pneuma.cli.study_output import check_choice
 from pneuma.cli.study_records import study_record
+from pneuma.errors import UserError, counted
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def show(name: search_run.SearchName, setting: SettingName = None, json: Json = 
             print(f"{kind.capitalize()}: {options['name']}" + (f" ({told})" if told else ""))
     print(f"Trials are asked for {search.generation} at a time.")
     for preset, budget in search.presets.items():
-        seeds = f"{len(budget.seeds)} seeds" if len(budget.seeds) > 1 else "1 seed"
+        seeds = counted(len(budget.seeds), "seed")
         print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
     return None
 
@@ -96,12 +97,12 @@ def status(
         kept = ("search", "trials", "best", "storage", "optuna_study", "seeds", "steps", "trials_asked")
         return print_json({"schema": 1, **{key: record[key] for key in kept}, "begun": asdict(begun)})
     trials = record["trials"]
-    print(f"{len(trials)} of {record['trials_asked']} trials, {len(record['seeds'])} seeds each")
+    print(f"{len(trials)} of {record['trials_asked']} trials, {counted(len(record['seeds']), 'seed')} each")
     print(f"Values: {', '.join(map(_told_objective, record['identity']['objectives']))}")
     for trial in trials:
         print(f"  {_told_trial(trial, record['best'])}")
     _tell_begun(begun)
-    _tell_best(record, name)
+    _tell_best(record, name, setting)
     print(f"Look closer with: optuna-dashboard {plain(record['storage'])}")
     return None
 
@@ -135,23 +136,31 @@ def plot(
     for value in what or ():
         check_choice("--what", value, PLOTS)
     store, stem = Store(results), search_run.record_name(name, setting)
-    folder = out or store.root / "figures"
-    check_folder("--out" if out else "--results", folder)
     if sensitivity:
         from pneuma.figures.sensitivity import draw_sensitivity
 
-        paths = draw_sensitivity(*_sensitivity(store, stem), folder, formats)
+        if what:
+            raise UserError(f"--what {what[0]}: does not go with --sensitivity, which is one figure")
+        data, document = _sensitivity(store, stem)
+        paths = draw_files(store, out, lambda folder: draw_sensitivity(data, document, folder, formats))
     else:
         from pneuma.figures.search import draw_search
         from pneuma.search.record import read_record
 
-        paths = draw_search(read_record(store, stem), folder, tuple(what or PLOTS), formats)
+        record = read_record(store, stem)
+        wanted = tuple(what or PLOTS)
+        paths = draw_files(store, out, lambda folder: draw_search(record, folder, wanted, formats))
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
         print(f"wrote {plain(str(path))}")
-    if not paths:
+    if not paths and record["best"] in (None, []):
         print("nothing to draw yet: no trial is complete", file=sys.stderr)
+    elif not paths:
+        from pneuma.figures.search import NEEDS
+
+        needs = "; ".join(f"{name} needs {NEEDS[name]}" for name in wanted)
+        print(f"nothing to draw: {needs}", file=sys.stderr)
     return None
 
 
@@ -232,10 +241,12 @@ def _tell_begun(begun: Begun) -> None:
         print("A process is searching now.")
 
 
-def _tell_best(record: Mapping[str, Any], name: str) -> None:
+def _tell_best(record: Mapping[str, Any], name: str, setting: str | None) -> None:
     if record["best"] in (None, []):
         print("No trial is complete yet.")
     elif isinstance(record["best"], list):
         print(f"Pareto front (*): trials {', '.join(map(str, record['best']))}.")
     else:
-        print(f"Best (*): trial {record['best']}. Confirm it with: pneuma search promote {plain(name)}")
+        there = f" --setting {setting}" if setting else ""
+        told = f"pneuma search promote {plain(name)}{there}"
+        print(f"Best (*): trial {record['best']}. Confirm it with: {told}")

@@ -16,7 +16,6 @@ from pneuma.cli.options import (
     Seeds,
     SettingName,
     Workers,
-    finite_or_none,
     print_json,
     read_count,
     read_seeds_option,
@@ -65,20 +64,25 @@ def promote(
     promoting.refuse_seen_seeds(fresh, record)
     budget = record["steps"] if steps is None else read_count("--steps", steps)
     how = Supervision(workers=read_workers(workers))
-    path = store.root / "searches" / f"promoted-{search.name}.toml"
+    path = store.root / "searches" / f"{_promoted_name(search)}.toml"
     store.check_writable()
     store.write(path, promoting.promoted_study(search, record, chosen).encode())
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
     say(f"wrote {plain(str(path))}", as_json=True, quiet=quiet)
-    code = exit_code(train_cells(planned, store, how, retry_failed=True, json=json, quiet=True))
+    code = exit_code(train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet))
     if code:
         say(f"Not all runs ended: pneuma study status {path} --results {store.root}", as_json=True)
         return code
-    gains = _gains(search, record, chosen, planned, store)
+    gains = promoting.gains(search, record, chosen, planned, store)
+    ends = [(cell.condition, store.status(cell.run_id).name) for cell in planned.cells]
+    diverged = {arm: ends.count((arm, "diverged")) for arm in planned.conditions}
     if json:
-        print_json(_document(search, chosen, path, planned, gains))
+        print_json({**_document(search, chosen, path, planned, gains), "diverged": diverged})
         return 0
-    _tell(search, chosen, planned, gains)
+    _tell(search, record, chosen, planned, gains)
+    for arm, count in diverged.items():
+        if count:
+            print(f"  {count} of the {arm}'s {len(planned.seeds)} runs diverged, and count as in a search")
     say(f"Draw it with: pneuma study plot {path} --results {store.root}", quiet=quiet)
     return 0
 
@@ -117,50 +121,20 @@ def _source(record: Mapping[str, Any], name: str) -> str:
     raise UserError(f"search {name} is no shipped one: name its file, {plain(str(record.get('path')))}")
 
 
+def _promoted_name(search: Search) -> str:
+    """Return what the study of a search's winner is called; the end of a name tells a study's setting."""
+    from pneuma.study.definition import TEXT, split_setting
+
+    own, setting = split_setting(search.name)
+    return f"promoted-{own}" if setting == TEXT else f"promoted-{setting}-{own}"
+
+
 def _number(text: str) -> int:
     from pneuma.errors import UserError
 
     if not text.isdecimal():
         raise UserError(f"--trial {text}: must be the number of a trial")
     return int(text)
-
-
-def _gains(
-    search: Search, record: Mapping[str, Any], chosen: Mapping[str, Any], planned: plan.Plan, store: Store
-) -> dict[str, Gain]:
-    """Return what the winner gained in every objective."""
-    from pneuma.analysis.outcomes import outcome_values
-    from pneuma.analysis.sources import open_study
-    from pneuma.search.promote import BASELINE, WINNER, gain
-    from pneuma.search.record import trial_values
-    from pneuma.study.execute import selection_record
-
-    data = open_study(store, selection_record(planned))
-    base = _baseline_trial(planned, record)
-    gains = {}
-    for place, objective in enumerate(search.objectives):
-        won, lost = (outcome_values(data, arm, objective.outcome) for arm in (WINNER, BASELINE))
-        gains[objective.name] = gain(
-            objective.over_seeds,
-            trial_values(chosen)[place],
-            trial_values(base)[place] if base else float("nan"),
-            won,
-            lost,
-        )
-    return gains
-
-
-def _baseline_trial(planned: plan.Plan, record: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the trial whose runs were the baseline's, if the search had it."""
-    from pneuma.config import as_settings, make_run
-    from pneuma.search.promote import BASELINE
-    from pneuma.study.identity import run_id
-
-    own = next(cell.run for cell in planned.cells if cell.condition == BASELINE)
-    budget = {**as_settings(own), "steps": record["steps"]}
-    names = [run_id(make_run({**budget, "seed": seed})) for seed in record["seeds"]]
-    complete = (trial for trial in record["trials"] if trial["state"] == "complete")
-    return next((trial for trial in complete if trial["run_ids"][-len(names) :] == names), None)
 
 
 def _document(
@@ -176,17 +150,17 @@ def _document(
         "run_ids": {
             name: [c.run_id for c in planned.cells if c.condition == name] for name in planned.conditions
         },
-        "objectives": {name: _gain_document(own) for name, own in gains.items()},
+        "objectives": {name: {**asdict(own), "luck": own.luck} for name, own in gains.items()},
     }
 
 
-def _gain_document(own: Gain) -> dict[str, Any]:
-    numbers = {**asdict(own), "luck": own.luck}
-    interval = [finite_or_none(bound) for bound in numbers.pop("interval")]
-    return {**{key: finite_or_none(value) for key, value in numbers.items()}, "interval": interval}
-
-
-def _tell(search: Search, chosen: Mapping[str, Any], planned: plan.Plan, gains: Mapping[str, Gain]) -> None:
+def _tell(
+    search: Search,
+    record: Mapping[str, Any],
+    chosen: Mapping[str, Any],
+    planned: plan.Plan,
+    gains: Mapping[str, Gain],
+) -> None:
     print(f"Trial {chosen['number']} of search {search.name} on {len(planned.seeds)} fresh seeds:")
     for objective in search.objectives:
         own = gains[objective.name]
@@ -197,7 +171,11 @@ def _tell(search: Search, chosen: Mapping[str, Any], planned: plan.Plan, gains: 
         told = f"95 % interval {low:+.4f} to {high:+.4f}" if low == low else "too few seeds for an interval"
         print(f"    difference of means {own.difference:+.4f} ({told})")
         flattered = own.luck if objective.direction == "maximize" else -own.luck
-        print(f"    luck               {flattered:+.4f}: what picking the best trial had flattered it by")
+        print(
+            f"    luck               {flattered:+.4f}: by how much the search's seeds had flattered it"
+            if own.same_steps
+            else f"    luck               cannot be told: runs of the search had {record['steps']:,} steps"
+        )
 
 
 def _beside(baseline: float) -> str:

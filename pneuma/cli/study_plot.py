@@ -6,13 +6,12 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pneuma.analysis import BAND_NAMES, CURVE_QUANTITIES, WINDOWS
-from pneuma.cli.figure_files import Formats, read_formats
+from pneuma.cli.figure_files import Formats, draw_files, read_formats
 from pneuma.cli.options import (
     Conditions,
     EngineName,
@@ -27,7 +26,7 @@ from pneuma.cli.options import (
     read_selection,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import check_choice, check_folder, tell_left_out
+from pneuma.cli.study_output import check_choice, tell_left_out
 from pneuma.cli.study_records import known_studies, study_record
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
@@ -220,25 +219,22 @@ def _quantities(data: StudyData, names: Sequence[str]) -> list[str]:
 
 
 def _write(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str, Any]]]) -> list[Path]:
-    """Draw into a folder that a person names, or else into that of the results; keep its index.
-
-    In a results folder, which may be a stranger's, no link is followed.
-    """
+    """Draw into a folder that a person names, or else into that of the results; keep its index."""
     from pneuma.figures.index import INDEX, encode_index, read_index
 
-    if out is not None:
-        check_folder("--out", out)
-        read_index(out)  # refused before anything is drawn
-        entries = draw(out)
+    entries: list[dict[str, Any]] = []
+
+    def draw_entries(folder: Path) -> list[Path]:
+        read_index(target)  # refused before anything is drawn
+        entries.extend(draw(folder))
+        return [folder / entry["file"] for entry in entries]
+
+    target = out or store.root / "figures"
+    paths = draw_files(store, out, draw_entries)
+    index = encode_index([*read_index(target), *entries])  # another may have added to it meanwhile
+    if out is None:
+        store.write(target / INDEX, index)
+    else:
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / INDEX, encode_index([*read_index(out), *entries]))  # another may have added to it
-        return [out / entry["file"] for entry in entries]
-    store.check_writable()
-    target = store.root / "figures"
-    read_index(target)
-    with TemporaryDirectory() as folder:
-        entries = draw(Path(folder))
-        for entry in entries:
-            store.write(target / entry["file"], (Path(folder) / entry["file"]).read_bytes())
-    store.write(target / INDEX, encode_index([*read_index(target), *entries]))
-    return [target / entry["file"] for entry in entries]
+        write_whole(out / INDEX, index)
+    return paths

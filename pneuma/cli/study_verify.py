@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, SettingName, finite_or_none, print_json
+from pneuma.cli.options import Json, Results, SettingName, print_json
 from pneuma.cli.plain_text import plain
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import SETTINGS
@@ -70,12 +70,12 @@ def _document(one: Judged) -> dict[str, Any]:
         "section": claim.section,
         "setting": one.place,
         "verdict": one.verdict,
-        "effect": finite_or_none(contrast.effect) if contrast else None,
+        "effect": contrast.effect if contrast else None,
         "interval": _interval(pair) if pair else None,
         "seeds": list(contrast.seeds) if contrast else [],
         "seeds_needed": one.seeds_needed,
         "reason": one.reason,
-        "p": finite_or_none(pair.p) if pair else None,
+        "p": pair.p if pair else None,
         "quote": claim.quote,
         "study": claim.study,
         "outcome": claim.outcome,
@@ -93,18 +93,18 @@ def _contrast(pair: Pair) -> dict[str, Any]:
         "a": pair.a,
         "b": pair.b,
         "verdict": pair.verdict,
-        "effect": finite_or_none(pair.contrast.effect),
+        "effect": pair.contrast.effect,
         "interval": _interval(pair),
-        "p": finite_or_none(pair.p),
+        "p": pair.p,
         "seeds": list(pair.contrast.seeds),
         "seeds_needed": pair.seeds_needed,
         "reason": pair.contrast.reason,
     }
 
 
-def _interval(pair: Pair) -> list[float | None] | None:
+def _interval(pair: Pair) -> list[float] | None:
     interval = pair.contrast.interval
-    return [finite_or_none(interval.low), finite_or_none(interval.high)] if interval.exists else None
+    return [interval.low, interval.high] if interval.exists else None
 
 
 # --- For people ----------------------------------------------------------------------------------

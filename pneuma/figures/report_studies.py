@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.errors import counted
 from pneuma.figures.report_html import (
     Column,
     Html,
@@ -303,10 +304,10 @@ def _runs(part: Part, places: RunPlaces) -> Html:
                 text(run.engine),
             ]
         )
-    counted = Counter(run.status for run in part.runs)
-    told = ", ".join(f"{count} {status}" for status, count in counted.items())
+    statuses = Counter(run.status for run in part.runs)
+    told = ", ".join(f"{count} {status}" for status, count in statuses.items())
     caption = join([text("Runs of "), name(part.record)])
-    return details(text(f"{_runs_of(len(part.runs))}: {told}"), table(caption, columns, rows, anchors))
+    return details(text(f"{counted(len(part.runs), 'run')}: {told}"), table(caption, columns, rows, anchors))
 
 
 def _origins(part: Part) -> list[Html]:
@@ -316,7 +317,7 @@ def _origins(part: Part) -> list[Html]:
     lists = [
         join(
             [
-                paragraph(text(f"{_runs_of(origin.runs)}:")),
+                paragraph(text(f"{counted(origin.runs, 'run')}:")),
                 terms((text(key), text(value)) for key, value in origin.facts.items()),
             ]
         )
@@ -324,7 +325,3 @@ def _origins(part: Part) -> list[Html]:
     ]
     alike = "all by the same" if len(part.origins) == 1 else f"by {len(part.origins)} set-ups"
     return [element("h4", text("Provenance")), details(text(f"What produced the runs: {alike}"), join(lists))]
-
-
-def _runs_of(count: int) -> str:
-    return "1 run" if count == 1 else f"{count:,} runs"

@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.errors import counted
 from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
-from pneuma.search.importance import importances
+from pneuma.search.importance import LEAST_TRIALS, importances
 from pneuma.search.record import trial_values
 from pneuma.search.recorded import read_space
 from pneuma.search.space import Parameter, Range
@@ -68,8 +69,8 @@ class _Seen:
     def label(self, place: int = 0) -> str:
         """Return what an objective is, for an axis."""
         own = self.objectives[place]
-        seeds = len(self.record["seeds"])
-        return f"{own['outcome'].replace('-', ' ')}, {_OVER[own['over_seeds']]} of {seeds} seeds"
+        seeds = counted(len(self.record["seeds"]), "seed")
+        return f"{own['outcome'].replace('-', ' ')}, {_OVER[own['over_seeds']]} of {seeds}"
 
 
 _OVER = {"mean": "mean", "median": "median", "iqm": "IQM", "least": "least", "deviation": "SD"}
@@ -78,7 +79,7 @@ _OVER = {"mean": "mean", "median": "median", "iqm": "IQM", "least": "least", "de
 def draw_search(
     record: Mapping[str, Any], folder: Path, what: Sequence[str], formats: tuple[str, ...]
 ) -> list[Path]:
-    """Draw figures of a search; return the files written, none while no trial is complete.
+    """Draw figures of a search; return the files written: of each figure that its trials are enough for.
 
     Args:
         record: as `pneuma.search.record.read_record` returns it.
@@ -163,7 +164,8 @@ def _parallel(seen: _Seen) -> Figure:
     parameters = [p for p in seen.parameters if all(p.name in t["params"] for t in seen.complete)][:MOST_AXES]
     figure, axes = _panel(3.8)
     values = seen.values()
-    colours = ScalarMappable(Normalize(values.min(), values.max() or 1), COLOUR_MAP)
+    low, high = values.min(), values.max()
+    colours = ScalarMappable(Normalize(low, high if high > low else low + 1), COLOUR_MAP)
     heights = np.array([_unit_positions(parameter, seen.complete) for parameter in parameters])
     places = np.arange(len(parameters))
     for index in np.argsort(values if seen.objectives[0]["direction"] == "maximize" else -values):
@@ -242,6 +244,14 @@ FIGURES: dict[str, Callable[[_Seen], Figure | None]] = {
     "contour": _contour,
     "front": _front,
 }
+NEEDS = {
+    "history": "a complete trial",
+    "importances": f"{LEAST_TRIALS} complete trials that differ in value",
+    "slices": "a complete trial",
+    "parallel": "a complete trial",
+    "contour": "4 complete trials with two ranges that all of them have",
+    "front": "two objectives",
+}
 
 
 # --- Axes ------------------------------------------------------------------------------------------
@@ -257,10 +267,10 @@ def _add_words(figure: Figure, seen: _Seen) -> None:
     record = seen.record
     states = [trial["state"] for trial in record["trials"]]
     counts = ", ".join(f"{states.count(state)} {state}" for state in _STATES if state in states)
-    seeds = len(record["seeds"])
+    seeds = counted(len(record["seeds"]), "seed")
     put_caption(
         figure,
-        f"Search {record['search']}: {counts} trials, {seeds} seeds × {record['steps']:,} steps; "
+        f"Search {record['search']}: {counts} trials, {seeds} × {record['steps']:,} steps; "
         f"sampler {record['identity']['sampler']['name']}; {record['digest']}",
     )
 

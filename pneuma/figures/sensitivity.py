@@ -15,6 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFor
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import counted
 from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
 
 COLUMNS = 3
@@ -81,9 +82,9 @@ def _draw_parameter(
 
 
 def _add_words(figure: Figure, data: StudyData, document: Mapping[str, Any]) -> None:
-    seeds = len({run.seed for run in data.runs})
+    seeds = counted(len({run.seed for run in data.runs}), "seed")
     put_caption(
         figure,
-        f"Mean and 95 % t interval of {seeds} seeds, every run a dot; diamond: the base {document['base']}; "
+        f"Mean and 95 % t interval of {seeds}, every run a dot; diamond: the base {document['base']}; "
         f"{data.budget:,} steps a run",
     )

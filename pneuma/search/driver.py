@@ -54,7 +54,7 @@ def run_search(
     check_folder(store)
     with _alone(task, store):
         database = Database(task, storage, store)
-        outcomes = _Outcomes(task, store)
+        outcomes = Outcomes(task, store)
         told: list[Told] = []
         save_record(store, task, told, database.shown_url, database.name)
         for generation in conduct(task, train, outcomes.read, outcomes.diverged):
@@ -91,8 +91,8 @@ def _alone(task: Task, store: Store) -> Iterator[None]:
         yield
 
 
-class _Outcomes:
-    """Outcomes of stored runs, each read once.
+class Outcomes:
+    """Outcomes of stored runs as a search counts them, each read once.
 
     A diverged run cannot play: it counts with the worst that its outcome can be for what is sought, where
     there is such a bound, and with its last recorded value where there is none.

@@ -14,9 +14,9 @@ from pneuma.search.record import trial_values
 from pneuma.search.space import Space
 
 LEAST_TRIALS = 10
+"""Below this many complete trials there is no telling."""
 BEST_TRIALS = 5
 BEST_SHARE = 0.1
-"""Below this many complete trials there is no telling."""
 
 
 def importances(record: Mapping[str, Any], space: Space) -> dict[str, float]:

@@ -8,15 +8,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
+from pneuma.config import Run, as_settings, make_run
 from pneuma.errors import UserError
-from pneuma.search.spec import Search
-from pneuma.search.trials import over_seeds
+from pneuma.search.driver import Outcomes
+from pneuma.search.record import trial_values
+from pneuma.search.spec import Budget, Search
+from pneuma.search.trials import Task, objective_value
+from pneuma.study.identity import run_id
+from pneuma.study.plan import Plan
+from pneuma.study.store import Store
 
 WINNER, BASELINE = "winner", "baseline"
 
@@ -31,6 +37,7 @@ class Gain:
         fresh, fresh_baseline: the same over the fresh seeds.
         difference: of the means over the fresh seeds.
         interval: of that difference, 95 %; NaN where the seeds are too few.
+        same_steps: whether fresh runs were trained for as long as those of the search.
     """
 
     seen: float
@@ -39,11 +46,12 @@ class Gain:
     fresh_baseline: float
     difference: float
     interval: tuple[float, float]
+    same_steps: bool = True
 
     @property
     def luck(self) -> float:
-        """By how much the winner's value fell on fresh seeds."""
-        return self.seen - self.fresh
+        """By how much the winner's value fell on fresh seeds; NaN where these had other steps."""
+        return self.seen - self.fresh if self.same_steps else float("nan")
 
 
 def winner(record: Mapping[str, Any], number: int | None) -> dict[str, Any]:
@@ -116,25 +124,59 @@ def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str
     return "\n".join(lines) + "\n"
 
 
-def gain(statistic: str, seen: float, seen_baseline: float, won: np.ndarray, base: np.ndarray) -> Gain:
+def gains(
+    search: Search, record: Mapping[str, Any], trial: Mapping[str, Any], planned: Plan, store: Store
+) -> dict[str, Gain]:
+    """Return what a trial gained in every objective, by its name.
+
+    Args:
+        search: as it was recorded.
+        record: of the search.
+        trial: of its trials, the one that was promoted.
+        planned: the promoted study, all of whose runs have ended.
+        store: the results folder.
+    """
+    task = Task(search, Budget(1, planned.seeds, record["steps"]))
+    outcomes = Outcomes(task, store)  # so that a diverged run counts as it did in the search
+    arms = [[cell for cell in planned.cells if cell.condition == name] for name in (WINNER, BASELINE)]
+    base = _baseline_trial(arms[1][0].run, record)
+    same_steps = arms[0][0].run == _as_searched(arms[0][0].run, record)
+    found = {}
+    for place, objective in enumerate(search.objectives):
+        won, lost = (np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in arms)
+        fresh = [objective_value(objective, arm, outcomes.read, outcomes.diverged) for arm in arms]
+        seen = [trial_values(own)[place] if own else float("nan") for own in (trial, base)]
+        found[objective.name] = gain((seen[0], seen[1]), (fresh[0], fresh[1]), won, lost, same_steps)
+    return found
+
+
+def _as_searched(run: Run, record: Mapping[str, Any]) -> Run:
+    """Return a run with as many steps as the search gave it."""
+    return make_run({**as_settings(run), "steps": record["steps"]})
+
+
+def _baseline_trial(run: Run, record: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the trial whose runs were the baseline's, if the search had it."""
+    names = [run_id(replace(_as_searched(run, record), seed=seed)) for seed in record["seeds"]]
+    complete = (trial for trial in record["trials"] if trial["state"] == "complete")
+    return next((trial for trial in complete if trial["run_ids"][-len(names) :] == names), None)
+
+
+def gain(
+    seen: tuple[float, float], fresh: tuple[float, float], won: np.ndarray, base: np.ndarray, same_steps: bool
+) -> Gain:
     """Return what a winner gained.
 
     Args:
-        statistic: over seeds, of `pneuma.search.spec.OVER_SEEDS`.
-        seen: its value in the search.
-        seen_baseline: the baseline's, NaN where it was no trial.
-        won: its outcomes on fresh seeds, (seeds,).
+        seen: its value in the search and the baseline's, NaN where that was no trial.
+        fresh: their values over the fresh seeds.
+        won: its outcomes on these, (seeds,).
         base: the baseline's.
+        same_steps: whether fresh runs were trained for as long as those of the search.
     """
     found = difference_interval(won, base)
-    return Gain(
-        seen,
-        seen_baseline,
-        over_seeds(statistic, won),
-        over_seeds(statistic, base),
-        float(won.mean() - base.mean()),
-        (found.low, found.high),
-    )
+    difference = float(won.mean() - base.mean())
+    return Gain(*seen, *fresh, difference, (found.low, found.high), same_steps)
 
 
 def _toml(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,7 @@ def trial_document(told: Told, search: Search) -> dict[str, Any]:
         **({"value": values[0] if values else None} if one else {"values": values}),
         "state": told.state,
         "run_ids": list(told.run_ids),
-        "rungs": {str(step): value for step, value in told.rungs.items()},
+        "rungs": {str(step): value if math.isfinite(value) else None for step, value in told.rungs.items()},
         "note": told.note,
     }
 

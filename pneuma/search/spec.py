@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -234,7 +234,7 @@ def _read_space(file: TomlFile, base: str) -> Space:
     fixed = _read_settings(file, ("run",))
     parameters: list[Parameter] = []
     for name in file.table(("space",)):
-        parameters.append(_read_parameter(file, name, [*(p.name for p in parameters), *SETTABLE]))
+        parameters.append(_read_parameter(file, name, parameters))
     if not parameters:
         raise file.mistake((), "a search needs at least one parameter", "space")
     for parameter in parameters:
@@ -250,11 +250,11 @@ def _read_space(file: TomlFile, base: str) -> Space:
     return space
 
 
-def _read_parameter(file: TomlFile, name: str, known: list[str]) -> Parameter:
+def _read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:
     where = ("space", name)
     table = file.table(where)
     file.refuse_unknown(where, table, ("low", "high", "log", "choices", "when"))
-    when = _read_when(file, where, known)
+    when = _read_when(file, where, before)
     if "choices" in table:
         for key in ("low", "high", "log"):
             if key in table:
@@ -299,17 +299,34 @@ def _read_choices(file: TomlFile, where: Where, name: str) -> Choices:
 
 
 def _name(value: Any) -> str:
-    return "none" if value is None else value if isinstance(value, str) else json.dumps(value)
+    return "none" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
 
 
-def _read_when(file: TomlFile, where: Where, known: list[str]) -> dict[str, tuple[Any, ...]]:
-    when = file.table((*where, "when"))
-    for name, values in when.items():
-        if name not in known:
-            problem = unknown_name("parameter before it, or field of the run,", name, known)
-            raise file.mistake((*where, "when"), str(problem), name)
-        when[name] = tuple(values) if isinstance(values, list) else (values,)
-    return when
+def _read_when(file: TomlFile, where: Where, before: Sequence[Parameter]) -> dict[str, tuple[Any, ...]]:
+    place, domains = (*where, "when"), {parameter.name: parameter.domain for parameter in before}
+    read = {}
+    for name, given in file.table(place).items():
+        if name not in domains and name not in SETTABLE:
+            problem = unknown_name("parameter before it, or field of the run,", name, [*domains, *SETTABLE])
+            raise file.mistake(place, str(problem), name)
+        values = given if isinstance(given, list) else [given]
+        read[name] = tuple(_read_condition(file, place, name, domains.get(name), value) for value in values)
+        if not values:
+            raise file.mistake(place, f"{name} = [] is not allowed: one value or more", name)
+    return read
+
+
+def _read_condition(
+    file: TomlFile, where: Where, name: str, domain: Range | Choices | None, value: Any
+) -> Any:
+    """Read a value at which another parameter counts: the name of a choice, or what a field may be."""
+    if not isinstance(domain, Choices):
+        return _read_value(file, where, name, name, value)
+    choices = list(domain.settings_of)
+    if _name(value) not in choices:
+        message = f"{name} = {shown(value)} is no choice of [space.{name}]: {', '.join(choices)}"
+        raise file.mistake(where, message, name)
+    return _name(value)
 
 
 def _refuse_unknown_field(file: TomlFile, where: Where, name: str) -> None:

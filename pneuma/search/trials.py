@@ -92,7 +92,7 @@ class Told:
         state: 'complete'; 'pruned', where it was given up early; 'failed', where it has no value.
         values: one for each objective; of a pruned trial, what it had come to.
         run_ids: of its runs, those at its rungs first.
-        steps: at each rung, with the value that it was compared by.
+        rungs: the value that it was compared by at each of them; NaN where it had none.
         note: why it failed, or that a run of it diverged.
     """
 
@@ -152,14 +152,14 @@ def conduct(
     trained: list[Cell] = []
 
     def measure(cells: Sequence[Cell]) -> tuple[float, ...]:
-        return tuple(_value(objective, cells, read, diverged) for objective in search.objectives)
+        return tuple(objective_value(own, cells, read, diverged) for own in search.objectives)
 
     for first in range(0, budget.trials, search.generation):
         asked = [_ask(study, task) for _ in range(search.generation)][: budget.trials - first]
         for stage in rungs:
             _train_stage(task, stage, asked, trained, train)
             _compare(measure, stage, rungs, asked)
-        yield [_tell(study, each, measure, diverged) for each in asked]
+        yield [_tell(study, search.objectives, each, measure, diverged) for each in asked]
 
 
 def stages(pruner: Mapping[str, Any], budget: Budget) -> tuple[Stage, ...]:
@@ -243,7 +243,13 @@ def _compare(measure: Measure, stage: Stage, rungs: Sequence[Stage], asked: list
             each.pruned = each.trial.should_prune()
 
 
-def _tell(study: optuna.Study, asked: _Asked, measure: Measure, diverged: Callable[[Cell], bool]) -> Told:
+def _tell(
+    study: optuna.Study,
+    objectives: Sequence[Objective],
+    asked: _Asked,
+    measure: Measure,
+    diverged: Callable[[Cell], bool],
+) -> Told:
     values = measure(_last(asked)) if asked.run else ()
     state = (
         "failed" if not values or not np.isfinite(values).all() else "pruned" if asked.pruned else "complete"
@@ -253,8 +259,10 @@ def _tell(study: optuna.Study, asked: _Asked, measure: Measure, diverged: Callab
     else:
         kind = optuna.trial.TrialState
         study.tell(asked.trial, state=kind.PRUNED if state == "pruned" else kind.FAIL)
-    count = sum(diverged(cell) for cell in asked.cells)
-    note = asked.note or (f"{count} of {len(asked.cells)} runs diverged" if count else "")
+    lacking = [own for own, value in zip(objectives, values, strict=False) if not np.isfinite(value)]
+    notes = [asked.note, *(f"a run has no {own.outcome}, or none that is finite" for own in lacking)]
+    if count := sum(diverged(cell) for cell in asked.cells):
+        notes.append(f"{count} of {len(asked.cells)} runs diverged")
     return Told(
         asked.trial.number,
         asked.params,
@@ -263,7 +271,7 @@ def _tell(study: optuna.Study, asked: _Asked, measure: Measure, diverged: Callab
         values,
         tuple(cell.run_id for cell in asked.cells),
         asked.rungs,
-        note,
+        "; ".join(filter(None, notes)),
     )
 
 
@@ -273,7 +281,7 @@ def _last(asked: _Asked) -> list[Cell]:
     return [cell for cell in asked.cells if cell.run.steps == longest]
 
 
-def _value(
+def objective_value(
     objective: Objective, cells: Sequence[Cell], read: ReadOutcome, diverged: Callable[[Cell], bool]
 ) -> float:
     """Return what a trial's runs come to in one objective.

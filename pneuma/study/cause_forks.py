@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pneuma.config import Run
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.study.definition import Study
 from pneuma.study.fork import CONTROL, changed_run, control_run, elsewhere
 from pneuma.study.identity import run_id
@@ -115,7 +115,7 @@ def _study(
 ) -> Study:
     told = "/".join([*(f"{run.parent}-{run.fork_step}" for run in controls), *conditions])
     name = f"{study}-forks-{hashlib.sha256(told.encode()).hexdigest()[:4]}"
-    runs = "1 run" if len(controls) == 1 else f"{len(controls)} runs"
+    runs = counted(len(controls), "run")
     changes = {name: dict(causes[name].settings) for name in conditions if name != CONTROL}
     return Study(
         name=name,

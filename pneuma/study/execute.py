@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
@@ -177,7 +177,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))
-        runs = "1 run" if len(failed) == 1 else f"{len(failed)} runs"
+        runs = counted(len(failed), "run")
         notes.append(f"{runs} failed before ({kinds}); --retry-failed tries again")
     return notes
 

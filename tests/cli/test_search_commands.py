@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.cli import main
+from pneuma.study.store import Status, Store
 
 SEARCH = """
 title = "A small search"
@@ -90,6 +91,59 @@ def test_a_winner_is_promoted_on_fresh_seeds(
     assert {len(names) for names in document["run_ids"].values()} == {2}
     assert main(["search", "promote", str(path), "--results", str(results), "--seeds", "1000,3"]) == 2
     assert "the search was run on 1000" in capsys.readouterr().err
+
+
+def test_luck_is_told_of_runs_of_equal_length_alone(
+    searched: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["search", "promote", str(searched[0]), "--results", str(searched[1]), "--seeds", "2"]
+    assert main([*arguments, "--steps", "192", "--json"]) == 0
+    gained = json.loads(capsys.readouterr().out)["objectives"]["killed"]
+    assert gained["luck"] is None and gained["fresh"] is not None
+    assert main([*arguments, "--steps", "192"]) == 0
+    assert "cannot be told: runs of the search had 128 steps" in capsys.readouterr().out
+    assert main([*arguments, "--steps", "100"]) == 0  # rounded up to whole rollouts, as the search's
+    assert "by how much the search's seeds had flattered it" in capsys.readouterr().out
+
+
+def test_a_search_of_the_published_codes_world_is_promoted_there(
+    searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [str(searched[0]), "--setting", "godot", "--results", str(tmp_path)]
+    assert main(["search", "run", *arguments, "--trials", "2", "--quiet"]) == 0
+    assert main(["search", "status", *arguments]) == 0
+    told = f"Confirm it with: pneuma search promote {searched[0]} --setting godot"
+    assert told in capsys.readouterr().out
+    assert main(["search", "promote", *arguments, "--seeds", "1", "--json"]) == 0
+    study = json.loads(capsys.readouterr().out)["study"]
+    assert Path(study).name == "promoted-godot-small.toml"
+    assert 'env = "pneuma/PneumaGodot-v0"' in Path(study).read_text()
+
+
+def test_a_diverged_run_counts_on_fresh_seeds_as_in_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "spare.toml"
+    path.write_text(SEARCH.replace("[space.", 'direction = "minimize"\n\n[space.', 1))
+    arguments = [str(path), "--results", str(tmp_path / "results"), "--json"]
+    assert main(["search", "run", *arguments, "--trials", "2", "--quiet"]) == 0
+    capsys.readouterr()
+    arguments = ["search", "promote", *arguments, "--seeds", "2", "--quiet"]
+    assert main(arguments) == 0
+    sound = json.loads(capsys.readouterr().out)
+    lost = sound["run_ids"]["winner"][0]
+    status = Store.status
+
+    def diverged(self: Store, run_id: str) -> Status:
+        found = status(self, run_id)
+        return Status("diverged", found.step) if run_id == lost else found
+
+    monkeypatch.setattr(Store, "status", diverged)
+    assert main(arguments) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["diverged"] == {"baseline": 0, "winner": 1}
+    before, after = (own["objectives"]["killed"]["fresh"] for own in (sound, document))
+    assert before < 0.5 <= after  # one of two counts with all monsters killed, the worst that is sought here
 
 
 def test_its_figures_are_the_same_bytes_twice(searched: tuple[Path, Path], tmp_path: Path) -> None:

@@ -72,6 +72,8 @@ def test_seeds_of_the_search_are_refused(searched: Searched) -> None:
 
 
 def test_gain_and_luck_by_hand() -> None:
-    found = gain("mean", 0.9, math.nan, np.array([0.5, 0.7]), np.array([0.4, 0.4]))
+    won, base = np.array([0.5, 0.7]), np.array([0.4, 0.4])
+    found = gain((0.9, math.nan), (0.6, 0.4), won, base, same_steps=True)
     assert (found.fresh, found.fresh_baseline, found.difference) == pytest.approx((0.6, 0.4, 0.2))
     assert found.luck == pytest.approx(0.3)
+    assert math.isnan(gain((0.9, math.nan), (0.6, 0.4), won, base, same_steps=False).luck)

@@ -104,6 +104,10 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('choices = ["adam", "sgd"]', 'choices = ["adam", "sdg"]', 'optimizer = "sdg" is not allowed'),
         ("critic = [64]", "crtic = [64]", "unknown key 'crtic' (did you mean critic?)"),
         ('optimizer = "sgd" }', 'optimiser = "sgd" }', "unknown parameter before it"),
+        ('optimizer = "sgd" }', 'optimizer = "sdg" }', 'optimizer = "sdg" is no choice of [space.optimizer]'),
+        ('optimizer = "sgd" }', 'optimizer = [["sgd"]] }', "is no choice of [space.optimizer]: adam, sgd"),
+        ('optimizer = "sgd" }', "optimizer = [] }", "optimizer = [] is not allowed: one value or more"),
+        ('optimizer = "sgd" }', 'activation = "tahn" }', 'activation = "tahn" is not allowed'),
         ('base = "table-6-2"', 'base = "table-6-3"', "base: unknown base 'table-6-3'"),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
         ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
@@ -152,6 +156,15 @@ def test_what_hangs_on_a_field_counts_with_what_is_set(write: Load) -> None:
         for name in ("adam", "sgd")
     }
     assert ["momentum" in asked[name] for name in asked] == [False, True]
+
+
+def test_what_hangs_on_a_choice_of_numbers_or_lists_names_them_as_they_are(write: Load) -> None:
+    choices = "[space.horizon]\nchoices = [64, 256]\n[space.betas]\nchoices = [[0.9, 0.999], [0.9, 0.9]]\n"
+    hanging = "[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { horizon = 256, betas = [[0.9, 0.9]] }\n"
+    space = write(GOOD.replace("[presets.quick]", f"{choices}{hanging}[presets.quick]")).space
+    least = space.ask(lambda parameter: parameter.domain.extremes[0])
+    most = space.ask(lambda parameter: parameter.domain.extremes[-1])
+    assert ("gamma" in least, most["gamma"]) == (False, 0.99)
 
 
 def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:
