@@ -38,14 +38,16 @@ def bench_scaling(runs: int, conditions: int, steps: int, folder: Path | None) -
     """Yield what storing a study, and each command on it, took: seconds, and megabytes at the peak.
 
     Args:
-        runs: how many, over all conditions.
+        runs: how many, over all conditions; at least one of each, and as many of one as of another.
         conditions: how many; the runs of each differ in their seeds.
         steps: that each run says to have trained, of which its records' size follows.
-        folder: where to keep the results, which stay; left out, they go at the end.
+        folder: where the results lie meanwhile; they go at the end.
 
     Raises:
-        UserError: when a command fails, as where there is no room.
+        UserError: for fewer runs than conditions, or when a command fails, as where there is no room.
     """
+    if runs < conditions:
+        raise UserError(f"--runs {runs}: fewer than the {conditions} conditions that share them")
     with tempfile.TemporaryDirectory(dir=folder) as own:
         results = Path(own) / "results"
         file = Path(own) / f"{STUDY}.toml"

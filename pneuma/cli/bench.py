@@ -10,7 +10,6 @@ import typer
 from pneuma.cli.options import (
     Conditions,
     Json,
-    Preset,
     Results,
     Seeds,
     Steps,
@@ -19,6 +18,8 @@ from pneuma.cli.options import (
     read_selection,
     say,
 )
+from pneuma.cli.study_output import check_folder
+from pneuma.errors import UserError
 from pneuma.study.store import Store
 
 app = typer.Typer(
@@ -55,7 +56,9 @@ def equivalence(
     study: Annotated[
         str, typer.Argument(metavar="STUDY", help="A study run by both engines.")
     ] = "activation",
-    preset: Preset = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="A preset's seeds and steps (else quick).")
+    ] = None,
     seeds: Seeds = None,
     steps: Steps = None,
     condition: Conditions = None,
@@ -134,6 +137,10 @@ def scaling(
 
     sizes = (read_count("--runs", runs), read_count("--conditions", conditions), read_count("--steps", steps))
     rows = []
+    if folder is not None:
+        if not folder.is_dir():
+            raise UserError(f"--folder {folder}: no such folder")
+        check_folder("--folder", folder)
     for row in bench_scaling(*sizes, folder):
         rows.append(row)
         memory = f"{row['peak_megabytes']:>8,.0f} MB"

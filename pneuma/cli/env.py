@@ -137,6 +137,9 @@ def render(
     no_hud: Annotated[bool, typer.Option("--no-hud", help="Leave out the strip of numbers.")] = False,
     seed: Seed = 0,
     set_: EnvSettings = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Open the level and characters files that a run of RUN_ID names.")
+    ] = False,
     results: Results = RESULTS,
 ) -> None:
     """Draw the world as a picture, or an episode as a video.
@@ -152,7 +155,10 @@ def render(
     check_video(out, FRAMES_PER_SECOND)
     moving = _is_moving(out, episode, player)
     settings, make_act = _player(player or "random", name, seed, results.expanduser())
-    worlds = _worlds(name, {**settings, **_settings(set_)}, seed)
+    chosen = _settings(set_)
+    if not trust:
+        _refuse_strangers(player, {key: value for key, value in settings.items() if key not in chosen})
+    worlds = _worlds(name, {**settings, **chosen}, seed)
     with _blaming_rewards(worlds):
         renderer = Renderer(worlds, camera or ("follow" if moving else "map"), None, not no_hud, scale)
         frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
@@ -290,6 +296,15 @@ def _stored_settings(run: Mapping[str, Any]) -> dict[str, Any]:
     settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
     settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in run["reward"]]
     return settings
+
+
+def _refuse_strangers(player: str | None, settings: Mapping[str, Any]) -> None:
+    """Refuse settings of a stored run, which may be a stranger's, that would open files of its owner's."""
+    from pneuma.study.trust import own_things
+
+    if own := own_things(settings):
+        told = " and ".join(own.values())
+        raise UserError(f"--player {player}: would {told}; if you trust where it is from, give --trust")
 
 
 def _named_run(store: Store, player: str) -> str:

@@ -247,10 +247,8 @@ def read_count(option: str, text: str) -> int:
     return count
 
 
-def read_seconds(option: str, text: str | None, default: float | None) -> float | None:
-    """Read a positive number of seconds; `default` where the option was not given."""
-    if text is None:
-        return default
+def read_seconds(option: str, text: str) -> float:
+    """Read a positive number of seconds."""
     try:
         seconds = float(text)
     except ValueError:
@@ -267,6 +265,23 @@ def read_seeds_option(text: str) -> tuple[int, ...]:
         return read_seeds(parts if "," in text else parts[0])
     except (ValueError, IndexError, UserError):
         raise UserError(f"--seeds {text}: must be {SEEDS_ALLOWED}, as in 3,5,8") from None
+
+
+def selecting_words(selection: Selection) -> list[str]:
+    """Return the options by which a person selects this, as words of a command."""
+    words = ["--preset", selection.preset] if selection.preset else []
+    if selection.seeds is not None:
+        counted_up = selection.seeds == tuple(range(len(selection.seeds)))
+        listed = ",".join(map(str, selection.seeds)) + ("," if len(selection.seeds) == 1 else "")
+        words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
+    if selection.steps is not None:
+        words += ["--steps", str(selection.steps)]
+    if selection.engine:
+        words += ["--engine", selection.engine]
+    words += [word for name in selection.conditions for word in ("--condition", name)]
+    for key, value in (selection.settings or {}).items():
+        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
+    return words
 
 
 def read_settings_options(texts: Sequence[str] | None) -> dict[str, Any]:

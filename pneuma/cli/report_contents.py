@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.cli.study_records import RunState, known_studies, run_states, study_record
+from pneuma.cli.options import selecting_words
+from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
 from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
@@ -127,7 +129,7 @@ def _recorded_part(
     part = replace(
         part,
         notes=tuple(_notes(record, [state.status for state in states])),
-        mend="" if whole else part.mend,
+        mend="" if whole else _same_again(study, record),
         extent=_extent(record),
         conditions=_conditions(study, record),
         runs=rows,
@@ -240,6 +242,18 @@ def _command(study: str, setting: str) -> str:
     """Return the command that makes a study's runs."""
     name = study if study in spec.list_studies() else f"{study}.toml"
     return f"pneuma study run {name}" + ("" if setting == spec.TEXT else f" --setting {setting}")
+
+
+def _same_again(study: str, record: Mapping[str, Any]) -> str:
+    """Return the command that trains what a record's runs lack; '' of a study that is no file."""
+    if study not in spec.list_studies() and not record.get("path"):
+        return ""
+    try:
+        options = selecting_words(recorded_selection(record))
+    except (KeyError, UserError):  # a stranger's
+        return ""
+    setting = spec.GODOT if record.get("setting") == spec.GODOT else spec.TEXT
+    return " ".join([_command(study, setting), shlex.join(options)]).strip()
 
 
 def _anywhere(store: Store, error: UserError) -> str:

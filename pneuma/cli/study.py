@@ -30,6 +30,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
+from pneuma.cli.study_run import by_value
 from pneuma.config import as_settings, make_run
 from pneuma.errors import UserError
 from pneuma.study import claimed, plan, spec
@@ -99,7 +100,7 @@ def show(
         print(f"\n{study.about}")
     print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
     for key, values in differing.items():
-        print(f"  {key}: " + ", ".join(f"{v} ({c})" for c, v in values.items()))
+        print(f"  {key}: {by_value(values)}")
     print(f"Compared with: {study.baseline}")
     print(f"Runs in: {', '.join(study.settings_known)} (here {study.setting})")
     print("\nAll conditions share:")

@@ -33,7 +33,7 @@ def study_record(
     if record is not None and _only_picks(record, selection, _is_asked_for(name)):
         return _pick(record, selection)
     study = spec.load_study(name, setting)
-    latest = _recorded_selection(record) if record and "selection" in record else plan.Selection()
+    latest = recorded_selection(record) if record and "selection" in record else plan.Selection()
     return execute.selection_record(plan.make_plan(study, selection.over(latest)))
 
 
@@ -195,12 +195,12 @@ def _brought_along(record: Mapping[str, Any], selection: plan.Selection) -> list
     """Return what a record's settings, and nothing that a person gives, would run or read."""
     if selection.preset or "selection" not in record:
         return []
-    settings = _recorded_selection(record).settings or {}
+    settings = recorded_selection(record).settings or {}
     given = selection.settings or {}
     return [said for key, said in own_things(settings).items() if given.get(key) != settings[key]]
 
 
-def _recorded_selection(record: Mapping[str, Any]) -> plan.Selection:
+def recorded_selection(record: Mapping[str, Any]) -> plan.Selection:
     """Return the selection of a record, which may be a stranger's.
 
     Raises:

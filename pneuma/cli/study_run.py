@@ -155,8 +155,8 @@ def run(
     planned = plan.make_plan(spec.load_study(name, setting), selection)
     supervision = Supervision(
         workers=read_workers(workers, place),
-        checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds, None) or 15.0,
-        timeout_seconds=read_seconds("--timeout", timeout, None),
+        checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
+        timeout_seconds=None if timeout is None else read_seconds("--timeout", timeout),
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )
@@ -251,7 +251,7 @@ def _kept_steps(status: Status) -> int:
     return 0 if status.finished else status.step
 
 
-def _by_value(values: Mapping[str, Any]) -> str:
+def by_value(values: Mapping[str, Any]) -> str:
     """Return each value of a setting with the conditions that have it."""
     having: dict[str, list[str]] = {}
     for condition, value in values.items():
@@ -265,7 +265,7 @@ def _print_plan(
     for note in planned.notes:
         print(f"Note: {note}.")
     for key, values in plan.differing_settings(planned).items():
-        print(f"Conditions differ in {key}: {_by_value(values)}")
+        print(f"Conditions differ in {key}: {by_value(values)}")
     width = max(18, *(len(cell.condition) for cell in planned.cells))
     states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
     for cell in planned.cells:

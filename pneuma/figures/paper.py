@@ -22,6 +22,7 @@ from pneuma.analysis.export import encode_frame
 from pneuma.analysis.sources import open_published
 from pneuma.analysis.tables import tell_figures_apart
 from pneuma.analysis.trajectories import read_trajectories
+from pneuma.errors import UserError
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import INDEX, encode_index
 from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
@@ -118,4 +119,7 @@ def main(folder: Path, results: Path = RESULTS) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:3]))
+    try:
+        main(*map(Path, sys.argv[1:3]))
+    except UserError as error:
+        sys.exit(f"pneuma: {error}")

@@ -26,8 +26,10 @@ from pneuma.figures.report_html import (
 )
 
 MEANINGS = {
-    "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction.",
-    "refuted": "It finds one in the other direction, or shows that there is none larger than the margin.",
+    "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction; "
+    "where none is claimed, it shows that there is none larger than the margin.",
+    "refuted": "It finds one in the other direction, or shows that there is none larger than the margin; "
+    "where none is claimed, it finds one beyond it.",
     "inconclusive": "It finds neither; where it can be told, with how many seeds an arm it might.",
     "untestable": "Nothing can be concluded from these runs, for the reason given.",
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -66,10 +67,10 @@ def run_search(
 
 
 def check_outcomes(task: Task) -> None:
-    """Refuse objectives that there are not, and a budget or pruner that they cannot do with.
+    """Refuse objectives that there are not, and a budget, pruner or sampler that they cannot do with.
 
     Raises:
-        UserError: naming the objective.
+        UserError: naming the objective, pruner or sampler.
     """
     search = task.search
     for objective in search.objectives:
@@ -78,6 +79,11 @@ def check_outcomes(task: Task) -> None:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
     if search.pruner["name"] and len(search.objectives) > 1:
         raise UserError(f"pruner {search.pruner['name']}: goes with one objective alone")
+    if search.sampler["name"] == "cma-es":
+        if len(search.objectives) > 1:
+            raise UserError("sampler cma-es: goes with one objective alone; tpe and nsga-ii take several")
+        if find_spec("cmaes") is None:
+            raise UserError("sampler cma-es: needs an extra package: pip install 'pneuma[cmaes]'")
     if search.pruner["name"] == "wilcoxon" and search.objectives[0].over_seeds == "deviation":
         raise UserError("pruner wilcoxon: compares seed by seed, which a deviation does not have")
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
+from pneuma.search.options import SAMPLERS
 from pneuma.search.spec import DIRECTIONS, OVER_SEEDS
 
 STATES = ("complete", "pruned", "failed")
+_HEXADECIMAL = re.compile("[0-9a-f]{12,16}")
+"""A digest, and ids of runs: what a promoted study says of them must be nothing else."""
 _TEXTS = ("search", "title", "section", "path", "digest", "storage", "optuna_study")
 
 
@@ -17,6 +21,7 @@ def is_record(document: Mapping[str, Any]) -> bool:
     try:
         return (
             all(isinstance(document[key], str) for key in _TEXTS)
+            and _HEXADECIMAL.fullmatch(document["digest"]) is not None
             and all(_is_count(document[key]) for key in ("trials_asked", "steps"))
             and all(map(_is_count, document["seeds"]))
             and _is_identity(document["identity"])
@@ -32,7 +37,8 @@ def _is_identity(identity: Mapping[str, Any]) -> bool:
         all(own["over_seeds"] in OVER_SEEDS for own in identity["objectives"])
         and all(own["direction"] in DIRECTIONS for own in identity["objectives"])
         and all(isinstance(own["outcome"], str) for own in identity["objectives"])
-        and all(isinstance(own["name"], str) for own in (identity["sampler"], *identity["space"]))
+        and all(isinstance(own["name"], str) for own in identity["space"])
+        and identity["sampler"]["name"] in SAMPLERS
         and isinstance(identity["fixed"], dict)
         and len(identity["objectives"]) > 0
     )
@@ -43,7 +49,7 @@ def _are_trials(trials: list[Mapping[str, Any]], objectives: int) -> bool:
         trial["state"] in STATES
         and isinstance(trial["params"], dict)
         and isinstance(trial["note"], str)
-        and all(isinstance(name, str) for name in trial["run_ids"])
+        and all(_HEXADECIMAL.fullmatch(name) for name in trial["run_ids"])
         and _are_values(trial, objectives)
         for trial in trials
     )

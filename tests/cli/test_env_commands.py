@@ -194,6 +194,11 @@ def test_a_run_plays_in_its_own_environment(here: Path, arena: str, capsys: Capt
         here / "results", level=arena, perceive="nearest:2", magic=True, episode_steps=9, reward="kills"
     )
     arguments = ["env", "render", "pneuma/Pneuma-v0", "--player", name, "--scale", "1", "--out", "run.gif"]
+    assert main(arguments) == 2  # the run may be a stranger's, and names a file
+    assert "give --trust" in capsys.readouterr().err
+    assert main([*arguments, "--set", f"level={arena}"]) == 0  # the person's own word
+    assert "of 1 monsters killed, 9 steps" in capsys.readouterr().out
+    arguments.append("--trust")
     assert main(arguments) == 0
     assert "of 1 monsters killed, 9 steps" in capsys.readouterr().out
     assert main([*arguments, "--set", "episode_steps=4"]) == 0

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from pneuma.config import as_settings, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.figures.report_verdicts import MEANINGS, SETTINGS
 from pneuma.study import spec
+from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
@@ -42,7 +44,8 @@ def _record(store: Store, study: str, conditions: dict[str, dict[str, Any]], **o
             _store_run(store, run_id, other.get("status", "done"))
     record = {
         "study": study, "path": None, "title": other.get("title", study), "figure": f"fig-{study}",
-        "baseline": next(iter(conditions)), "same": [], "selection": {}, "runs": runs,
+        "baseline": next(iter(conditions)), "same": [], "runs": runs,
+        "selection": other.get("selection", {}),
     }  # fmt: skip
     store.save_selection(study, record)
     return record
@@ -134,6 +137,23 @@ def test_runs_that_are_missing_or_diverged_are_counted(store: Store, make: Calla
     words = _words(make("activation"))
     assert "1 of 4 runs are not here, not finished or damaged, and left out below." in words
     assert "1 of 4 runs diverged; they count in every number below." in words
+
+
+def test_what_is_missing_is_trained_by_the_selection_that_lacks_it(
+    store: Store, make: Callable[..., Any]
+) -> None:
+    chosen = asdict(Selection("paper", (0, 1), conditions=("tanh", "relu"), settings={"betas": [0.9, 0.9]}))
+    for name in ("activation-godot", "mine", "mine-forks-ab12"):
+        record = _record(store, name, TWO, selection=chosen)
+        path = "elsewhere/mine.toml" if name == "mine" else None
+        setting = "godot" if name.endswith("godot") else "text"
+        store.save_selection(name, {**record, "path": path, "setting": setting})
+        (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
+    options = "--preset paper --seeds 2 --condition tanh --condition relu --set 'betas=[0.9, 0.9]'"
+    words = _words(make("activation", "mine", "mine-forks-ab12"))
+    assert f"To train what is missing: pneuma study run activation --setting godot {options}" in words
+    assert f"To train what is missing: pneuma study run mine.toml {options}" in words
+    assert "pneuma study run mine-forks" not in words  # there is no such file
 
 
 def test_settings_are_set_against_the_studys_base(store: Store, make: Callable[..., Any]) -> None:

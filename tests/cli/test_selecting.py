@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 
 import pytest
 
 from pneuma.cli import study_effects, study_map, study_output, study_run, study_summary
-from pneuma.cli.options import Selected, selects
+from pneuma.cli.options import Selected, read_selection, selecting_words, selects
 from pneuma.study.plan import Selection
 
 COMMANDS = (
@@ -38,6 +39,32 @@ def test_what_is_given_becomes_one_selection() -> None:
 def test_nothing_given_is_no_selection() -> None:
     none = dict.fromkeys(("preset", "seeds", "steps", "engine", "condition", "set_"))
     assert command(name="activation", **none) == ("activation", None, False)
+
+
+@pytest.mark.parametrize(
+    ("selection", "words"),
+    [
+        (Selection(), ""),
+        (Selection("paper+claims", (0, 1, 2)), "--preset paper+claims --seeds 3"),
+        (Selection(seeds=(4,), steps=512, engine="sb3"), "--seeds 4, --steps 512 --engine sb3"),
+        (Selection(conditions=("tanh", "relu")), "--condition tanh --condition relu"),
+        (
+            Selection(settings={"betas": [0.9, 0.9], "reward": "kills", "gradient_limit": "none"}),
+            "--set betas=[0.9, 0.9] --set reward=kills --set gradient_limit=none",
+        ),
+    ],
+)
+def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, words: str) -> None:
+    told = selecting_words(selection)
+    assert " ".join(told) == words
+    given: dict[str, list[str]] = {}
+    for option, value in zip(told[::2], told[1::2], strict=True):
+        given.setdefault(option, []).append(value)
+    preset, seeds, steps, engine = (
+        next(iter(given.get(option, [])), None) for option in ("--preset", "--seeds", "--steps", "--engine")
+    )
+    read = read_selection(preset, seeds, steps, engine, given.get("--condition"), given.get("--set"))
+    assert (read or Selection(settings={})) == replace(selection, settings=selection.settings or {})
 
 
 @pytest.mark.parametrize("own", COMMANDS, ids=lambda own: own.__name__)
