@@ -32,7 +32,8 @@ figures: install  ## Draw everything in paper_figures/, and write the verdicts i
 # Stopped at any moment, each target goes on where it was. In place of `run`, DO takes any command on a
 # study's runs: `make reproduction DO=plan` tells how long it takes, DO=status how far it is, DO=publish writes the tables
 # to commit. SEEDS=2 STEPS=4096 is a quick look, and STUDIES="activation clip-range" some of a target's studies;
-# UNPUBLISHED=1 trains what no table in $(RESULTS)/published holds, and leaves the rest as it is there.
+# UNPUBLISHED=1 trains what no table in $(RESULTS)/published holds, and leaves the rest as it is there;
+# RETRY=1 tries runs again that crashed or timed out before.
 
 DO ?= run
 RESULTS ?= results
@@ -62,7 +63,8 @@ SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
 define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
   $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) \
-  $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) --results $(RESULTS) \
+  $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
+  $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results $(RESULTS) \
   || { code=$$?; [ $$code = 1 ] || exit $$code; failed="$$failed $(1) ($(2))"; };
 endef
 
@@ -71,7 +73,7 @@ define each
 $(foreach setting,$(or $(SETTINGS_$(study)),$(SETTINGS)),$(call one,$(study),$(setting)))) \
 took=$$(( $$(date +%s) - $(BEGUN) )); \
 echo "$@: $$(( took / 3600 )) h $$(( took / 60 % 60 )) min $$(( took % 60 )) s."; \
-[ -z "$$failed" ] || { echo "Runs failed of:$$failed. The same command tries them once more."; exit 1; }
+[ -z "$$failed" ] || { echo "Runs failed of:$$failed. RETRY=1 beside the same words tries those again that crashed."; exit 1; }
 endef
 
 reproduction: PRESET = paper

@@ -37,6 +37,8 @@ EXTRAS = {
     "pygame": ("play", "a window to play and watch in"),
     "imageio_ffmpeg": ("video", "MP4 videos"),
     "onnx": ("onnx", "policies exported as ONNX"),
+    "cmaes": ("cmaes", "the sampler cma-es of searches"),
+    "jax_cuda13_plugin": ("cuda", "updates of the engine batched on an NVIDIA GPU"),
     "ray": ("ray", "runs on a cluster (--executor ray)"),
     "submitit": ("slurm", "jobs in a queue (--executor slurm)"),
     "tensorboard": ("tensorboard", "importing old logs"),
@@ -52,7 +54,7 @@ TRIALS = {
     "torch": (
         "import torch, json; torch.zeros(8, 8).matmul(torch.ones(8, 8)); n = torch.cuda.device_count();"
         "print(json.dumps(f'{torch.__version__}, {torch.get_num_threads()} threads, '"
-        "+ (f'{n} GPUs, which Pneuma does not use' if n else 'CPU')))"
+        "+ (f'{n} GPUs, which the engine sb3 does not use' if n else 'CPU')))"
     ),
     "jax": (
         "import jax, json; jax.jit(lambda x: x + 1)(1.0).block_until_ready();"

@@ -86,12 +86,9 @@ def run_until_decided(
     others = compared(plans[0])
     looks: list[Look] = []
     for stage, planned in zip(stages, plans, strict=True):
-        trained = train(planned)
-        record = execute.selection_record(planned)
-        if not trained:
-            if looks:  # that seeds were added by looking is told of a study that was stopped, too
-                store.save_selection(study.name, {**record, "adaptive": _as_record(stages, looks)})
+        if not train(planned):
             return
+        record = execute.selection_record(planned)
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
         store.save_selection(study.name, {**record, "adaptive": _as_record(stages, looks)})

@@ -29,13 +29,17 @@ class Number:
             return None
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError
-        if not math.isfinite(value) or (self.whole and value != int(value)):
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number with hundreds of digits
+            raise ValueError from None
+        if not math.isfinite(number) or (self.whole and value != int(value)):
             raise ValueError
         too_low = value <= self.low if self.above else value < self.low
         too_high = value >= self.high if self.below else value > self.high
         if too_low or too_high:
             raise ValueError
-        return int(value) if self.whole else float(value) + 0.0  # -0.0 is 0.0
+        return int(value) if self.whole else number + 0.0  # -0.0 is 0.0
 
     @property
     def allowed(self) -> str:

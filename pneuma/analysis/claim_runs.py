@@ -158,17 +158,19 @@ class ClaimRuns:
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
 
     def _reached(self, claim: Claim, setting: str, condition: str, run: Run) -> int:
-        """Return the largest budget below the claim's that the latest record has; 0 where there is none."""
+        """Return the largest budget below the claim's of a run that is finished here; 0 where none is."""
         name = self.study(claim.study, setting).name
         record: Mapping[str, Any] | None = self._store.selection(name)
+        status = self._store.status
         if record is None and published_path(self._store, name).exists():
-            record = read_published(self._store, name).record
-        budgets = [
-            own["run"]["steps"]
+            published = read_published(self._store, name)
+            record, status = published.record, published.status
+        lower = {
+            own["run_id"]: own["run"]["steps"]
             for own in (record or {"runs": []})["runs"]
             if own["condition"] == condition and own["run"]["steps"] < run.steps
-        ]
-        return max(budgets, default=0)
+        }
+        return max((steps for name, steps in lower.items() if status(name).finished), default=0)
 
     def _machines(self, claim: Claim, setting: str, names: list[str]) -> str:
         """Refuse to compare times of different machines, or of one that had other work beside."""
@@ -194,12 +196,17 @@ class ClaimRuns:
         steps = {*claim.steps.values()}
         at_step = float(min(steps)) if len(steps) > 1 else None
         runs = [found[seed] for seed in claim.seeds[condition]]
-        if claim.only:
-            runs = [run for run in runs if outcome(data, run, claim.only, at_step) > 0.5]
-            if not runs:
-                return Arm(np.array([]), (), f"no run of {condition} counts: {claim.only} is 0 in all")
-        values = np.array([outcome(data, run, claim.outcome, at_step) for run in runs], float)
         blank = ""
+        if claim.only:
+            counts = [outcome(data, run, claim.only, at_step) for run in runs]
+            unknown = [run.seed for run, own in zip(runs, counts, strict=True) if np.isnan(own)]
+            blank = f"{condition} seed {unknown[0]}: its {claim.only} is not known" if unknown else ""
+            runs = [run for run, own in zip(runs, counts, strict=True) if own > 0.5]
+            if not runs:
+                return Arm(
+                    np.array([]), (), blank or f"no run of {condition} counts: {claim.only} is 0 in all"
+                )
+        values = np.array([outcome(data, run, claim.outcome, at_step) for run in runs], float)
         for run, value in zip(runs, values, strict=True):
             if not np.isfinite(value) and not blank:
                 why = reason(data, run, claim.outcome, at_step) or f"its {claim.outcome} is {value}"

@@ -10,6 +10,7 @@ tells what each key means. Which runs a claim fixes is read by `pneuma.study.cla
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -24,6 +25,7 @@ from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
 from pneuma.study.files import checksum
 from pneuma.study.spec import Study, load_study, studies_folder
 from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.values import Number
 
 KINDS = ("mean", "spread", "incidence")
 FIGURES = ("start", "best", "end", "length", "hours", "steps_per_second")
@@ -228,14 +230,10 @@ def _number(file: TomlFile, where: Where, table: Mapping[str, Any], key: str) ->
     value = table.get(key)
     if value is None:
         return None
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or abs(value) == float("inf")
-        or value != value
-    ):
-        raise file.mistake(where, f"{key} = {shown(value)} is not allowed: a number", key)
-    return float(value)
+    try:
+        return Number(-math.inf).read(value)
+    except ValueError:
+        raise file.mistake(where, f"{key} = {shown(value)} is not allowed: a number", key) from None
 
 
 def _event(file: TomlFile, where: Where, table: Mapping[str, Any], kind: str) -> Event | None:
@@ -273,7 +271,11 @@ def _read_logs(file: TomlFile) -> PublishedLogs:
         runs[name] = {key: value for key in table if (value := _number(file, place, table, key)) is not None}
     same = file.table(where).get("same", [])
     for pair in same if isinstance(same, list) else [same]:
-        if not isinstance(pair, list) or len(pair) != 2 or any(name not in runs for name in pair):
+        if (
+            not isinstance(pair, list)
+            or len(pair) != 2
+            or not all(isinstance(name, str) and name in runs for name in pair)
+        ):
             raise file.mistake(where, f"same: {shown(pair)} is no pair of names of runs", "same")
     return PublishedLogs(runs, tuple((a, b) for a, b in same))
 
@@ -295,7 +297,10 @@ def _log_contrasts(
                 where, f"logs: {unknown_name('key', unknown[0], ('a', 'b', 'figure'))}", "logs"
             )
         for key, known in (("a", logs.runs), ("b", logs.runs), ("figure", FIGURES)):
-            if own.get(key) not in known:
+            if not isinstance(own.get(key), str) or own[key] not in known:
                 raise file.mistake(where, f"logs: {unknown_name(key, str(own.get(key)), known)}", "logs")
+        for name in (own["a"], own["b"]):
+            if own["figure"] not in logs.runs[name]:
+                raise file.mistake(where, f"logs: the published run {name} has no {own['figure']}", "logs")
         found.append(LogContrast(own["a"], own["b"], own["figure"]))
     return tuple(found)

@@ -232,8 +232,8 @@ def _planned(
     """Add how many seeds each contrast needs that is still open, at the error rate of so long a list."""
 
     def needed(pair: Pair) -> int | None:
-        if pair.verdict != INCONCLUSIVE or place == LOGS or claim.value is not None:
-            return None
+        if pair.verdict != INCONCLUSIVE or place == LOGS or claim.value is not None or claim.only:
+            return None  # of runs that count alone, nobody knows beforehand how many there are
         a, b = (_counted(claim, runs.arm(claim, place, name).values) for name in (pair.a, pair.b))
         return seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family)
 

@@ -219,14 +219,14 @@ def _relearned(seen: RunView) -> float:
 
 
 def _wall_seconds(seen: RunView) -> float:
-    """Return the seconds of training up to a step, taken to pass evenly."""
+    """Return the seconds of training up to a step, taken to pass evenly; of a fork without its parent's."""
     pace = _pace(seen)
-    return min(seen.run.end, seen.until) / pace if pace > 0 else NAN
+    return max(min(seen.run.end, seen.until) - seen.run.begun, 0) / pace if pace > 0 else NAN
 
 
 def _pace(seen: RunView) -> float:
     seconds = seen.data.source.wall_seconds(seen.run)
-    return seen.run.end / seconds if seconds else NAN
+    return (seen.run.end - seen.run.begun) / seconds if seconds else NAN
 
 
 def _last(series: Series) -> float:

@@ -105,7 +105,7 @@ class PublishedRuns:
         names = ("condition", "seed", "run_id", "settings")
         rows = zip(*(self._table[name].to_pylist() for name in names), strict=True)
         runs = [{"condition": c, "seed": s, "run_id": i, "run": json.loads(run)} for c, s, i, run in rows]
-        kept = ("study", "title", "figure", "baseline", "same", "budget")
+        kept = [*("study", "title", "figure", "baseline", "same", "budget"), *({"adaptive"} & {*self.head})]
         return {**{key: self.head[key] for key in kept}, "source": "published", "path": None, "runs": runs}
 
     def status(self, run_id: str) -> Status:

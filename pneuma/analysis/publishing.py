@@ -297,6 +297,7 @@ def _head(data: StudyData, rounding: bool) -> dict[str, Any]:
         "windows": list(data.windows),
         "averaged_over": data.averaged_over,
         "rounded": rounding,
+        **({"adaptive": {"looks": [{"seeds": seeds} for seeds in data.looks]}} if data.looks else {}),
     }
 
 

@@ -91,12 +91,15 @@ def robustness_map(
         outcome: one that has a better direction.
 
     Raises:
-        UserError: where no pair of conditions is such a contrast, or the outcome has no direction.
+        UserError: for one value twice, where no pair of conditions is such a contrast, or for an outcome
+            without a direction.
     """
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
         raise UserError(f"outcome {outcome}: is neither better high nor better low")
     values = _comparable(read_setting(Run, setting, better)), _comparable(read_setting(Run, setting, worse))
+    if values[0] == values[1]:
+        raise UserError(f"{setting}: {shown_level(values[0])} against itself is no contrast; name two values")
     pairs = _pairs(data, setting, *values)
     if not pairs:
         raise UserError(

@@ -103,6 +103,8 @@ def _improvement(
     baseline = data.record.get("baseline")
     if condition == baseline or baseline not in data.conditions:
         return
+    if data.engines(condition) != data.engines(baseline):  # no contrast mixes them
+        return
     others = _known(outcome_values(data, baseline, name, at_step))
     if not len(others):
         return

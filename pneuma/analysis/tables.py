@@ -34,6 +34,7 @@ class FinishedRun:
         budget: agent steps that it was to train.
         end: agent steps that it trained; less than the budget where it diverged.
         status: 'done' or 'diverged'.
+        begun: agent steps with which it began: those of its parent, of a fork.
     """
 
     condition: str
@@ -43,6 +44,16 @@ class FinishedRun:
     budget: int
     end: int
     status: str = "done"
+    begun: int = 0
+
+
+def looks_of(record: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return at how many seeds a study was looked at before more were added, as its record has it."""
+    try:
+        seeds = [look["seeds"] for look in record["adaptive"]["looks"]]
+    except (KeyError, TypeError):  # fixed beforehand, or a stranger's record
+        return ()
+    return tuple(own for own in seeds if isinstance(own, int))
 
 
 class Source(Protocol):
@@ -173,8 +184,19 @@ class StudyData:
         if isinstance(slots, int) and isinstance(players, int):
             slots *= players
         return FinishedRun(
-            run["condition"], run["seed"], run["run_id"], slots, budget, status.step, status.name
-        )
+            run["condition"], run["seed"], run["run_id"], slots, budget, status.step, status.name,
+            run["run"].get("fork_step") or 0,
+        )  # fmt: skip
+
+    def engines(self, condition: str) -> set[str]:
+        """Return which engines trained a condition's runs, as far as it is known."""
+        runs = (run["run"] for run in self.record["runs"] if run["condition"] == condition)
+        return {str(run["engine"]) for run in runs if run.get("engine")}
+
+    @property
+    def looks(self) -> tuple[int, ...]:
+        """At how many seeds it was looked at to decide on more; empty where their number was fixed."""
+        return looks_of(self.record)
 
     @cached_property
     def budget(self) -> int:

@@ -36,14 +36,22 @@ class ProgressDisplay:
         to_train: the runs that are missing, by id.
         workers: how many train at once.
         quiet: whether to show nothing but notes.
+        kept: the steps from which runs go on, where that is not 0.
     """
 
-    def __init__(self, plan: Plan, to_train: Mapping[str, Run], workers: int, quiet: bool) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        to_train: Mapping[str, Run],
+        workers: int,
+        quiet: bool,
+        kept: Mapping[str, int] | None = None,
+    ) -> None:
         self._cells = [cell for cell in plan.cells if cell.run_id in to_train]
-        self._steps = dict.fromkeys((cell.run_id for cell in self._cells), 0)
+        self._steps = {cell.run_id: (kept or {}).get(cell.run_id, 0) for cell in self._cells}
         self._total = sum(run.steps for run in to_train.values())
         self._ended: dict[str, str] = {}
-        self._left = TimeLeft(to_train, workers)
+        self._left = TimeLeft(to_train, workers, kept)
         self._show = bool(self._cells) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS

@@ -199,7 +199,7 @@ def train_plan(planned: Plan, store: Store, how: Supervision, retry_failed: bool
 
     todo = execute.prepare(planned, store, retry_failed, how)
     if todo.runs:
-        with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
+        with ProgressDisplay(planned, todo.runs, how.workers, quiet, todo.kept) as display:
             execute.execute(planned, todo.runs, store, how, display.update)
     for cell in planned.cells:
         status = store.status(cell.run_id)

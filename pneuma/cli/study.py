@@ -152,6 +152,11 @@ def status(
             told = [f"{status} as published" if published else status for _, status, published in states]
             counts = ", ".join(f"{n} {state}" for state, n in Counter(told).items())
             print(f"{plain(record['study'])}: {counts}")
+            if "adaptive" in record:
+                from pneuma.analysis.tables import looks_of
+
+                at = ", ".join(map(str, looks_of(record)))
+                print(f"  seeds were added by --until-decided, which looked at {at} of them")
             for run, state in zip((state.run for state in states), told, strict=True):
                 job = jobs.get(run["run_id"])
                 mark = f"  ({marks[run['run_id']]} than most)" if run["run_id"] in marks else ""

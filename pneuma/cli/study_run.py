@@ -75,12 +75,12 @@ def plan_(
     measured = foresight.measured_runs(planned, statuses, store)
     paces = foresight.known_paces(measured, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
-        paces = foresight.calibrate(planned, store, paces, lambda text: say(text, as_json=True))
+        paces = foresight.calibrate(todo.values(), store, paces, lambda text: say(text, as_json=True))
     seconds: dict[str, float | None] = {}
     for cell in planned.cells:
         pace = paces.get(foresight.kind(cell.run))
         seconds[cell.run_id] = (
-            pace.seconds(cell.run.steps - _kept_steps(statuses[cell.run_id]))
+            pace.seconds(cell.run.steps - execute.kept_step(cell.run, statuses[cell.run_id]))
             if pace and cell.run_id not in planned.published
             else None
         )
@@ -190,7 +190,7 @@ def train_cells(
     for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", as_json=True, quiet=quiet)
     try:
-        with ProgressDisplay(planned, todo.runs, how.workers, quiet) as display:
+        with ProgressDisplay(planned, todo.runs, how.workers, quiet, todo.kept) as display:
             outcomes = execute.execute(planned, todo.runs, store, how, display.update)
     except Detached as left:
         say(str(left), as_json=True)
@@ -244,11 +244,6 @@ def _state(status: Status, published: bool = False) -> str:
     if published and not status.finished:
         return "published"
     return _STATES.get(status.name, "partial" if status.step else "to-train")
-
-
-def _kept_steps(status: Status) -> int:
-    """Return from which step a run would go on."""
-    return 0 if status.finished else status.step
 
 
 def by_value(values: Mapping[str, Any]) -> str:

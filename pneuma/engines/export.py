@@ -57,20 +57,29 @@ def read_sound_policy(data: bytes) -> Policy:
     """
     try:
         policy = read_policy(data)
-        networks = (policy.actor, policy.critic) if policy.exploration is None else (policy.actor,)
-        for layers in networks:
-            sizes = [weight.shape for weight, _ in layers]
-            assert sizes and policy.activation in _ACTIVATIONS
-            assert all(before[1] == after[0] for before, after in pairwise(sizes))
-            assert all(bias.shape == (weight.shape[1],) for weight, bias in layers)
-        if policy.exploration is None:
-            assert policy.actor[0][0].shape[0] == policy.critic[0][0].shape[0]
-            assert policy.critic[-1][1].shape == (1,)
-        else:
-            assert not policy.critic and 0 <= policy.exploration <= 1
+        sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes each fail in their own way
-        raise UserError("policy.safetensors: is no policy of Pneuma's") from None
+        sound = False
+    if not sound:
+        raise UserError("policy.safetensors: is no policy of Pneuma's")
     return policy
+
+
+def _is_sound(policy: Policy) -> bool:
+    """Tell whether a policy's layers fit each other."""
+    values_alone = policy.exploration is not None
+    for layers in (policy.actor,) if values_alone else (policy.actor, policy.critic):
+        sizes = [weight.shape for weight, _ in layers]
+        if not sizes or not all(before[1] == after[0] for before, after in pairwise(sizes)):
+            return False
+        if not all(bias.shape == (weight.shape[1],) for weight, bias in layers):
+            return False
+    if policy.activation not in _ACTIVATIONS:
+        return False
+    if policy.exploration is not None:
+        return not policy.critic and 0 <= policy.exploration <= 1
+    inputs = (layers[0][0].shape[0] for layers in (policy.actor, policy.critic))
+    return len({*inputs}) == 1 and policy.critic[-1][1].shape == (1,)
 
 
 # --- Stable-Baselines3 -----------------------------------------------------------------------------

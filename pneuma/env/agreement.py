@@ -12,6 +12,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,9 @@ def check_restore(env_id: str, settings: Settings) -> None:
 def answer() -> None:
     """Go on with the world on standard input, and say on standard output where it gets; another process."""
     config, saved, actions = pickle.load(sys.stdin.buffer)
-    sys.stdout.buffer.write(pickle.dumps(_go_on(config, saved, actions)))
+    with redirect_stdout(sys.stderr):  # for what a reward prints
+        there = _go_on(config, saved, actions)
+    sys.stdout.buffer.write(pickle.dumps(there))
 
 
 def _go_on(config: EnvConfig, saved: Snapshot, actions: np.ndarray) -> list[bytes]:

@@ -371,6 +371,6 @@ def _load_levels(config: EnvConfig, codes: dict[int, str], players: np.ndarray) 
     """Load the level, or as many random ones as asked for, numbered from the first on."""
     body = 2 * float(players["half_width"].max()), 2 * float(players["half_height"].max())
     first, _, number = config.level.rpartition(":")
-    if config.random_levels == 1 or not number.isdigit():  # loading says what is wrong with the name
+    if config.random_levels == 1 or not number.isdecimal():  # loading says what is wrong with the name
         return [load_level(config.level, codes, body)]
     return [load_level(f"{first}:{int(number) + i}", codes, body) for i in range(config.random_levels)]

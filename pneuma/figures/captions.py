@@ -58,6 +58,7 @@ def caption_of(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str
     drawn = [curve for group in curves.values() for curve in group]
     return [
         *_origin(data),
+        *looks_told(data),
         *_lines(drawn, band),
         *_averages(data, curves, window),
         *_marks(data, curves, drawn, band),
@@ -68,6 +69,16 @@ def _origin(data: StudyData) -> list[str]:
     engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
     mixed = f" Engines are mixed ({', '.join(engines)}): no contrast holds." if len(engines) > 1 else ""
     return [f"{', '.join(data.environments)}.{mixed}"]
+
+
+def looks_told(data: StudyData) -> list[str]:
+    """Say of a study whose seeds were added by looking that they were."""
+    if not data.looks:
+        return []
+    at = ", ".join(map(str, data.looks))
+    return [
+        f"Seeds were added until contrasts were decided (looked at with {at}): intervals do not allow for it."
+    ]
 
 
 def _lines(drawn: Sequence[Curve], band: str) -> list[str]:

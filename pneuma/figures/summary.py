@@ -26,7 +26,7 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.captions import headline_of
+from pneuma.figures.captions import headline_of, looks_told
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.panel import per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES, Size
@@ -223,6 +223,7 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], table
     known_outcome = find_outcome(outcome)
     shown = known_outcome.words
     words = [f"{', '.join(data.environments)}. {shown[:1].upper()}{shown[1:]}."]
+    words += looks_told(data)
     step = common_step(data)
     if step is not None:
         words.append(f"All as they stood at {step:,} steps, the most that all runs were to reach.")

@@ -143,7 +143,7 @@ def _conditions(
             where, f"{key} = {shown(value)} is not allowed: a condition, or a list of them", key
         )
     for name in names:
-        if name not in study.conditions:
+        if not isinstance(name, str) or name not in study.conditions:
             unknown = unknown_name(f"condition of study {study.name}", str(name), study.conditions)
             raise file.mistake(where, f"{key}: {unknown}", key)
     return tuple(names)

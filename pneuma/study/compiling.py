@@ -15,6 +15,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from threading import Event
@@ -67,7 +68,8 @@ class FirstCompile:
     def done(self) -> None:
         """Note that everything is compiled."""
         if self._descriptor >= 0 and self._mark is not None:
-            self._mark.touch()
+            with suppress(OSError):  # a full disk, say: others compile too
+                self._mark.touch()
             self._let_go()
 
     def __exit__(self, *_: object) -> None:

@@ -173,11 +173,24 @@ def _refuse_faults(
     suspects = [*own, *(key for key in shared if key not in own)]
     named = next((key for key in suspects if str(error).startswith(f"{key} ")), None)
     key = setting_at_fault(settings, suspects, joined) or named
-    if key in file.table(("factors",)):
-        where: Where = ("factors",)
-    else:
-        where = ("run",) if key in shared and key not in own else ("conditions", name)
-    raise file.mistake(where, _naming(key, settings, str(error)), key or "")
+    if key in own or key is None:
+        raise file.mistake(*_place_of(file, name, key, _naming(key, settings, str(error))))
+    raise file.mistake(("run",), _naming(key, settings, str(error)), key)
+
+
+def _place_of(file: TomlFile, name: str, key: str | None, message: str) -> tuple[Where, str, str]:
+    """Return where a condition sets a key, the message, and the key; of a crossed one, in which part."""
+    if name in file.table(("conditions",)):
+        return ("conditions", name), message, key or ""
+    parts = name.split(", ")
+    for factor, levels in file.table(("factors",)).items():
+        if factor == key:
+            return ("factors",), message, factor
+        for level in parts if isinstance(levels, dict) else ():
+            if key in levels.get(level, {}):
+                return ("factors", factor), f"{message} (in {name})", level
+    own = [part for part in parts if key in file.table(("conditions",)).get(part, {})]
+    return (("conditions", own[0]) if own else ("factors",)), f"{message} (in {name})", key or ""
 
 
 def _naming(key: str | None, settings: Mapping[str, Any], message: str) -> str:

@@ -51,9 +51,16 @@ class Progress:
 
 @dataclass(frozen=True)
 class Todo:
-    """What `prepare` found: runs to train, by id, and sentences about damage, failures and the place."""
+    """What `prepare` found.
+
+    Attributes:
+        runs: to be trained, by id.
+        kept: of those that do not begin at 0, the step of the checkpoint, or fork, from which they go on.
+        notes: sentences about damage, failures and the place.
+    """
 
     runs: Mapping[str, Run]
+    kept: Mapping[str, int]
     notes: tuple[str, ...]
 
 
@@ -84,8 +91,17 @@ def prepare(
         how = _with_gpus(plan, supervision)
         told = load_executor(how.place).check(todo, how)
     store.check_writable()
-    store.save_selection(plan.study.name, selection_record(plan))
-    return Todo(todo, (*_notes(plan, statuses, todo), *([told] if told else [])))
+    store.save_selection(plan.study.name, {**selection_record(plan), **_looked_at(plan, recorded)})
+    kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
+    return Todo(todo, kept, (*_notes(plan, statuses, todo), *([told] if told else [])))
+
+
+def _looked_at(plan: Plan, recorded: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what a study's record says of seeds that were added by looking, where a plan goes on."""
+    if not recorded or "adaptive" not in recorded:
+        return {}
+    ids = {cell.run_id for cell in plan.cells}
+    return {"adaptive": recorded["adaptive"]} if all(run["run_id"] in ids for run in recorded["runs"]) else {}
 
 
 def execute(
@@ -147,6 +163,11 @@ def _outcome(cell: Cell, stored: Status, end: Event | None) -> Outcome:
     if end and not stored.finished:
         stored = Status(end["status"], stored.step)
     return Outcome(cell, stored, bool(end and end["trained"]))
+
+
+def kept_step(run: Run, status: Status) -> int:
+    """Return from which step a run would go on: its checkpoint's, or that at which it forks; else 0."""
+    return 0 if status.finished else max(status.step, run.fork_step)
 
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:

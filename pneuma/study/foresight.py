@@ -76,7 +76,9 @@ def measured_runs(plan: Plan, statuses: Mapping[str, Status], store: Store) -> l
         seconds, trained_on = origin.get("wall_seconds"), processors(origin)
         if isinstance(seconds, int | float) and seconds > 0 and len(trained_on) == 1:
             run = runs[name]
-            found.append(Measured(kind(run), seconds / run.steps, str(origin.get("cpu")), trained_on[0]))
+            trained = statuses[name].step - run.fork_step  # of a diverged run fewer than it was to train
+            if trained > 0:
+                found.append(Measured(kind(run), seconds / trained, str(origin.get("cpu")), trained_on[0]))
     return found
 
 
@@ -126,20 +128,22 @@ def _paces(rates: Mapping[str, list[float]]) -> dict[str, Pace]:
 
 
 def calibrate(
-    plan: Plan, store: Store, paces: Mapping[str, Pace], say: Callable[[str], None]
+    runs: Iterable[Run], store: Store, paces: Mapping[str, Pace], say: Callable[[str], None]
 ) -> dict[str, Pace]:
     """Measure the pace of those kinds of runs that `paces` lacks; keep it for this machine."""
-    unknown = {kind(cell.run): cell.run for cell in plan.cells if kind(cell.run) not in paces}
+    unknown = {own: run for run in runs if (own := kind(run)) not in paces}
     measured = {}
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
         pace = _measure(run)
         if pace:
             measured[name] = pace
-    kept = {**_calibrations(store), **{name: (pace.start, pace.per_step) for name, pace in measured.items()}}
     if measured:
         store.check_writable()
-        store.write(_calibration_path(store), seal({"paces": {_machine(): kept}}))
+        kept, here = _all_calibrations(store), _machine()
+        added = {name: (pace.start, pace.per_step) for name, pace in measured.items()}
+        paces_of = {**kept, here: {**kept.get(here, {}), **added}}
+        store.write(_calibration_path(store), seal({"paces": paces_of}))
     return {**paces, **measured}
 
 
@@ -173,8 +177,14 @@ def _calibration_path(store: Store) -> Path:
 
 
 def _calibrations(store: Store) -> dict[str, list[float]]:
-    document = read_sealed(_calibration_path(store)) or {"paces": {}}
-    paces: dict[str, list[float]] = document["paces"].get(_machine(), {})
+    """Return start and seconds a step of each kind of run that was measured on this machine."""
+    return _all_calibrations(store).get(_machine(), {})
+
+
+def _all_calibrations(store: Store) -> dict[str, dict[str, list[float]]]:
+    """Return the calibrations of every machine that shares the results folder."""
+    document = read_sealed(_calibration_path(store)) or {}
+    paces: dict[str, dict[str, list[float]]] = document.get("paces", {})
     return paces
 
 
@@ -214,13 +224,19 @@ class TimeLeft:
     Args:
         runs: to be trained, by id, in the order in which they are begun.
         workers: how many at once.
+        kept: the steps from which runs go on, where that is not 0: of a checkpoint, or of a fork's parent.
         clock: a monotonic clock in seconds.
     """
 
     def __init__(
-        self, runs: Mapping[str, Run], workers: int, clock: Callable[[], float] = time.monotonic
+        self,
+        runs: Mapping[str, Run],
+        workers: int,
+        kept: Mapping[str, int] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._runs = dict(runs)
+        self._kept = kept or {}
         self._workers = workers
         self._clock = clock
         self._begun = clock()
@@ -257,7 +273,7 @@ class TimeLeft:
                 then, step = self._last[name]
                 running.append(max(0.0, (run.steps - step) * pace - (now - then)))
             else:
-                waiting.append(start + run.steps * pace)
+                waiting.append(start + (run.steps - self._kept.get(name, 0)) * pace)
         return wall_seconds([*sorted(running), *waiting], self._workers)
 
     def _pace(self, name: str) -> float | None:
@@ -268,7 +284,7 @@ class TimeLeft:
     def _start(self, name: str, pace: float) -> float:
         """Return about how long a worker took before a run's first step."""
         first, step = self._first[name]
-        return min(max(0.0, first - self._begun - step * pace), 10.0)
+        return min(max(0.0, first - self._begun - (step - self._kept.get(name, 0)) * pace), 10.0)
 
     def _like(self, name: str, paces: Mapping[str, float], usual: float) -> float:
         """Return the mean pace of runs of the same kind, or of all."""

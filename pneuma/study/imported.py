@@ -215,8 +215,8 @@ def _provenance(log: _Log, damage: list[str]) -> dict[str, Any]:
     return {
         "imported": SOURCE,
         "import_version": IMPORT_VERSION,
-        "started": _moment(min(seconds)),
-        "wall_seconds": round(max(seconds) - min(seconds), 3),
+        "started": _moment(min(seconds)) if seconds else None,
+        "wall_seconds": round(max(seconds) - min(seconds), 3) if seconds else 0.0,
         "files": log.files,
         "damage": damage,
     }

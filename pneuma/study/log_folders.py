@@ -107,4 +107,4 @@ def _name_and_number(parts: tuple[str, ...]) -> tuple[str, int | None]:
 def _in_numbers(name: str) -> list[tuple[int, int, str]]:
     """Return a key that puts run_2 before run_10."""
     pieces = re.split(r"([0-9]+)", name)
-    return [(1, int(piece), "") if piece.isdigit() else (0, 0, piece) for piece in pieces if piece]
+    return [(1, int(piece), "") if piece.isdecimal() else (0, 0, piece) for piece in pieces if piece]

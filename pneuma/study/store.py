@@ -149,18 +149,24 @@ class Store:
         if damaged:
             return Status("damaged", 0, damaged[0])
         status = Status(manifest["status"], manifest["step"])
-        return status if status.finished or not is_held(self.run_folder(run_id)) else Status("running")
+        if status.finished:
+            return status
+        step = max(status.step, self._kept_step(run_id))  # a crash does not know it
+        return Status("running" if is_held(self.run_folder(run_id)) else status.name, step)
 
     def _unfinished(self, run_id: str) -> Status:
         """Return how far a run is that nothing vouches for."""
-        folder = self.run_folder(run_id)
-        told = (read_checkpoint_name(path.name) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
-        step = max((step for step, _ in filter(None, told)), default=0)
+        folder, step = self.run_folder(run_id), self._kept_step(run_id)
         if is_held(folder):
             return Status("running", step)
         if (folder / "status.json").exists():
             return Status("damaged", step, "status.json")
         return Status("partial" if step else "planned", step)
+
+    def _kept_step(self, run_id: str) -> int:
+        """Return the step of a run's latest checkpoint; 0 without any."""
+        kept = (self.run_folder(run_id) / CHECKPOINTS).glob("*.safetensors")
+        return max((told[0] for path in kept if (told := read_checkpoint_name(path.name))), default=0)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that vouches for them; other files of the run go.

@@ -25,7 +25,7 @@ from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision, read_event
 from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.locks import RunLock
+from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Status, Store, run_document
 
 BUSY_SECONDS = 1.0
@@ -95,11 +95,19 @@ def run_groups(
 
 @dataclass
 class _Task:
-    """A group of runs that waits to be trained, from some time on."""
+    """A group of runs that waits to be trained, from some time on.
+
+    Attributes:
+        group: the runs, by id.
+        tries: how often they have been tried, this time counted.
+        not_before: on the monotonic clock.
+        waits_for_another: whether it is a single run that another process was training.
+    """
 
     group: Mapping[str, Run]
     tries: int = 1
     not_before: float = 0.0
+    waits_for_another: bool = False
 
 
 @dataclass
@@ -175,8 +183,12 @@ class _Supervisor:
 
     def _start_what_may(self) -> None:
         now = time.monotonic()
-        ready = [task for task in self._tasks if task.not_before <= now]
-        for task in ready[: max(0, self._how.workers - len(self._workers()))]:
+        for task in [task for task in self._tasks if task.not_before <= now]:
+            if len(self._workers()) >= self._how.workers:
+                return
+            if task.waits_for_another and is_held(self._store.run_folder(next(iter(task.group)))):
+                task.not_before = now + BUSY_SECONDS  # a worker would cost half a second to find that out
+                continue
             self._tasks.remove(task)
             worker = _start(task, self._store, self._how)
             self._selector.register(worker.events, selectors.EVENT_READ, worker)
@@ -263,23 +275,25 @@ class _Supervisor:
                 {"event": "end", "run_id": name, "status": "timeout", "step": step, "trained": True}
             )
         if not self._interrupts.count:
-            self._try_again(worker, worker.busy, worker.task.tries, BUSY_SECONDS)
+            self._try_again(worker, worker.busy, worker.task.tries, others=True)
         if worker.final or worker.timed_out or self._interrupts.count:
             for event in worker.crashed.values():
                 self._on_event(event)
             for name in lost:
                 self._end_lost(worker, name, code, last_words)
             return
-        self._try_again(worker, [*lost, *worker.crashed], worker.task.tries + 1, 0.0)
+        self._try_again(worker, [*lost, *worker.crashed], worker.task.tries + 1)
         for name in (*lost, *worker.crashed):
             crash = worker.crashed.get(name)
             what = f"crashed ({crash['reason']})" if crash else f"the worker process {_reason(code)}"
             self._on_event({"event": "note", "run_id": name, "text": f"{what}; tried once more"})
 
-    def _try_again(self, worker: _Worker, names: Iterable[str], tries: int, seconds: float) -> None:
+    def _try_again(self, worker: _Worker, names: Iterable[str], tries: int, others: bool = False) -> None:
         for name in names:  # each alone: one that crashes takes no other along again
-            group = {name: worker.task.group[name]}
-            self._tasks.append(_Task(group, tries, time.monotonic() + seconds))
+            seconds = BUSY_SECONDS if others else 0.0
+            self._tasks.append(
+                _Task({name: worker.task.group[name]}, tries, time.monotonic() + seconds, others)
+            )
 
     def _end_lost(self, worker: _Worker, name: str, code: int, last_words: bytes) -> None:
         """End a run whose worker went without a word of it."""

@@ -203,8 +203,8 @@ def _silence() -> None:
 def _look_for_listener(address: str) -> None:
     try:
         socket.create_connection(read_address(address), timeout=LISTEN_SECONDS).close()
-    except OSError as error:
-        reason = error.strerror or error
+    except (OSError, UnicodeError) as error:  # the latter for what no host can be called
+        reason = getattr(error, "strerror", None) or error
         raise UserError(
             f"--address {address}: nothing listens there ({reason}); start a cluster with "
             "`ray start --head`, which prints its address, or leave --address out to use this machine"

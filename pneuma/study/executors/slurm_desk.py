@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from tempfile import TemporaryFile
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
@@ -31,9 +32,16 @@ def alone(store: Store) -> Iterator[None]:
     """Let no other command submit meanwhile.
 
     Raises:
-        UserError: when another one does for very long.
+        UserError: where notes cannot be written, or when another one submits for very long.
     """
     folder = submissions_folder(store)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise UserError(
+            f"{folder}: cannot be written ({error.strerror}); what is submitted is noted there"
+        ) from None
     until = time.monotonic() + LOCK_SECONDS
     while True:
         with RunLock(folder) as mine:

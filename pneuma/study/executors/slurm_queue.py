@@ -83,7 +83,7 @@ def jobs_of(submissions: Sequence[Submission]) -> dict[tuple[str, int], Job]:
     for line in printed.splitlines():
         name, _, place, job, state, where = line.strip().split("|", 5)
         where = "" if where == "(None)" else where  # nobody has looked yet why it waits
-        jobs[name, int(place) if place.isdigit() else 0] = Job(job, state, where)
+        jobs[name, int(place) if place.isdecimal() else 0] = Job(job, state, where)
     return jobs
 
 
