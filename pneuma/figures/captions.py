@@ -76,9 +76,7 @@ def looks_told(data: StudyData) -> list[str]:
     if not data.looks:
         return []
     at = ", ".join(map(str, data.looks))
-    return [
-        f"Seeds were added until contrasts were decided (looked at with {at}): intervals do not allow for it."
-    ]
+    return [f"Seeds were added until all was decided (looked at with {at}): intervals do not allow for it."]
 
 
 def _lines(drawn: Sequence[Curve], band: str) -> list[str]:

@@ -79,6 +79,15 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
         "margin = 0.04", 'logs = [{ a = "p", b = "r", figure = "end" }]', 23, ("logs", "unknown b 'r'"),
     ),
     "unknown pair": ('["q", "q again"]]', '["q", "r"]]', 6, ("same", "no pair")),
+    "a list for a condition": ('b = "low"', 'b = [["low"]]', 19, ("b: unknown condition",)),
+    "a list for a run of logs": (
+        "margin = 0.04", 'logs = [{ a = ["p"], b = "q", figure = "end" }]', 23, ("logs", "unknown a"),
+    ),
+    "a list in a pair": ('["q", "q again"]]', '["q", ["p"]]]', 6, ("same", "no pair")),
+    "a figure that a run has not": (
+        "margin = 0.04", 'logs = [{ a = "p", b = "q", figure = "best" }]', 23, ("run p has no best",),
+    ),
+    "a number without end": ("margin = 0.04", f"margin = 1{'0' * 400}", 23, ("a number",)),
     "unknown figure": ("q = { end", "q = { edn", 11, ("'edn'", "did you mean end?")),
     "unknown default": ("steps = 1024\n\n[", "step = 1024\n\n[", 3, ("'step'", "did you mean steps?")),
     "seeds of a wrong type": ("seeds = 8", "seeds = 0", 2, ("seeds = 0", "a count, or a list")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -254,6 +255,15 @@ def test_a_clone_knows_the_times_from_the_file_beside_the_table(data: StudyData,
     assert [timed.source.processor_share(run) for run in timed.runs] == [0.5] * len(timed.runs)
     times_path(clone, "mine").write_bytes(b'{"runs": [1]}')
     assert np.isnan(outcome(again, again.runs[0], "wall-seconds"))
+
+
+def test_a_forks_time_is_of_the_steps_after_it(data: StudyData) -> None:
+    whole = data.runs[0]
+    fork = replace(whole, begun=whole.end // 2)
+    seconds = data.source.wall_seconds(whole)
+    assert seconds and outcome(data, fork, "wall-seconds") == pytest.approx(seconds)
+    assert outcome(data, fork, "steps-per-second") == pytest.approx((whole.end - fork.begun) / seconds)
+    assert outcome(data, fork, "wall-seconds", fork.begun) == 0
 
 
 def test_budgets_that_whole_horizons_put_apart_are_the_same(tmp_path: Path) -> None:

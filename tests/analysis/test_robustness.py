@@ -87,6 +87,8 @@ def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
     data = crossed(tmp_path, gains(0, 0, 0, 0), seeds=2)
     with pytest.raises(UserError, match="no two conditions differ in activation alone, tanh in one"):
         robustness_map(data, "activation", "tanh", "leaky-relu")
+    with pytest.raises(UserError, match="activation: tanh against itself is no contrast"):
+        robustness_map(data, "activation", "tanh", "tanh")
     with pytest.raises(UserError, match="neither better high nor better low"):
         robustness_map(data, "activation", "tanh", "relu", "final-entropy")
 

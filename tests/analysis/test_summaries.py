@@ -69,6 +69,16 @@ def test_the_probability_of_improvement_is_over_the_baseline(tmp_path: Path) -> 
     assert set(table[table["statistic"] == "improvement"]["condition"]) == {"b"}
 
 
+def test_runs_of_two_engines_are_not_held_against_each_other(tmp_path: Path) -> None:
+    data = study(tmp_path, FINALS)
+    engines = {"a": "sb3", "b": "batched"}
+    runs = [
+        {**run, "run": {**run["run"], "engine": engines[run["condition"]]}} for run in data.record["runs"]
+    ]
+    mixed = summary_table(open_study(Store(tmp_path / "results"), {**data.record, "runs": runs}))
+    assert "improvement" not in set(mixed["statistic"]) and set(mixed["condition"]) == {"a", "b"}
+
+
 def test_counting_up_to_each_run_is_comparing_every_pair_of_a_resample() -> None:
     draws = np.random.default_rng(8)
     a, b = draws.integers(0, 6, 7) / 10, draws.integers(0, 6, 5) / 10  # with ties within and between

@@ -117,6 +117,29 @@ def test_two_workers_share_what_waits() -> None:
     assert wall_seconds([], 2) == 0
 
 
+def test_what_goes_on_from_a_checkpoint_or_forks_has_only_its_rest_to_train(
+    plan: Plan, clock: _Clock, capsys: Captured
+) -> None:
+    kept = {cell.run_id: 2048 for cell in plan.cells}
+    left = TimeLeft(_runs(plan), 1, kept, clock=clock.monotonic)
+    tanh = plan.cells[0]
+    clock.now = 3.0
+    left.update(Progress(tanh, 2304))
+    clock.now = 4.0
+    left.update(Progress(tanh, 2560, "done"))
+    assert left.seconds() is None  # an end has no pace
+    left = TimeLeft(_runs(plan), 1, kept, clock=clock.monotonic)
+    clock.now = 5.0
+    left.update(Progress(tanh, 2176))  # half a second went for these, so half before
+    clock.now = 5.5
+    left.update(Progress(tanh, 2304))  # 256 steps a second
+    assert left.seconds() == pytest.approx(1 + 0.5 + 2)
+    with ProgressDisplay(plan, _runs(plan), 1, quiet=False, kept=kept) as display:
+        clock.now += LINE_SECONDS
+        display.update(Progress(tanh, 2304))
+    assert capsys.readouterr().err == "0/2 runs ended, 85% of all steps\n"  # (2,304 + 2,048) / 5,120
+
+
 def test_the_time_left_follows_from_the_pace_of_the_steps(plan: Plan) -> None:
     clock = _Clock()
     left = TimeLeft(_runs(plan), workers=1, clock=clock.monotonic)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pneuma import until_decided
+from pneuma.analysis.tables import looks_of
 from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study import execute
@@ -78,6 +79,26 @@ def test_a_study_that_was_stopped_still_tells_that_its_seeds_came_by_looking(
     record = store.selection(STUDY)
     assert len(looks) == 1 and record is not None and len(record["runs"]) == 3 * 20
     assert [look["seeds"] for look in record["adaptive"]["looks"]] == [10]
+
+
+def test_a_study_whose_seeds_came_by_looking_says_so_while_it_goes_on_and_no_other_does(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = load_study(STUDY), Store(tmp_path)
+    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.2))
+    next(run_until_decided(study, Selection(), 40, store, written.train))
+    execute.prepare(make_plan(study, Selection(seeds=tuple(range(20)))), store)  # killed thereafter, say
+    record = store.selection(STUDY)
+    assert record is not None and looks_of(record) == (10,)
+    assert main(["study", "status", STUDY, "--results", str(tmp_path)]) == 0
+    assert "seeds were added by --until-decided, which looked at 10 of them" in capsys.readouterr().out
+    execute.prepare(make_plan(study, Selection(seeds=(0, 1, 2))), store)  # another question
+    assert looks_of(store.selection(STUDY) or {}) == ()
+
+
+def test_a_strangers_record_of_looks_is_no_traceback() -> None:
+    for strange in (3, {"looks": 3}, {"looks": [3]}, {"looks": [{"seeds": "all"}]}):
+        assert looks_of({"adaptive": strange}) == ()
 
 
 def test_what_no_run_has_cannot_decide(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

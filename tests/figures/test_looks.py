@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pneuma.analysis.curves import curve_names
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import settle
@@ -85,6 +87,19 @@ def test_shares_are_in_per_cent_without_idle_decimals(
     study.draw(tmp_path, formats=("svg",))
     ticks = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
     assert ticks[:3] == ["0 %", "10 %", "20 %"]
+
+
+def test_seeds_that_were_added_by_looking_are_told(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study.draw(tmp_path, formats=("svg",))
+    study.record["adaptive"] = {"looks": [{"seeds": 10}, {"seeds": 20}]}
+    study.draw(tmp_path, formats=("svg",))
+    told = "Seeds were added until all was decided (looked at with 10, 20)"
+    assert [told in _caption(figure) for figure in drawn] == [False, True]
+    data = open_study(study.store, study.record)
+    study.store.write(published_path(study.store, "mine"), encode_study(data, (), False))
+    assert read_published(study.store, "mine").record["adaptive"] == study.record["adaptive"]
 
 
 # --- Players of known skill ------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 from pathlib import Path
@@ -71,6 +72,18 @@ def test_who_is_told_to_stop_does_not_wait(tmp_path: Path) -> None:
         other.start()
         other.join(10)
         assert not other.is_alive()
+
+
+def test_a_mark_that_cannot_be_left_crashes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "touch", full)
+    told: list[str] = []
+    for _ in range(2):
+        with FirstCompile(RUN, tmp_path, told.append, threading.Event()) as first:
+            first.done()
+    assert told == [COMPILES, COMPILES]
 
 
 def test_nothing_is_told_where_no_programs_are_kept() -> None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pneuma.cli import main
+from pneuma.config import as_settings, make_run
 from pneuma.study import foresight
 from pneuma.study.execute import selection_record
+from pneuma.study.identity import run_id
 from pneuma.study.origins import stored_origins, unusual_origins
-from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.plan import Cell, Plan, Selection, make_plan
 from pneuma.study.provenance import machine
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -134,6 +137,35 @@ def test_paces_are_of_this_kind_of_processor_where_it_is_known(tmp_path: Path, p
         here["cpu"]: (1000, 1),
         "Intel Xeon": (200, 3),
     }
+
+
+def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path, planned: Plan) -> None:
+    """Of a diverged run they are fewer than its budget; of a fork, without its parent's."""
+    store, cells = Store(tmp_path), planned.cells[:2]
+    fork = make_run({**as_settings(cells[1].run), "parent": "a" * 16, "fork_step": cells[1].run.steps - 256})
+    runs = {cells[0].run_id: (cells[0].run, "diverged", 512), run_id(fork): (fork, "done", fork.steps)}
+    for name, (run, status, step) in runs.items():
+        files = {"run.json": run_document(run, name), "provenance.json": to_json(origin(MILAN, seconds=2.56))}
+        store.save_run(name, Status(status, step), files)
+    plan = replace(planned, cells=(cells[0], Cell("fork", 0, fork, run_id(fork))))
+    statuses = {name: store.status(name) for name in runs}
+    rates = [each.per_step for each in foresight.measured_runs(plan, statuses, store)]
+    assert rates == [pytest.approx(2.56 / 512), pytest.approx(2.56 / 256)]
+
+
+def test_what_other_machines_measured_is_kept(
+    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, told = Store(tmp_path), list[str]()
+    monkeypatch.setattr(foresight, "_measure", lambda run: foresight.Pace(1.0, 0.5))
+    runs = [planned.cells[0].run]
+    foresight.calibrate(runs, store, {}, told.append)
+    monkeypatch.setattr(foresight, "_machine", lambda: "another")
+    assert foresight.known_paces([], store) == {}
+    foresight.calibrate(runs, store, {}, told.append)
+    monkeypatch.undo()
+    assert foresight.known_paces([], store) == {foresight.kind(runs[0]): foresight.Pace(1.0, 0.5)}
+    assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
 
 
 def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Plan) -> None:

@@ -15,6 +15,7 @@ from pneuma.errors import UserError
 from pneuma.study.execute import execute
 from pneuma.study.executors import local, slurm, slurm_collector, slurm_job, slurm_queue
 from pneuma.study.executors.base import Detached, Place, Supervision
+from pneuma.study.executors.slurm_desk import alone
 from pneuma.study.executors.slurm_job import Teller
 from pneuma.study.executors.slurm_queue import Job
 from pneuma.study.executors.submissions import (
@@ -323,6 +324,12 @@ def test_a_study_that_is_stored_whole_still_has_its_jobs_put_away(
     for how in (HOW, replace(HOW, place=Place())):
         execute(planned, {}, store, how, lambda progress: None)
     assert asked == [[]]
+
+
+def test_notes_that_cannot_be_written_are_refused_in_a_line(store: Store) -> None:
+    submissions_folder(store).write_text("a file in the folder's place")
+    with pytest.raises(UserError, match="-slurm: cannot be written"), alone(store):
+        pass
 
 
 def test_a_folder_of_results_that_nothing_was_submitted_from_gets_no_folder_beside_it(store: Store) -> None:

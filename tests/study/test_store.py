@@ -12,6 +12,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.files import replace_files
+from pneuma.study.locks import RunLock
 from pneuma.study.store import Status, Store, to_json, write_whole
 
 NAME = "0123456789abcdef"
@@ -221,6 +222,19 @@ def test_only_checkpoints_by_name_tell_how_far_a_run_is(tmp_path: Path) -> None:
     assert store.status(NAME) == Status("planned", 0)
     (folder / f"{512:013}-{'a' * 16}.safetensors").write_bytes(b"")
     assert store.status(NAME) == Status("partial", 512)
+
+
+def test_a_crashed_run_is_as_far_as_its_checkpoint(tmp_path: Path) -> None:
+    """Who notes that a worker was killed does not know how far it was."""
+    store = Store(tmp_path)
+    store.save_run(NAME, Status("killed"), FILES)
+    assert store.status(NAME) == Status("killed", 0)
+    folder = store.run_folder(NAME) / "checkpoints"
+    folder.mkdir(exist_ok=True)
+    (folder / f"{512:013}-{'a' * 16}.safetensors").write_bytes(b"")
+    assert store.status(NAME) == Status("killed", 512)
+    with RunLock(store.run_folder(NAME)) as mine:
+        assert mine and store.status(NAME) == Status("running", 512)
 
 
 # --- Studies -------------------------------------------------------------------------------------
