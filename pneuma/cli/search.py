@@ -87,11 +87,10 @@ def status(
     """Show how far a search is, and the best that it has found."""
     from dataclasses import asdict
 
-    from pneuma.search.record import read_record
     from pneuma.search.recorded import begun_runs
 
     store = Store(results)
-    record = read_record(store, search_run.record_name(name, setting))
+    record = search_run.recorded(store, name, setting)
     begun = begun_runs(store, record)
     if json:
         kept = ("search", "trials", "best", "storage", "optuna_study", "seeds", "steps", "trials_asked")
@@ -145,9 +144,8 @@ def plot(
         paths = draw_files(store, out, lambda folder: draw_sensitivity(data, document, folder, formats))
     else:
         from pneuma.figures.search import draw_search
-        from pneuma.search.record import read_record
 
-        record = read_record(store, stem)
+        record = search_run.recorded(store, name, setting)
         wanted = tuple(what or PLOTS)
         paths = draw_files(store, out, lambda folder: draw_search(record, folder, wanted, formats))
     if json:

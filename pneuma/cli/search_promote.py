@@ -23,7 +23,7 @@ from pneuma.cli.options import (
     say,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.search_run import RunSteps, SearchName, record_name
+from pneuma.cli.search_run import RunSteps, SearchName, recorded
 from pneuma.cli.study_run import exit_code, train, train_cells
 from pneuma.study import plan, spec
 from pneuma.study.executors.base import Supervision
@@ -50,12 +50,11 @@ def promote(
 ) -> int:
     """Train a search's winner and its baseline on fresh seeds, and say how much of its gain was luck."""
     from pneuma.search import promote as promoting
-    from pneuma.search.record import read_record
     from pneuma.search.recorded import recorded_search
     from pneuma.search.spec import load_search
 
     store = Store(results)
-    record = read_record(store, record_name(name, setting))
+    record = recorded(store, name, setting)
     search = recorded_search(
         load_search(name if name.endswith(".toml") else _source(record, name), setting), record
     )
@@ -92,10 +91,13 @@ def run_sensitivity(
 ) -> int:
     """Train the study of one hyperparameter at a time; return the exit code."""
     from pneuma.search.driver import check_outcomes
-    from pneuma.search.sensitivity import plan_sensitivity, save_points
+    from pneuma.search.sensitivity import left_out, plan_sensitivity, save_points
 
     check_outcomes(task)
     planned = plan_sensitivity(task)
+    if left := left_out(task):
+        told = f"left out, as the base has no value of it in the space: {', '.join(left)}"
+        say(f"Note: {told}.", as_json=True, quiet=quiet)
     code = train(planned, store, how, retry_failed, json, quiet)
     save_points(store, task)
     name = task.search.name

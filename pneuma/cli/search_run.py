@@ -99,6 +99,9 @@ def run(
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
     how = Supervision(workers=read_workers(workers, place), place=place)
     if sensitivity:
+        for option, given in (("--trials", trials), ("--storage", storage)):
+            if given is not None:
+                raise UserError(f"{option} {given}: does not go with --sensitivity, which searches nothing")
         from pneuma.cli.search_promote import run_sensitivity
 
         return run_sensitivity(task, store, how, retry_failed, json, quiet)
@@ -127,6 +130,14 @@ def record_name(name: str, setting: str | None) -> str:
     if setting not in (None, *SETTINGS):
         raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
     return in_setting(Path(name).stem if name.endswith(".toml") else name, setting or TEXT)
+
+
+def recorded(store: Store, name: str, setting: str | None) -> dict[str, Any]:
+    """Return the record of the search that a person names."""
+    from pneuma.search.record import read_record
+
+    own_file = f"{name} --setting {setting}" if setting else name
+    return read_record(store, record_name(name, setting), own_file if name.endswith(".toml") else "")
 
 
 def read_search_seeds_option(text: str) -> tuple[int, ...]:

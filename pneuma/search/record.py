@@ -11,6 +11,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.search.record_shape import is_record
 from pneuma.search.spec import Search, list_searches
 from pneuma.search.trials import Task, Told
+from pneuma.study.definition import split_setting
 from pneuma.study.files import read_sealed, seal, to_json
 from pneuma.study.store import Store
 
@@ -56,8 +57,13 @@ def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, op
     store.write(_path(store, search.name), seal(document))
 
 
-def read_record(store: Store, name: str) -> dict[str, Any]:
+def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:
     """Return a search's record.
+
+    Args:
+        store: the results folder.
+        name: what the record is called.
+        called: what a person called the search, where that is the path of its file.
 
     Raises:
         UserError: where it was never run here, or its record is damaged.
@@ -68,12 +74,12 @@ def read_record(store: Store, name: str) -> dict[str, Any]:
         return document
     if path.exists() or path.is_symlink():
         raise UserError(
-            f"{path}: damaged; `pneuma search run {name}` writes it anew and trains nothing twice"
+            f"{path}: damaged; `pneuma search run {called or name}` writes it anew and trains nothing twice"
         )
-    if name not in list_searches() and name not in known_searches(store):
+    if not called and split_setting(name)[0] not in list_searches():
         raise unknown_name("search", name, sorted({*list_searches(), *known_searches(store)}))
     raise UserError(
-        f"search {name} was not run in {store.root}: run `pneuma search run {name}` first, "
+        f"search {name} was not run in {store.root}: run `pneuma search run {called or name}` first, "
         "or name the folder with --results"
     )
 

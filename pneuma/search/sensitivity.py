@@ -49,12 +49,18 @@ def points(task: Task) -> list[Point]:
     found = []
     for parameter in space.parameters:
         if parameter.name not in base:
-            continue  # it does not count beside the base's settings
+            continue  # `left_out` tells of it
         own = base[parameter.name]
         for value in _values(parameter, own):
             shown = f"{value:.4g}" if isinstance(value, float) else str(value)
             found.append(Point(parameter.name, value, f"{parameter.name}={shown}", value == own))
     return found
+
+
+def left_out(task: Task) -> list[str]:
+    """Return the parameters of which the base has no value in the space, or that do not count beside it."""
+    base = _base_params(task)
+    return [parameter.name for parameter in task.search.space.parameters if parameter.name not in base]
 
 
 def plan_sensitivity(task: Task) -> Plan:

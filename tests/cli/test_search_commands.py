@@ -157,6 +157,30 @@ def test_its_figures_are_the_same_bytes_twice(searched: tuple[Path, Path], tmp_p
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_a_figure_that_the_trials_are_too_few_for_says_what_it_needs(
+    searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, results = searched
+    arguments = ["search", "plot", str(path), "--results", str(results), "--out", str(tmp_path)]
+    assert main([*arguments, "--what", "importances", "--what", "front"]) == 0
+    assert capsys.readouterr().err == (
+        "nothing to draw: importances needs 10 complete trials that differ in value; front needs two objectives\n"
+    )
+
+
+def test_figures_in_a_results_folder_follow_no_link(searched: tuple[Path, Path], tmp_path: Path) -> None:
+    path, results = searched
+    mine = tmp_path / "mine.svg"
+    mine.write_text("mine")
+    figures = results / "figures"
+    figures.mkdir(exist_ok=True)
+    (figures / "search-small-history.svg").symlink_to(mine)
+    arguments = ["search", "plot", str(path), "--results", str(results), "--format", "svg"]
+    assert main([*arguments, "--what", "history"]) == 0
+    assert mine.read_text() == "mine"
+    assert b"</svg>" in (figures / "search-small-history.svg").read_bytes()
+
+
 def test_sensitivity_is_trained_and_drawn(searched: tuple[Path, Path], tmp_path: Path) -> None:
     path, results = searched
     arguments = ["search", "run", str(path), "--sensitivity", "--results", str(results), "--quiet"]
@@ -180,6 +204,11 @@ def test_sensitivity_is_trained_and_drawn(searched: tuple[Path, Path], tmp_path:
         (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),
         (["run", "ppo", "--storage", "nothing"], "--storage nothing:"),
         (["status", "ppo"], "search ppo was not run"),
+        (["status", "ppo", "--setting", "godot"], "search ppo-godot was not run"),
+        (["status", "my.toml"], "search my was not run"),
+        (["plot", "my.toml", "--setting", "godot"], "run `pneuma search run my.toml --setting godot` first"),
+        (["run", "ppo", "--sensitivity", "--trials", "3"], "--trials 3: does not go with --sensitivity"),
+        (["plot", "ppo", "--sensitivity", "--what", "slices"], "--what slices: does not go with"),
         (["plot", "ppo"], "search ppo was not run"),
         (["promote", "ppo"], "search ppo was not run"),
         (["plot", "ppo", "--what", "histroy"], "did you mean history"),

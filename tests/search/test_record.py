@@ -65,6 +65,10 @@ def test_another_search_of_the_name_takes_its_place(make_task: MakeTask, solve: 
         lambda r: r.update(storage=3),
         lambda r: r["identity"].update(objectives=[]),
         lambda r: r["identity"]["objectives"][0].update(over_seeds="most"),
+        # what the comments of a promoted study tell must not end one:
+        lambda r: r["identity"]["sampler"].update(name='tpe"\nfactors = { evil = 1 }\n#'),
+        lambda r: r["trials"][0].update(run_ids=["0123456789abcdef\nevil = 1"]),
+        lambda r: r.update(digest="0123456789ab\nevil = 1"),
     ],
 )
 def test_a_record_of_another_shape_is_damaged(

@@ -73,6 +73,8 @@ def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask, solve
 
     told = flat(solve(make_task(8), read=blank_for_relu))
     assert {(t.state, t.params["activation"]) for t in told} == {("failed", "relu"), ("complete", "tanh")}
+    why = "a run has no final-share-killed, or none that is finite"
+    assert {t.state: t.note for t in told} == {"failed": why, "complete": ""}
 
 
 def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -> None:
