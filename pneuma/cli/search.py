@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -148,18 +148,23 @@ def plot(
         record = search_run.recorded(store, name, setting)
         wanted = tuple(what or PLOTS)
         paths = draw_files(store, out, lambda folder: draw_search(record, folder, wanted, formats))
+        if not paths:
+            print(_why_nothing(record, wanted), file=sys.stderr)
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
         print(f"wrote {plain(str(path))}")
-    if not paths and record["best"] in (None, []):
-        print("nothing to draw yet: no trial is complete", file=sys.stderr)
-    elif not paths:
-        from pneuma.figures.search import NEEDS
-
-        needs = "; ".join(f"{name} needs {NEEDS[name]}" for name in wanted)
-        print(f"nothing to draw: {needs}", file=sys.stderr)
     return None
+
+
+def _why_nothing(record: Mapping[str, Any], wanted: Sequence[str]) -> str:
+    """Say why a search has none of the figures that were asked for."""
+    from pneuma.figures.search import NEEDS
+
+    if record["best"] in (None, []):
+        return "nothing to draw yet: no trial is complete"
+    needs = "; ".join(f"{name} needs {NEEDS[name]}" for name in wanted)
+    return f"nothing to draw: {needs}"
 
 
 def _sensitivity(store: Store, search: str) -> tuple[StudyData, dict[str, Any]]:
