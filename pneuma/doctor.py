@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.checksums import is_whole
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 from pneuma.study import spec
 from pneuma.study.executors.local import available_cores, one_thread_environment
 from pneuma.study.store import Store
@@ -323,8 +323,7 @@ def _is_whole(path: Path) -> bool:
 def _extra(module: str) -> Finding:
     extra, use = EXTRAS[module]
     if find_spec(module) is None:
-        mend = f"pip install 'pneuma[{extra}]'"
-        return Finding(f"extra {extra}", NOTE, f"not installed; it is for {use}", mend)
+        return Finding(f"extra {extra}", NOTE, f"not installed; it is for {use}", install_extra(extra))
     return Finding(f"extra {extra}", GOOD, f"for {use}")
 
 

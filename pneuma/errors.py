@@ -14,6 +14,11 @@ class UserError(Exception):
     """A mistake in a command or a file, told in one line that says what to mend."""
 
 
+def install_extra(name: str) -> str:
+    """Return how to install one of the extras; from its folder, for the index has another `pneuma`."""
+    return f"pip install '.[{name}]' in Pneuma's folder"
+
+
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun: 1 run, 2 runs, 10,000 runs."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"

@@ -158,7 +158,7 @@ def test_a_missing_extra_stops_nothing(
 ) -> None:
     monkeypatch.setattr(doctor, "EXTRAS", {"no_such_module": ("none", "nothing")})
     assert main(["doctor", "--results", str(tmp_path)]) == 0
-    assert "pip install 'pneuma[none]'" in capsys.readouterr().out
+    assert "pip install '.[none]'" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ from pneuma.config import (
 from pneuma.engines.policy import LEAKY_SLOPE, Policy, read_policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 
 ONNX_OPSET = 17
 ONNX_IR_VERSION = 8
@@ -201,7 +201,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     try:
         from onnx import TensorProto, checker, helper
     except ImportError:
-        raise UserError(".onnx needs onnx: pip install 'pneuma[onnx]', or choose .zip") from None
+        raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
     features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
     told = "logits" if policy.exploration is None else "action_values"
     nodes, arrays = _onnx_layers("actor", policy.actor, policy.activation, told)

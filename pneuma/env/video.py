@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pneuma.errors import UserError, nearest_name
+from pneuma.errors import UserError, install_extra, nearest_name
 
 SUFFIXES = (".gif", ".mp4", ".png")
 
@@ -68,7 +68,7 @@ def check_video(path: Path, frames_per_second: float) -> None:
             f"frames per second = {frames_per_second:g} is not allowed: above 0 and at most {fastest:g}"
         )
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise UserError(f"{path}: .mp4 needs imageio-ffmpeg: pip install 'pneuma[video]', or choose .gif")
+        raise UserError(f"{path}: .mp4 needs imageio-ffmpeg: {install_extra('video')}, or choose .gif")
     if path.is_dir():
         raise UserError(f"{path}: is a folder; name a file")
     if not path.absolute().parent.is_dir():

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 
 KEYS = {
     "up": ("UP", "w"), "left": ("LEFT", "a"), "down": ("DOWN", "s"), "right": ("RIGHT", "d"),
@@ -111,4 +111,4 @@ def _load_pygame() -> Any:
     try:
         return importlib.import_module("pygame")
     except ImportError:
-        raise UserError("a window needs pygame-ce: pip install 'pneuma[play]'") from None
+        raise UserError(f"a window needs pygame-ce: {install_extra('play')}") from None

@@ -12,7 +12,7 @@ import numpy as np
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import StudyData
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 from pneuma.search.database import Database
 from pneuma.search.record import check_folder, lock_folder, save_record
 from pneuma.search.trials import Task, Told, Train, conduct, make_trial_plan
@@ -83,7 +83,7 @@ def check_outcomes(task: Task) -> None:
         if len(search.objectives) > 1:
             raise UserError("sampler cma-es: goes with one objective alone; tpe and nsga-ii take several")
         if find_spec("cmaes") is None:
-            raise UserError("sampler cma-es: needs an extra package: pip install 'pneuma[cmaes]'")
+            raise UserError(f"sampler cma-es: needs an extra package: {install_extra('cmaes')}")
     if search.pruner["name"] == "wilcoxon" and search.objectives[0].over_seeds == "deviation":
         raise UserError("pruner wilcoxon: compares seed by seed, which a deviation does not have")
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 
 _LENGTH, _CHECKSUM = struct.Struct("<Q"), struct.Struct("<I")
 _HEAD = _LENGTH.size + _CHECKSUM.size
@@ -104,7 +104,7 @@ def _tensorboard() -> tuple[Any, type[Exception], Any]:
         from tensorboard.util import tensor_util
     except ImportError:
         raise UserError(
-            "reading TensorBoard logs needs the tensorboard package: pip install 'pneuma[tensorboard]'"
+            f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
         ) from None
 
     def scalar_of(value: Any) -> float | None:

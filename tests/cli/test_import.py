@@ -93,7 +93,7 @@ def test_without_the_extra_one_line_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "tensorboard.compat.proto", None)
     line = _refused("import", "tensorboard", logs, "--results", tmp_path / "r")
-    assert "pip install 'pneuma[tensorboard]'" in line
+    assert "pip install '.[tensorboard]'" in line
     assert not (tmp_path / "r").exists()
 
 

@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 from pneuma.study.executors.local import available_cores
 from pneuma.study.provenance import machine
 
@@ -75,7 +75,7 @@ def join(address: str | None) -> Cluster:
     try:
         import ray
     except ImportError:
-        raise UserError("--executor ray: Ray is not installed; pip install 'pneuma[ray]'") from None
+        raise UserError(f"--executor ray needs Ray: {install_extra('ray')}") from None
     _silence()
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:

@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError, nearest_name
+from pneuma.errors import UserError, install_extra, nearest_name
 from pneuma.study.executors.slurm_job import Training
 from pneuma.study.executors.submissions import Submission
 
@@ -270,7 +270,7 @@ def check_programs() -> None:
     try:
         import_module("submitit")
     except ImportError:
-        raise UserError("--executor slurm needs submitit: pip install 'pneuma[slurm]'") from None
+        raise UserError(f"--executor slurm needs submitit: {install_extra('slurm')}") from None
 
 
 def _answer(command: Sequence[str], text: str = "") -> str:
