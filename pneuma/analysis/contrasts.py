@@ -173,7 +173,9 @@ def _one_sample(
     """Test a mean of differences by turning their signs, which supposes that they lie alike to both sides."""
     signs = permutation.sign_flips(differences.size, generator)
     shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
-    p_greater, p_less = permutation.tails(signs @ (differences + shifts[:, None]).T)
+    samples = differences + shifts[:, None]
+    size = np.abs(samples).max()  # so that units do not matter to what counts as equal
+    p_greater, p_less = permutation.tails(signs @ (samples / (size or 1.0)).T)
     found = two_one_sided(p_greater, p_less, 1)
     interval = intervals.mean_interval(differences)
     return _contrast(kind, float(differences.mean()), interval, found, seeds, 1 / len(signs))

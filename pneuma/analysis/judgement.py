@@ -223,7 +223,9 @@ def _decided(pair: Pair, verdict: Verdict, claim: Claim, left: int) -> Pair:
             f"and {left} contrasts are open"
         )
         return replace(pair, verdict=UNTESTABLE, contrast=replace(pair.contrast, reason=told))
-    return replace(pair, verdict=UNTESTABLE) if pair.contrast.reason else pair
+    if not pair.contrast.reason or pair.verdict != INCONCLUSIVE:
+        return pair  # equivalence may be shown by fewer runs than a difference takes
+    return replace(pair, verdict=UNTESTABLE)
 
 
 def _planned(
@@ -235,7 +237,7 @@ def _planned(
         if pair.verdict != INCONCLUSIVE or place == LOGS or claim.value is not None or claim.only:
             return None  # of runs that count alone, nobody knows beforehand how many there are
         a, b = (_counted(claim, runs.arm(claim, place, name).values) for name in (pair.a, pair.b))
-        return seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family)
+        return seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family, claim.direction)
 
     return tuple(replace(pair, seeds_needed=needed(pair)) for pair in pairs)
 

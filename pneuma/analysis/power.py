@@ -17,7 +17,13 @@ MOST_SEEDS = 10_000
 
 
 def seeds_needed(
-    kind: str, a: ArrayLike, b: ArrayLike, margin: float | None, alpha: float, power: float = 0.8
+    kind: str,
+    a: ArrayLike,
+    b: ArrayLike,
+    margin: float | None,
+    alpha: float,
+    direction: str = "unlike",
+    power: float = 0.8,
 ) -> int | None:
     """Return how many seeds each arm needs, in all, for a contrast to be decided either way.
 
@@ -27,6 +33,8 @@ def seeds_needed(
         b: the same of the other arm.
         margin: as for `compare`; decided is also what is shown to lie within it.
         alpha: the error rate that the two-sided test must reach, after any correction.
+        direction: what is claimed, of `pneuma.analysis.verdicts.DIRECTIONS`: a claim of no difference is
+            not decided by any difference, but by one beyond the margin.
         power: the chance with which it is to be decided.
 
     Returns:
@@ -41,7 +49,8 @@ def seeds_needed(
         return None
     effect, error, width = plan
     counts = np.arange(2, MOST_SEEDS + 1)
-    enough = _power(effect, error / np.sqrt(counts), width, alpha, counts) >= power
+    degrees = (counts - 1) * (1.0 if kind == "paired" else 2.0)
+    enough = _power(effect, error / np.sqrt(counts), width, alpha, degrees, direction) >= power
     fewest = _fewest(kind, alpha)
     decided = counts[enough & (counts >= fewest)]
     return int(decided[0]) if decided.size else None
@@ -89,11 +98,19 @@ _SCALES: dict[str, Callable[[np.ndarray, np.ndarray, float | None], _Plan]] = {
 }
 
 
-def _power(effect: float, error: np.ndarray, margin: float, alpha: float, counts: np.ndarray) -> np.ndarray:
-    """Return the chance that the difference, or else equivalence, is shown at each count."""
-    cut = special.stdtrit(2.0 * (counts - 1), 1 - alpha / 2)
-    different = special.ndtr(np.abs(effect) / error - cut)
-    cut = special.stdtrit(2.0 * (counts - 1), 1 - alpha)
+def _power(
+    effect: float, error: np.ndarray, margin: float, alpha: float, degrees: np.ndarray, direction: str
+) -> np.ndarray:
+    """Return the chance that the difference, or else equivalence, is shown with each error."""
+    cut = special.stdtrit(degrees, 1 - alpha / 2)
+    if direction == "equal":
+        deciding = np.abs(effect) - margin
+    elif direction == "not-less":
+        deciding = max(effect, -effect - margin)
+    else:
+        deciding = np.abs(effect)
+    different = special.ndtr(deciding / error - cut)
+    cut = special.stdtrit(degrees, 1 - alpha)
     inside = special.ndtr((margin - effect) / error - cut) + special.ndtr((margin + effect) / error - cut) - 1
     return np.maximum(different, inside)
 

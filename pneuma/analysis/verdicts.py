@@ -92,7 +92,7 @@ def together(verdicts: Sequence[str], need: str) -> str:
 def smallest_p(contrast: Contrast, claimed: str) -> float:
     """Return the smallest p-value by which so many runs can support a claimed direction.
 
-    For equivalence it is a lower bound.
+    For equivalence it is a lower bound, but for shares, where it may be above what can be reached.
     """
     one_sided = {"greater": contrast.smallest_greater, "less": contrast.smallest_less}
     least = min(one_sided.values())

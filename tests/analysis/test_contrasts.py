@@ -54,13 +54,21 @@ def test_unequal_arms_are_tested_by_welchs_t_too(seed: int) -> None:
 
 def test_drawn_relabelings_come_close_to_all_of_them() -> None:
     generator = rng()
-    a, b = generator.normal(size=(2, 1, 8)) + [[[0.8]], [[0.0]]]
-    counted = two_arms.mean_p_values(a, b, 0.5, relabel(8, 8, generator))
-    labels = np.vstack(
-        [np.repeat([1.0, 0.0], 8), generator.permuted(np.tile([1.0, 0.0], (20_000, 8)), axis=1)]
-    )
-    drawn = two_arms.mean_p_values(a, b, 0.5, type(relabel(2, 2, generator))(labels, False))
-    assert np.concatenate(drawn) == pytest.approx(np.concatenate(counted), abs=0.01)
+    a, b = generator.normal(size=(2, 1, 10)) + [[[0.8]], [[0.0]]]
+    counted, drawn = (relabel(10, 10, generator, *draws) for draws in ((), (20_000,)))
+    assert counted.exact and len(counted.in_a) == 184_756 and not drawn.exact
+    found = [np.concatenate(two_arms.mean_p_values(a, b, 0.5, labels)) for labels in (counted, drawn)]
+    assert found[1] == pytest.approx(found[0], abs=0.01)
+    assert drawn.in_a[1:].mean(axis=0) == pytest.approx(0.5, abs=0.015)  # each run as often in either arm
+
+
+def test_what_ten_runs_against_ten_come_to_hangs_on_no_draw() -> None:
+    """In a list of claims a verdict rests on p-values of a few in ten thousand."""
+    generator = rng()
+    a, b = generator.normal(size=(2, 10)) + [[1.4], [0.0]]
+    for kind in ("mean", "spread"):
+        found = [compare(kind, a, b, 1.5, np.random.default_rng(seed)) for seed in (1, 2)]
+        assert found[0] == found[1]
 
 
 def test_a_drawn_relabeling_keeps_the_sizes_and_the_seen_one_comes_first() -> None:
@@ -85,6 +93,10 @@ def test_units_do_not_matter() -> None:
     own = compare("mean", A, B, 0.5, rng())
     other = compare("mean", [1e6 * a - 3e8 for a in A], [1e6 * b - 3e8 for b in B], 0.5e6, rng())
     assert (other.p_greater, other.p_equivalent) == pytest.approx((own.p_greater, own.p_equivalent))
+    large, small = (
+        compare("paired", [a * unit for a in A], [0.0] * len(A), None, rng()) for unit in (1, 1e-9)
+    )
+    assert small.p_greater == large.p_greater
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.2])

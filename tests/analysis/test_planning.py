@@ -38,6 +38,20 @@ def test_equivalence_may_decide_too() -> None:
     assert seeds_needed("mean", spaced(0, 1), spaced(0, 1), None, 0.05) is None
 
 
+def test_a_claim_of_no_difference_is_decided_by_what_lies_beyond_the_margin() -> None:
+    """0.8 beyond a margin of 0.2 is an effect of 0.6 deviations: 2 (1.96 + 0.84)² / 0.36 = 44 seeds."""
+    one, other = spaced(0.8, 1), spaced(0, 1)
+    asked = [
+        seeds_needed("mean", *arms, 0.2, 0.05, direction)
+        for arms, direction in [
+            ((one, other), "equal"), ((other, one), "equal"), ((other, one), "not-less"),
+            ((one, other), "not-less"), ((one, other), "greater"),
+        ]
+    ]  # fmt: skip
+    assert all(needed is not None and 44 <= needed <= 46 for needed in asked[:3])
+    assert all(needed is not None and 25 <= needed <= 27 for needed in asked[3:])  # 2 · 2.8² / 0.64 = 24.5
+
+
 def test_a_ratio_of_deviations_of_two_takes_some_thirty_seeds_in_a_list_of_25() -> None:
     needed = seeds_needed("spread", spaced(0, 2, 30), spaced(5, 1, 30), None, 0.05 / 25)
     assert needed is not None and 25 <= needed <= 50
