@@ -10,7 +10,7 @@ record keeps that its seeds were chosen by looking: a claim reads only the seeds
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sequential import Stage, decide, make_stages
 from pneuma.analysis.sources import open_study
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.tables import StudyData, looks_of
 from pneuma.analysis.verdicts import found
 from pneuma.config import stream_seed
 from pneuma.errors import UserError
@@ -78,12 +78,14 @@ def run_until_decided(
         train: trains what a plan lacks; False where it did not come to its end, and nothing is looked at.
 
     Raises:
-        UserError: before anything is trained, where the selection has no two conditions to compare; after
-            the first stage, where no run has what they are compared by.
+        UserError: before anything is trained, where the selection has no two conditions to compare, or its
+            runs were looked at by another plan; after the first stage, where no run has what they are
+            compared by.
     """
     stages = make_stages(most_seeds)
     plans = [make_plan(study, replace(selection, seeds=tuple(range(s.seeds)))) for s in stages]
     others = compared(plans[0])
+    _refuse_another_plan(store.selection(study.name) or {}, stages, plans[-1])
     looks: list[Look] = []
     for stage, planned in zip(stages, plans, strict=True):
         if not train(planned):
@@ -95,6 +97,20 @@ def run_until_decided(
         yield looks[-1]
         if looks[-1].decided:
             return
+
+
+def _refuse_another_plan(record: Mapping[str, Any], stages: Sequence[Stage], whole: Plan) -> None:
+    """Refuse to look at other stages at runs that were looked at: that spends the error rate twice."""
+    before = [stage.seeds for stage in stages]
+    if not looks_of(record) or record["adaptive"].get("stages") == before:
+        return
+    ids = {cell.run_id for cell in whole.cells}
+    if any(run["run_id"] in ids for run in record["runs"]):
+        at = ", ".join(map(str, looks_of(record)))
+        raise UserError(
+            f"study {whole.study.name}: was looked at with {at} seeds by another --max-seeds; looking again "
+            "would spend its error rate twice: give the same --max-seeds, or fix --seeds"
+        )
 
 
 def compared(planned: Plan) -> tuple[str, ...]:

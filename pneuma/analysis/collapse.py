@@ -109,15 +109,21 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     for run in data.runs:
         found = diagnose(data, run)
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
-        rows.append({**named, **vars(found), "signs": ", ".join(found.signs)})
-    frame = pd.DataFrame(rows).drop(columns="unseen")
+        told = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
+        rows.append({**named, **told})
+    frame = pd.DataFrame(rows)
     whole = ["onset_step", "onset_update", "sound_step", "recovered_step"]
     return frame.astype({**dict.fromkeys(whole, "Int64"), "relearned": "boolean"})
 
 
 def incidence(data: StudyData) -> pd.DataFrame:
-    """Return how many runs of each condition collapsed: counts, share and its 95 % interval."""
-    found = diagnoses(data)
+    """Return how many runs of each condition collapsed: counts, share and its 95 % interval.
+
+    Runs whose records can tell of no sign at all are left out; `unknown` counts them.
+    """
+    whole = diagnoses(data)
+    blind = whole["unseen"] == ", ".join(SIGNS)
+    found = whole[~blind]
     rows = []
     for condition in data.conditions:
         own = found[found["condition"] == condition]
@@ -135,6 +141,7 @@ def incidence(data: StudyData) -> pd.DataFrame:
                 "interval": interval.method,
                 "recovered": int(own["recovered_step"].notna().sum()),
                 "relearned": int(own["relearned"].fillna(False).sum()),
+                "unknown": int((blind & (whole["condition"] == condition)).sum()),
             }
         )
     return pd.DataFrame(rows)

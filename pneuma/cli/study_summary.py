@@ -28,7 +28,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import tell_left_out
 from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.study.cause_forks import plan_cause_forks
 from pneuma.study.executors.base import Supervision
 from pneuma.study.store import Store
@@ -212,9 +212,9 @@ def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame)
         print(f"{told}  {update}step {row['onset_step']:,}: {row['signs']}{after}{again}")
     for row in shares.to_dict("records"):
         interval = f", 95 % interval {row['low']:.0%} to {row['high']:.0%}" if row["runs"] else ""
-        print(
-            f"{plain(row['condition']):<{width}} {row['collapsed']} of {row['runs']} runs collapsed{interval}"
-        )
+        unknown = f"; of {counted(row['unknown'], 'run')} no sign is recorded" if row["unknown"] else ""
+        told = f"{row['collapsed']} of {row['runs']} runs collapsed{interval}{unknown}"
+        print(f"{plain(row['condition']):<{width}} {told}")
     if found["collapsed"].any():
         print(f"To show the cause: pneuma study collapse {plain(data.study)} --fork")
 

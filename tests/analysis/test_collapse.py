@@ -16,6 +16,7 @@ from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.signs import NO_ENTROPY
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
+from pneuma.cli import main
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
@@ -220,6 +221,22 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write
     assert found.unseen == ("one action", "dead units", "fall")
     assert found.relearned is None
     assert data.budget == BUDGET
+
+
+def test_logs_without_any_sign_are_not_said_to_have_kept_their_policy(
+    tmp_path: Path, write_events: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a DQN's: neither entropy nor evaluations."""
+    store = Store(tmp_path / "results")
+    for name, key in (("dqn_1", "train/loss"), ("ppo_1", "train/entropy_loss")):
+        points = [(key, 100 * k, -1.0) for k in range(1, 101)]
+        write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)  # type: ignore[operator]
+    import_tensorboard(tmp_path / "logs", store)
+    rows = incidence(open_study(store, store.selection("logs") or {})).to_dict("records")
+    told = {row["condition"]: (row["collapsed"], row["runs"], row["unknown"]) for row in rows}
+    assert told == {"dqn": (0, 0, 1), "ppo": (0, 1, 0)}
+    assert main(["study", "collapse", "logs", "--results", str(store.root)]) == 0
+    assert "0 of 0 runs collapsed; of 1 run no sign is recorded" in capsys.readouterr().out
 
 
 def test_a_learner_without_entropy_is_not_said_to_have_kept_it(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +94,18 @@ def test_a_study_whose_seeds_came_by_looking_says_so_while_it_goes_on_and_no_oth
     assert "seeds were added by --until-decided, which looked at 10 of them" in capsys.readouterr().out
     execute.prepare(make_plan(study, Selection(seeds=(0, 1, 2))), store)  # another question
     assert looks_of(store.selection(STUDY) or {}) == ()
+
+
+def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    study, store = load_study(STUDY), Store(tmp_path)
+    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.2))
+    looks = [look.stage.seeds for look in run_until_decided(study, Selection(), 20, store, written.train)]
+    with pytest.raises(UserError, match="was looked at with 10, 20 seeds by another --max-seeds"):
+        next(run_until_decided(study, Selection(), 40, store, written.train))
+    again = run_until_decided(study, Selection(), 20, store, written.train)
+    assert [look.stage.seeds for look in again] == looks  # the same looks at the same runs
+    longer = replace(study.in_setting("godot"), name=study.name)  # other runs
+    next(run_until_decided(longer, Selection(), 40, store, written.train))
 
 
 def test_a_strangers_record_of_looks_is_no_traceback() -> None:
