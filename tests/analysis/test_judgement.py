@@ -91,6 +91,21 @@ def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
     assert told.p == pytest.approx(2 / 12870)  # 16 over 8 relabelings; the one contrast of the list
 
 
+def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: Path) -> None:
+    """What `high` gained after `low` had ended counts nowhere."""
+    claims = _changed(
+        ("steps = 1024\n\n[logs]", "\n[logs]"),
+        ('direction = "greater"', 'direction = "greater"\nsteps = { high = 1024, low = 512 }'),
+    )
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": [[near, high] for near, high in zip(NEAR, HIGH, strict=True)]})
+    save_runs(store, tmp_path, {"low": LOW}, steps=512)
+    one = _one(store, tmp_path, claims)
+    assert one.told is not None
+    assert one.told.contrast.effect == pytest.approx(np.mean(NEAR) - np.mean(LOW), abs=1e-12)
+    assert one.verdict == "refuted"  # it is not greater: within the margin
+
+
 def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})

@@ -224,14 +224,15 @@ def test_an_unknown_outcome_is_told_with_those_there_are(data: StudyData, name: 
 
 
 @pytest.mark.parametrize("at_step", [None, 500])
-@pytest.mark.parametrize("name", [*(set(OUTCOMES) - {"wall-seconds", "steps-per-second"}), "steps-to:0.5"])
 def test_the_published_table_gives_the_same_numbers(
-    data: StudyData, tmp_path: Path, name: str, at_step: int | None
+    data: StudyData, tmp_path: Path, at_step: int | None
 ) -> None:
     again = republished(data, tmp_path)
-    for condition in data.conditions:
-        ours = outcome_values(data, condition, name, at_step)
-        np.testing.assert_array_equal(ours, outcome_values(again, condition, name, at_step))
+    for name in (*OUTCOMES, "steps-to:0.5"):
+        for condition in data.conditions if find_outcome(name).source != "times" else ():
+            ours = outcome_values(data, condition, name, at_step)
+            theirs = outcome_values(again, condition, name, at_step)
+            np.testing.assert_array_equal(ours, theirs, err_msg=name)
 
 
 @pytest.mark.parametrize("name", [*OUTCOMES, "steps-to:0.5"])

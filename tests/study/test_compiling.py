@@ -41,12 +41,13 @@ def test_a_second_worker_waits_and_compiles_only_if_the_first_failed(tmp_path: P
     other = _Other(tmp_path)
     with FirstCompile(RUN, tmp_path, told.append, threading.Event()) as first:
         other.start()
-        while not other.told:
+        deadline = time.monotonic() + 10
+        while not other.told and time.monotonic() < deadline:
             time.sleep(0.001)
         assert other.is_alive()
         if well:
             first.done()
-    other.join()
+    other.join(10)
     assert told == [COMPILES]
     assert other.told == ([WAITS] if well else [WAITS, COMPILES])
 

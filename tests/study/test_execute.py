@@ -306,7 +306,7 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
 def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    plan = _plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 40)
+    plan = _plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 600)  # not over before it is killed
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
     seen: list[Progress] = []
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ from pneuma.config import make_run
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.identity import run_id
-from pneuma.study.locks import RunLock
+from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Store
 
 RUN = make_run({"steps": 2048})
@@ -26,21 +24,27 @@ def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
 ) -> None:
     """A worker takes half a second of a core to find the lock taken; once was enough."""
     store, name = Store(tmp_path / "results"), run_id(RUN)
-    begun = list[float]()
+    begun, asked = list[object](), list[Path]()
     start = local._start
 
     def note(*arguments: Any) -> Any:
-        begun.append(time.monotonic())
+        begun.append(arguments)
         return start(*arguments)
 
+    def ask(folder: Path) -> bool:
+        asked.append(folder)
+        if len(asked) == 3:
+            other.close()
+        return is_held(folder)
+
     monkeypatch.setattr(local, "_start", note)
+    monkeypatch.setattr(local, "is_held", ask)
     monkeypatch.setattr(local, "BUSY_SECONDS", 0.05)
     events: list[Event] = []
     with ExitStack() as other:
         assert other.enter_context(RunLock(store.run_folder(name)))
-        threading.Timer(6.0, other.pop_all().close).start()
         local.run_groups([{name: RUN}], store, Supervision(1), events.append)
-    assert len(begun) == 2  # one that found it busy, one that trained it
+    assert len(begun) == 2 and len(asked) == 3  # one that found it busy, one that trained it
     assert [event["status"] for event in events if event["event"] == "end"] == ["done"]
 
 

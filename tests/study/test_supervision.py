@@ -9,10 +9,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 
@@ -48,7 +49,7 @@ def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = 
 def begin(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
     """Start `study run` in `folder`, with its results beside the study."""
     command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
-    return subprocess.Popen(
+    process = subprocess.Popen(
         ["bash", "-c", f'{limit} exec "$@"', "bash", *command, "--checkpoint-seconds", "0.1", *options],
         cwd=folder,
         env=one_thread_environment(),
@@ -56,6 +57,35 @@ def begin(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
         stderr=subprocess.PIPE,
         text=True,
     )
+    BEGUN.append(process)
+    return process
+
+
+BEGUN: list[subprocess.Popen[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def no_command_is_left() -> Iterator[None]:
+    """End what a failed test began: it would train for ever."""
+    yield
+    while BEGUN:
+        process = BEGUN.pop()
+        process.kill()
+        process.communicate()
+
+
+def wait_for_words(process: subprocess.Popen[str], words: str, seconds: float = 60.0) -> None:
+    """Wait until a command has told something on standard error."""
+    assert process.stderr is not None
+    found = threading.Event()
+
+    def read(lines: IO[str]) -> None:
+        for line in lines:
+            if words in line:
+                return found.set()
+
+    threading.Thread(target=read, args=(process.stderr,), daemon=True).start()
+    assert found.wait(seconds), words
 
 
 def run(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
@@ -216,8 +246,7 @@ def test_a_command_that_waits_for_another_is_stopped_by_one_ctrl_c(tmp_path: Pat
     first = begin(tmp_path, study)
     wait_until(lambda: checkpoints(tmp_path))
     second = begin(tmp_path, study)
-    assert second.stderr is not None
-    wait_until(lambda: "waiting for it" in second.stderr.readline())
+    wait_for_words(second, "waiting for it")
     second.send_signal(signal.SIGINT)
     assert second.wait(timeout=30) == 130
     first.send_signal(signal.SIGINT)
@@ -230,8 +259,7 @@ def test_a_crash_that_is_not_final_yet_is_gone_on_from_without_being_asked(tmp_p
     (tmp_path / "broken.py").write_text(REWARD)
     study = write_study(tmp_path, settings='reward = "broken:reward"')
     process = begin(tmp_path, study)
-    assert process.stderr is not None
-    wait_until(lambda: "tried once more" in process.stderr.readline())
+    wait_for_words(process, "tried once more")
     process.kill()
     process.communicate()
     store = Store(tmp_path / "results")

@@ -151,7 +151,8 @@ def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
 
 
 def test_progress_is_reported_sparingly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two updates within a fraction of a second are one report."""
+    """Two updates within the time between two reports are one."""
+    monkeypatch.setattr(worker, "REPORT_SECONDS", 1e3)
     _, _, events = _train(_Engine(), tmp_path, monkeypatch)
     steps = [event for event in events if event["event"] == "step"]
     assert steps == [{"event": "step", "run_id": run_id(RUNS[0]), "step": 256}]
