@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -275,14 +274,17 @@ def _player(
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
     if player == "hunter":
         return {}, lambda worlds: Hunter(worlds).act
-    from pneuma.engines.team import SHARED_FILE, policy_names, read_policies
+    from pneuma.engines.team import policy_names, read_policies
+    from pneuma.study.stored_runs import stored_run
 
     store = Store(results)
     player = _named_run(store, player)
-    run = json_module.loads(store.read_file(player, "run.json"))["run"]
-    if run["env"] != _base(name):
-        raise UserError(f"--player {player}: was trained in {run['env']}, not in {name}")
-    names = policy_names(store.file_names(player)) or [SHARED_FILE]
+    run = stored_run(store, player).settings
+    if run.get("env") != _base(name):
+        raise UserError(f"--player {player}: was trained in {run.get('env')}, not in {name}")
+    names = policy_names(store.file_names(player))
+    if not names:
+        raise UserError(f"--player {player}: the run left no policy")
     policy = read_policies([store.read_file(player, name) for name in names])
     return _stored_settings(run), lambda worlds: _acting(policy, worlds, seed, player)
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from pneuma.cli.options import Json, Results, print_json, say
+from pneuma.cli.plain_text import plain
 from pneuma.study.store import Store
 
 app = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
@@ -36,13 +37,13 @@ def tensorboard(
 
     done = import_tensorboard(folder, Store(results), name)
     for note in done.notes:
-        say(f"Note: {note}.", as_json=True)
+        say(plain(f"Note: {note}."), as_json=True)
     for run in done.runs:
         for words in run.damage:
-            say(f"Note: {run.shown}: {words}.", as_json=True)
+            say(plain(f"Note: {run.shown}: {words}."), as_json=True)
         if run.superseded:
             replaced = f"{run.superseded:,} of {run.points:,} points were written again after a restart"
-            say(f"Note: {run.shown}: {replaced}; the later ones count.", as_json=True)
+            say(plain(f"Note: {run.shown}: {replaced}; the later ones count."), as_json=True)
     if json:
         rows = [
             {

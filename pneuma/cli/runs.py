@@ -157,9 +157,10 @@ def _exported(
         raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
     data = store.read_file(run.run_id, _policy_file(run, player))
     from pneuma.engines import export as exports
+    from pneuma.engines.policy import read_sound_policy
 
     try:
-        settings, policy = _resolved(run), exports.read_sound_policy(data)
+        settings, policy = _resolved(run), read_sound_policy(data)
     except UserError as error:
         raise UserError(f"run {run.run_id}: {error}") from None
     if suffix == ".onnx":
@@ -209,7 +210,7 @@ def _print_settings(
         return
     print("\nSettings that are not the environment's and optimizer's defaults")
     for group, key in _grouped(differing):
-        print(f"  {group:<12} {key} = {_value(settings[key])}   (default {_value(usual.get(key))})")
+        print(f"  {group:<12} {plain(key)} = {_value(settings[key])}   (default {_value(usual.get(key))})")
     if not differing:
         print("  none")
     if not all_:
@@ -217,7 +218,7 @@ def _print_settings(
         return
     print("\nSettings at their defaults")
     for group, key in _grouped({key: value for key, value in settings.items() if key not in differing}):
-        print(f"  {group:<12} {key} = {_value(settings[key])}")
+        print(f"  {group:<12} {plain(key)} = {_value(settings[key])}")
 
 
 def _grouped(settings: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -292,7 +292,7 @@ def _tell_outcomes(
         if state.name == "diverged":
             say(f"{told} diverged at step {state.step:,}; its records count", as_json)
         elif state.name in ("crashed", "killed") and trace.is_file():
-            say(f"{told} {state.name}: {_cause(trace)}({trace})", as_json)
+            say(f"{told} {state.name}: {plain(_cause(trace))}({trace})", as_json)
         elif state.name in UNWELL:
             say(f"{told} {state.name} at step {state.step:,}", as_json)
     trained = sum(outcome.trained for outcome in outcomes)

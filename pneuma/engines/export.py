@@ -10,7 +10,6 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from pneuma.config import (
     env_config,
     settings_read,
 )
-from pneuma.engines.policy import LEAKY_SLOPE, Policy, read_policy
+from pneuma.engines.policy import LEAKY_SLOPE, Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, install_extra
@@ -47,39 +46,6 @@ _ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "relu": ("Relu", {}),
     "leaky-relu": ("LeakyRelu", {"alpha": LEAKY_SLOPE}),
 }
-
-
-def read_sound_policy(data: bytes) -> Policy:
-    """Read a stored policy that may be a stranger's, and check that it is one.
-
-    Raises:
-        UserError: when it is no policy, or its layers do not fit each other.
-    """
-    try:
-        policy = read_policy(data)
-        sound = _is_sound(policy)
-    except Exception:  # safetensors, JSON and shapes each fail in their own way
-        sound = False
-    if not sound:
-        raise UserError("policy.safetensors: is no policy of Pneuma's")
-    return policy
-
-
-def _is_sound(policy: Policy) -> bool:
-    """Tell whether a policy's layers fit each other."""
-    values_alone = policy.exploration is not None
-    for layers in (policy.actor,) if values_alone else (policy.actor, policy.critic):
-        sizes = [weight.shape for weight, _ in layers]
-        if not sizes or not all(before[1] == after[0] for before, after in pairwise(sizes)):
-            return False
-        if not all(bias.shape == (weight.shape[1],) for weight, bias in layers):
-            return False
-    if policy.activation not in _ACTIVATIONS:
-        return False
-    if policy.exploration is not None:
-        return not policy.critic and 0 <= policy.exploration <= 1
-    inputs = (layers[0][0].shape[0] for layers in (policy.actor, policy.critic))
-    return len({*inputs}) == 1 and policy.critic[-1][1].shape == (1,)
 
 
 # --- Stable-Baselines3 -----------------------------------------------------------------------------

@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from safetensors.numpy import load, save
+
+from pneuma.config import ACTIVATIONS
+from pneuma.errors import UserError
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
@@ -93,6 +97,39 @@ def read_policy(data: bytes) -> Policy:
         return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
 
     return Policy(about["activation"], layers("actor"), layers("critic"), about.get("exploration"))
+
+
+def read_sound_policy(data: bytes) -> Policy:
+    """Read a stored policy that may be a stranger's, and check that it is one.
+
+    Raises:
+        UserError: when it is no policy, or its layers do not fit each other.
+    """
+    try:
+        policy = read_policy(data)
+        sound = _is_sound(policy)
+    except Exception:  # safetensors, JSON and shapes each fail in their own way
+        sound = False
+    if not sound:
+        raise UserError("policy.safetensors: is no policy of Pneuma's")
+    return policy
+
+
+def _is_sound(policy: Policy) -> bool:
+    """Tell whether a policy's layers fit each other."""
+    values_alone = policy.exploration is not None
+    for layers in (policy.actor,) if values_alone else (policy.actor, policy.critic):
+        sizes = [weight.shape for weight, _ in layers]
+        if not sizes or not all(before[1] == after[0] for before, after in pairwise(sizes)):
+            return False
+        if not all(bias.shape == (weight.shape[1],) for weight, bias in layers):
+            return False
+    if policy.activation not in ACTIVATIONS:
+        return False
+    if policy.exploration is not None:
+        return not policy.critic and 0 <= policy.exploration <= 1
+    inputs = (layers[0][0].shape[0] for layers in (policy.actor, policy.critic))
+    return len({*inputs}) == 1 and policy.critic[-1][1].shape == (1,)
 
 
 def flat(layers: Layers) -> np.ndarray:

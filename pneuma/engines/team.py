@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pneuma.engines.policy import Policy, read_policy
+from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.errors import UserError
 
 if TYPE_CHECKING:
@@ -88,6 +88,10 @@ def policy_names(files: Collection[str]) -> list[str]:
 
 
 def read_policies(contents: list[bytes]) -> Policy | Team:
-    """Read the contents of `policy_names` back."""
-    policies = tuple(read_policy(data) for data in contents)
+    """Read the contents of `policy_names` back.
+
+    Raises:
+        UserError: for what is no policy.
+    """
+    policies = tuple(read_sound_policy(data) for data in contents)
     return policies[0] if len(policies) == 1 else Team(policies)

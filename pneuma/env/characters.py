@@ -17,7 +17,7 @@ import numpy as np
 from pneuma.config import SHIPPED_CHARACTERS
 from pneuma.env import state
 from pneuma.env.level import Level
-from pneuma.env.tiled import START_CODE
+from pneuma.env.tiled import START_CODE, read_text
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.values import Number, Several, Text
 
@@ -229,9 +229,10 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
 
 def _read_file(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
     """Read and check a file of characters."""
+    text = read_text(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
         raise UserError(f"{path}: not TOML: {error}") from None
     for group, members in data.items():
         if group not in _FORM:

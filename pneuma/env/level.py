@@ -282,7 +282,7 @@ def _read_header(folder: Path) -> Header:
     text = tiled.read_text(path)
     try:
         values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not TOML: {error}") from None
     read = {key: _header_value(key, value, _line_of(key, path, text)) for key, value in values.items()}
     if "ground" in read and "coast" not in read:

@@ -69,11 +69,12 @@ def load_reward(name: str) -> RewardFunction:
         sys.path.insert(0, path)
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:  # whatever a stranger's module does when it is read
+    except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is read
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:
-        if added:
+        if added:  # behind all others, for what the function itself imports when it is called
             sys.path.remove(path)
+            sys.path.append(path)
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")

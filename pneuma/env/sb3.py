@@ -71,7 +71,6 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         self._lengths = np.zeros(self.num_envs, np.int64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._actions = np.zeros(self.num_envs, np.int64)
-        self._quiet_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         self._no_dones = np.zeros(self.num_envs, np.bool_)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -114,10 +113,8 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         self._returns += slots.rewards
         self._lengths += 1
         self._steps_taken += 1
-        infos, dones = self._quiet_infos, self._no_dones
-        if ended:
-            dones = slots.terminated | slots.truncated
-            infos = [self._end(i) if dones[i] else {} for i in range(self.num_envs)]
+        dones = slots.terminated | slots.truncated if ended else self._no_dones
+        infos = [self._end(i) if dones[i] else {} for i in range(self.num_envs)]
         if slots.world_over.any():
             self.state.reset(slots.world_over)
             self._lengths[slots.of_worlds(slots.world_over)] = 0  # idle slots begin again as well

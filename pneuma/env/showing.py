@@ -71,7 +71,7 @@ class ShowsWorld:
 
     def _show(self) -> None:
         """Bring the window up to date, if there is to be one."""
-        if self.render_mode != "human":
+        if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
         frame = self._frame(0)
         if self._window is None:

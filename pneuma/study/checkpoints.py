@@ -28,7 +28,7 @@ from pneuma.engines.records import (
     Row,
     columns_of,
 )
-from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name
+from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name, read_whole
 from pneuma.study.tables import from_parquet, to_parquet
 
 FOLDER = CHECKPOINTS
@@ -70,7 +70,7 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] |
     That is a file that is damaged, no checkpoint at all, or one of another step or run.
     """
     try:
-        data = file.path.read_bytes()
+        data = read_whole(file.path)
     except OSError:
         return None
     if checksum(data)[:16] != file.digest:

@@ -112,9 +112,10 @@ def _tensorboard() -> tuple[Any, type[Exception], Any]:
         if kind == "simple_value":
             return float(value.simple_value)
         if kind == "tensor" and value.metadata.plugin_data.plugin_name == "scalars":
+            if value.tensor.tensor_shape.dim:  # not made, however large it says that it is
+                return None
             try:
-                array = tensor_util.make_ndarray(value.tensor)
-                return float(array) if array.ndim == 0 else None
+                return float(tensor_util.make_ndarray(value.tensor))
             except (TypeError, ValueError):  # no number
                 return None
         return None

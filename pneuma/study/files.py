@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import re
+import stat
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -73,6 +75,24 @@ def _wait_for_disk(descriptors: Sequence[int]) -> None:
     return None
 
 
+def read_whole(path: Path) -> bytes:
+    """Return what a file holds; a stranger's pipe is not waited for, nor a device read without end.
+
+    Raises:
+        OSError: when it cannot be read, or is no ordinary file.
+    """
+    with open(path, "rb", opener=_open_ordinary) as file:
+        return file.read()
+
+
+def _open_ordinary(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is no ordinary file")
+    return descriptor
+
+
 def to_json(value: object) -> bytes:
     """Return a value as indented JSON with a final newline."""
     return (json.dumps(value, indent=2) + "\n").encode()
@@ -87,7 +107,7 @@ def seal(document: Mapping[str, Any]) -> bytes:
 def read_sealed(path: Path) -> dict[str, Any] | None:
     """Return a document that `seal` wrote; None where there is none, or not as it was written."""
     try:
-        document = json.loads(path.read_bytes())
+        document = json.loads(read_whole(path))
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:

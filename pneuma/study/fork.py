@@ -29,8 +29,9 @@ from pneuma.study.trust import own_things
 
 CONTROL = "control"
 FIXED = (
-    "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "magic", "observation",
-    "perceive", "slots", "learners", "horizon", "actor", "critic", "buffer_size", "seed",
+    "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
+    "magic", "observation", "perceive", "slots", "learners", "horizon", "actor", "critic", "buffer_size",
+    "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""
 

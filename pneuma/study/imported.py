@@ -250,8 +250,10 @@ def _scalars_table(scalars: Iterable[Scalar], superseded: list[bool]) -> bytes:
 def _study_name(folder: Path, name: str | None, store: Store) -> str:
     asked = folder.resolve().name if name is None else name
     study = asked if name is not None else re.sub(r"[^A-Za-z0-9._-]+", "-", asked).strip("-.")
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study):
-        raise UserError(f"--name {asked}: a study's name is letters, digits, dots, - and _; give another")
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study) or study.endswith(".toml"):
+        raise UserError(
+            f"--name {asked}: a study's name is letters, digits, dots, - and _, and not a file's (….toml)"
+        )
     if split_setting(study)[0] in list_studies():
         raise UserError(f"--name {study}: a shipped study is called that; give another")
     record = store.selection(study)

@@ -21,6 +21,8 @@ from pathlib import Path
 
 RENEW_SECONDS = 30.0
 STALE_SECONDS = 600.0
+LOOKS, LOOK_SECONDS = 5, 0.002
+"""How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
 """Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 
 
@@ -78,7 +80,7 @@ class RunLock:
         while True:
             self._descriptor = os.open(self._path, flags, 0o644)
             try:
-                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _take(self._descriptor)
             except BlockingIOError:
                 stale = _is_stale(self._descriptor)
                 if stale and self._is_there():  # and not that of who broke it just before
@@ -117,6 +119,19 @@ class RunLock:
             if self._is_there():  # and not another's, who broke this one
                 self._path.unlink(missing_ok=True)
             os.close(self._descriptor)
+
+
+def _take(descriptor: int) -> None:
+    """Lock a file for this process alone; who only looks, by `is_held`, is waited for.
+
+    Raises:
+        BlockingIOError: where another holds it.
+    """
+    for _ in range(LOOKS):
+        with suppress(BlockingIOError):
+            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        time.sleep(LOOK_SECONDS)
+    return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def is_held(folder: Path) -> bool:

@@ -17,6 +17,7 @@ out of it are refused, and nothing in it is ever run.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import tempfile
@@ -33,12 +34,13 @@ from pneuma.study.files import (
     checksum,
     read_checkpoint_name,
     read_sealed,
+    read_whole,
     replace_files,
     seal,
     to_json,
     write_whole,
 )
-from pneuma.study.locks import is_held
+from pneuma.study.locks import RunLock, is_held
 
 __all__ = ["FINISHED", "STATUSES", "Status", "Store", "run_document", "to_json", "write_whole"]
 
@@ -127,6 +129,18 @@ class Store:
             raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
         return self.root / "runs" / run_id
 
+    def lock(self, run_id: str) -> RunLock:
+        """Return the lock that whoever trains a run must hold.
+
+        Raises:
+            OSError: where the run's folder is a link, which may lead to a stranger's place.
+        """
+        folder = self.run_folder(run_id)
+        for part in (folder, folder / CHECKPOINTS):
+            if part.is_symlink():
+                raise OSError(errno.ELOOP, f"{part.name} is a link; remove it")
+        return RunLock(folder)
+
     def runs(self) -> list[str]:
         """Return the ids of all runs of which anything is stored, sorted."""
         try:
@@ -208,7 +222,7 @@ class Store:
         if name not in manifest["files"] or not _FILE_NAME.fullmatch(name):
             return None
         try:
-            data = (self.run_folder(run_id) / name).read_bytes()
+            data = read_whole(self.run_folder(run_id) / name)
         except OSError:
             return None
         return data if checksum(data) == manifest["files"][name] else None

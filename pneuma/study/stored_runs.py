@@ -15,7 +15,7 @@ from typing import Any
 
 from pneuma.config import as_settings, make_run
 from pneuma.errors import UserError
-from pneuma.study.files import read_sealed
+from pneuma.study.files import read_sealed, read_whole
 from pneuma.study.store import FINISHED, Status, Store
 
 SHORTEST_PREFIX = 4
@@ -227,7 +227,7 @@ def _document(store: Store, run_id: str, name: str) -> dict[str, Any]:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_bytes())
+        document = json.loads(read_whole(path))
     except (OSError, ValueError, RecursionError):
         return {}
     return document if isinstance(document, dict) else {}

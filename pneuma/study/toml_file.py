@@ -69,7 +69,7 @@ def read_toml(path: Path) -> TomlFile:
         raise UserError(f"{path}: cannot be read: {reason}") from None
     try:
         return TomlFile(path, text, tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
         raise UserError(f"{path}: not TOML: {error}") from None
 
 

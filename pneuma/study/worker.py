@@ -33,7 +33,6 @@ from pneuma.errors import UserError
 from pneuma.study.checkpoints import table_files
 from pneuma.study.compiling import FirstCompile, programs_folder
 from pneuma.study.identity import run_id
-from pneuma.study.locks import RunLock
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.resume import Resume
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -103,7 +102,7 @@ def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
         mine = {}
         for name, run in job.runs.items():
             try:
-                free = locks.enter_context(RunLock(job.store.run_folder(name)))
+                free = locks.enter_context(job.store.lock(name))
             except OSError as error:
                 reason = f"{job.store.run_folder(name)}: cannot be written ({error.strerror})"
                 reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
@@ -167,8 +166,9 @@ def _train_once(
         compiling.done()
         attempt = attempt.updated(progress.step)
         reporter.step(name, progress.step)
-        resume.update(progress, attempt, stop.is_set())
-        return not stop.is_set()
+        stopping = stop.is_set()
+        resume.update(progress, attempt, stopping)
+        return not stopping
 
     with FirstCompile(run, programs_folder(), tell, stop) as compiling:
         (result,) = engine.train([run], {0: start} if start else {}, update)

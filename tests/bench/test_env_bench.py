@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def test_a_rate_is_steps_over_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
         nonlocal now
         now += 1e-4
 
-    monkeypatch.setattr(bench.time, "perf_counter", lambda: now)
+    monkeypatch.setattr(time, "perf_counter", lambda: now)
     assert bench._rate(step, 0.05) == pytest.approx(10_000)
 
 

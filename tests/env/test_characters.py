@@ -310,4 +310,4 @@ def test_a_missing_file_is_told_and_a_misspelt_variant_the_nearest(tmp_path: Pat
 def test_a_file_that_is_no_text_is_told(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    assert complaint(str(path)).startswith(f"{path}: not TOML")
+    assert complaint(str(path)) == f"{path}: cannot be read: it is not UTF-8 text"

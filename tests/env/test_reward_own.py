@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,23 @@ def test_it_sees_for_how_long_each_player_lived(folder: Path, arena: str) -> Non
     assert rewards(worlds) == [103.0, 8.0]
     play(worlds, STAND)
     assert rewards(worlds) == [0.0, 8.0]
+
+
+def test_what_it_imports_when_it_is_called_is_found_beside_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path not in ("", str(folder))])
+    name = write(folder, "from own_bonus import BONUS\nreturn np.full(events.shape, BONUS)")
+    (folder / "own_bonus.py").write_text("BONUS = 2.5\n")
+    env = PneumaEnv(reward=name)
+    env.reset(seed=0)
+    assert env.step(np.int64(STAND))[1] == 2.5
+
+
+def test_a_module_that_would_end_the_command_is_told(folder: Path) -> None:
+    (folder / "own_exit.py").write_text("raise SystemExit(0)\n")
+    with pytest.raises(UserError, match="reward 'own_exit:pay': SystemExit: 0"):
+        PneumaEnv(reward="own_exit:pay")
 
 
 def test_it_may_pay_one_player_while_another_has_a_formula(folder: Path, arena: str) -> None:

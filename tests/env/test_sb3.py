@@ -270,6 +270,14 @@ def test_options_reach_the_next_reset_and_only_that() -> None:
     assert len(set(env.state.players["x"][:, 0].tolist())) > 1
 
 
+def test_what_a_wrapper_writes_into_infos_is_not_seen_at_the_next_step() -> None:
+    env = PneumaVecEnv(2)
+    env.reset()
+    infos = env.step(np.full(2, LEFT))[3]
+    infos[0]["goal"] = True
+    assert env.step(np.full(2, RIGHT))[3] == [{}, {}]
+
+
 def test_what_is_handed_out_is_not_overwritten() -> None:
     env = PneumaVecEnv([0], make_env_config({"episode_steps": 3}))
     kept: list[tuple[np.ndarray, np.ndarray]] = []

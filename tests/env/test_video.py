@@ -126,7 +126,7 @@ def test_what_cannot_be_written_is_told_before_a_frame_is_drawn(
 
 def test_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'pneuma\[video\]', or choose .gif"):
+    with pytest.raises(UserError, match=r"pip install '.\[video\]' in Pneuma's folder, or choose .gif"):
         video.write_video(tmp_path / "a.mp4", squares(3), 10)
 
 

@@ -106,7 +106,22 @@ def test_what_is_no_number_is_passed_over(tmp_path: Path) -> None:
     assert read_event_file((tmp_path / "events").read_bytes()).scalars == [Scalar("c", 3, 1.5)]
 
 
+def test_an_array_is_passed_over_however_large_it_says_that_it_is(tmp_path: Path) -> None:
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.summary.writer.record_writer import RecordWriter
+
+    event = Event(step=3)
+    value = event.summary.value.add(tag="a")
+    value.metadata.plugin_data.plugin_name = "scalars"
+    value.tensor.dtype = 1
+    value.tensor.float_val.append(1.5)
+    value.tensor.tensor_shape.dim.add(size=10**14)
+    with (tmp_path / "events").open("wb") as file:
+        RecordWriter(file).write(event.SerializeToString())
+    assert read_event_file((tmp_path / "events").read_bytes()).scalars == []
+
+
 def test_without_the_package_the_extra_is_named(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "tensorboard.compat.proto", None)
-    with pytest.raises(UserError, match=r"pip install 'pneuma\[tensorboard\]'"):
+    with pytest.raises(UserError, match=r"pip install '.\[tensorboard\]'"):
         read_event_file(data)

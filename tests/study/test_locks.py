@@ -28,6 +28,19 @@ def test_one_holder_at_a_time(tmp_path: Path) -> None:
         assert again
 
 
+def test_who_only_looks_keeps_nobody_out(tmp_path: Path) -> None:
+    """As `study status` does, again and again, while a run's end is to be stored."""
+    with RunLock(tmp_path):
+        looking = os.open(tmp_path / ".lock", os.O_RDONLY)
+    (tmp_path / ".lock").touch()
+    os.close(looking)
+    looking = os.open(tmp_path / ".lock", os.O_RDONLY)
+    fcntl.flock(looking, fcntl.LOCK_SH)
+    threading.Timer(locks.LOOK_SECONDS, os.close, (looking,)).start()
+    with RunLock(tmp_path) as mine:
+        assert mine
+
+
 def test_who_opened_the_file_before_it_was_removed_does_not_hold_the_lock_of_a_ghost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,10 @@ from pneuma.config import as_settings, make_run
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
+from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.executors.local import run_groups
 from pneuma.study.files import checksum, seal
+from pneuma.study.identity import run_id
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store, to_json
 
@@ -135,6 +138,36 @@ def test_a_sealed_record_that_makes_no_sense_is_none(store: Store, change: dict[
     assert store.selection("mine") is not None
     (store.root / "studies" / "mine.json").write_bytes(seal({**RECORD, **change}))
     assert store.selection("mine") is None
+
+
+@pytest.mark.parametrize("part", ["", "checkpoints"])
+def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_swept(
+    store: Store, tmp_path: Path, part: str
+) -> None:
+    run, theirs = make_run({"steps": 256}), tmp_path / "theirs"
+    theirs.mkdir()
+    for name in (".lock", ".netrc.bak"):
+        (theirs / name).write_text("mine")
+    folder = store.run_folder(run_id(run)) / part
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.symlink_to(theirs)
+    events = list[Event]()
+    run_groups([{run_id(run): run}], store, Supervision(1), events.append)
+    (end,) = [event for event in events if event["event"] == "end"]
+    assert end["status"] == "crashed" and "is a link; remove it" in end["reason"]
+    assert {path.name: path.read_text() for path in theirs.iterdir()} == {
+        ".lock": "mine", ".netrc.bak": "mine",
+    }  # fmt: skip
+
+
+def test_a_pipe_or_a_device_is_no_file_to_read(store: Store) -> None:
+    folder = store.run_folder("fedcba9876543210")
+    folder.mkdir(parents=True)
+    os.mkfifo(folder / "status.json")
+    assert store.status("fedcba9876543210").name == "damaged"
+    (folder / "status.json").unlink()
+    (folder / "status.json").symlink_to("/dev/zero")
+    assert store.status("fedcba9876543210").name == "damaged"
 
 
 # --- Checkpoints -----------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from pneuma.config import ACTION_NAMES, Run, stream_seed
+from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.networks import Networks, initial_networks, to_policy
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
@@ -38,6 +38,7 @@ class Learner:
         self.networks: Networks = initial_networks(run, features, actions, player)
         self.optimizer: Tree = to_numpy(initial_state(run.optimizer, self.networks))
         self.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
+        self._actions = actions
         self._numbers = run_numbers(run, player)
         self._size = np.zeros(run.minibatch, np.bool_)
 
@@ -62,7 +63,7 @@ class Learner:
             self._size,
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
-        shares = np.bincount(batch["actions"], minlength=len(ACTION_NAMES)) / count
+        shares = np.bincount(batch["actions"], minlength=self._actions) / count
         return {
             **{name: float(value) for name, value in told.items()},
             "explained_variance": _explained_variance(values, batch["returns"]),

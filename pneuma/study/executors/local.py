@@ -25,7 +25,7 @@ from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision, read_event
 from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.locks import RunLock, is_held
+from pneuma.study.locks import is_held
 from pneuma.study.store import Status, Store, run_document
 
 BUSY_SECONDS = 1.0
@@ -309,7 +309,7 @@ class _Supervisor:
         """Store how a run ended, unless another process has taken it over by now."""
         files = {"run.json": run_document(worker.task.group[name], name)}
         try:
-            with RunLock(self._store.run_folder(name)) as mine:
+            with self._store.lock(name) as mine:
                 if mine:
                     self._store.save_run(name, status, {**files, "error.txt": message} if message else files)
         except (UserError, OSError) as error:

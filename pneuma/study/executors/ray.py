@@ -33,7 +33,6 @@ from pneuma.study.executors.ray_cluster import (
 )
 from pneuma.study.executors.ray_home import Home
 from pneuma.study.executors.ray_node import Job, Message, Node
-from pneuma.study.locks import RunLock
 from pneuma.study.provenance import carried_code
 from pneuma.study.store import Status, Store
 from pneuma.study.trust import own_things
@@ -208,7 +207,7 @@ class _Driver:
         """Return the lock of a run that is to be trained; None where it is another's, or has ended."""
         with ExitStack() as stack:
             try:
-                free = stack.enter_context(RunLock(self._store.run_folder(name)))
+                free = stack.enter_context(self._store.lock(name))
             except OSError as error:
                 reason = f"{self._store.run_folder(name)}: cannot be written ({error.strerror})"
                 self._end(name, Status("crashed"), trained=True, reason=reason)

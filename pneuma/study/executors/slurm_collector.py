@@ -15,7 +15,6 @@ from pneuma.study.executors.base import TRIES, Event, OnEvent, read_event
 from pneuma.study.executors.slurm_desk import Desk, alone
 from pneuma.study.executors.slurm_queue import Job
 from pneuma.study.executors.submissions import Submission, open_submissions
-from pneuma.study.locks import RunLock
 from pneuma.study.store import Status, Store, run_document
 
 TAIL_SECONDS = 1.0
@@ -169,7 +168,7 @@ class Collector:
     def _save_end(self, name: str, reason: str) -> None:
         """Store that a run was killed, unless somebody trains it by now."""
         files = {"run.json": run_document(self._waiting[name], name), "error.txt": reason.encode()}
-        with suppress(UserError, OSError), RunLock(self._store.run_folder(name)) as mine:
+        with suppress(UserError, OSError), self._store.lock(name) as mine:
             if mine:
                 self._store.save_run(name, Status("killed"), files)
 

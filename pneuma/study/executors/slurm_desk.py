@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from tempfile import TemporaryFile
 
 from pneuma.config import Run, as_settings
@@ -87,7 +87,8 @@ class Desk:
                     made.append(self._submit_array(alike[first : first + MOST_IN_ARRAY], tries, gpu))
                 except UserError:
                     for submission in made:
-                        slurm_queue.take_back(submission)
+                        with suppress(UserError):  # it is the refusal that a person must know of
+                            slurm_queue.take_back(submission)
                     raise
         return made
 
