@@ -76,7 +76,7 @@ def check(
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
     from pneuma.algorithms import MAILMAN
     from pneuma.config import ENVIRONMENTS
-    from pneuma.env import REGISTERED
+    from pneuma.env import MO_ENVIRONMENTS, REGISTERED
     from pneuma.env.check import check_environment
 
     if all_ and name is not None:
@@ -86,8 +86,10 @@ def check(
         raise unknown_name("environment", names[0], REGISTERED)
     settings = _settings(set_)
     if len(names) > 1 and settings:
-        say(f"{MAILMAN} is left out: it has none of these settings", json)
-        names = tuple(each for each in names if each != MAILMAN)
+        vectors = MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()
+        left = [each for each in names if each in (MAILMAN, *vectors)]
+        say(f"Left out, as these settings do not go with them: {', '.join(left)}", json)
+        names = tuple(each for each in names if each not in left)
     failed, rows = 0, []
     for each in names:
         for verdict in check_environment(each, settings):

@@ -26,7 +26,7 @@ from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import MO_ENVIRONMENTS
 from pneuma.env.agreement import check_faces, check_restore
 from pneuma.env.blame import blame_reward
-from pneuma.env.single import PneumaMOEnv
+from pneuma.env.single import PneumaMOEnv, refuse_reward
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, unknown_name
 
@@ -75,8 +75,10 @@ def _check_settings(env_id: str, settings: Settings) -> tuple[tuple[str, ...], i
         _make(env_id, settings).close()
         return (), 1
     config = make_env_config(settings, _world_id(env_id))
-    if config.players > 1 and env_id in MO_ENVIRONMENTS:
-        raise UserError(f"players = {config.players} is not allowed: {env_id} has one player")
+    if env_id in MO_ENVIRONMENTS:
+        refuse_reward({**settings})
+        if config.players > 1:
+            raise UserError(f"players = {config.players} is not allowed: {env_id} has one player")
     try:
         Worlds(1, config)
     except UserError as error:

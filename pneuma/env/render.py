@@ -96,8 +96,9 @@ class Renderer:
         self.background, _ = self._scene(0)
         self._size = size or self._usual_size(scale)
         if min(self._size) < 1 or self._size[0] * self._size[1] > MOST_PIXELS:
+            of = f" (of scale {scale})" if scale and not size else ""
             raise UserError(
-                f"size = {self._size[0]} x {self._size[1]} is not allowed: both of at least 1, and "
+                f"size = {self._size[0]} x {self._size[1]}{of} is not allowed: both of at least 1, and "
                 f"{MOST_PIXELS:,} pixels at most"
             )
         self._panel = Panel(worlds, self._size[0]) if panel else None

@@ -16,6 +16,7 @@ from pneuma.cli import main
 from pneuma.config import ENVIRONMENTS, env_config, make_run
 from pneuma.engines.policy import Policy
 from pneuma.env import MO_ENVIRONMENTS, REGISTERED
+from pneuma.env import check as env_check
 from pneuma.env.worlds import Worlds
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store, run_document
@@ -82,6 +83,23 @@ def test_a_level_that_cannot_be_played_is_refused(tmp_path: Path, capsys: Captur
     assert len(told.splitlines()) == 1
 
 
+def test_vector_rewards_have_no_other_and_are_left_out_of_all(
+    monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    assert main(["env", "check", "pneuma/mo-Pneuma-v0", "--set", "reward=kills"]) == 2
+    assert "vector rewards are always the same parts" in capsys.readouterr().err
+    checked = list[str]()
+
+    def note(name: str, _: object) -> list[object]:
+        checked.append(name)
+        return []
+
+    monkeypatch.setattr(env_check, "check_environment", note)
+    assert main(["env", "check", "--all", "--set", "reward=kills"]) == 0
+    assert checked and not any("mo-" in name for name in checked)
+    assert "pneuma/mo-Pneuma-v0" in capsys.readouterr().out
+
+
 def test_the_whole_map_is_drawn(tmp_path: Path) -> None:
     out = tmp_path / "map.png"
     assert main(["env", "render", "pneuma/Pneuma-v0", "--out", str(out)]) == 0
@@ -106,7 +124,7 @@ def test_environments_are_told_apart(capsys: Captured) -> None:
 def test_settings_leave_the_mailman_out_aloud(capsys: Captured) -> None:
     assert main(["env", "check", "--all", "--set", "episode_steps=30", "--json"]) == 0
     output = capsys.readouterr()
-    assert "pneuma/Mailman-v0 is left out" in output.err
+    assert "do not go with them: pneuma/Mailman-v0\n" in output.err
     assert {row["env"] for row in json.loads(output.out)["checks"]} == {*ENVIRONMENTS, *MO_ENVIRONMENTS}
 
 
