@@ -268,7 +268,7 @@ def test_scale_is_how_many_pixels_an_art_pixel_gets(arena: str) -> None:
     worlds = stage(arena)
     assert Renderer(worlds, panel=False, scale=2).size == (640, 640)
     assert Renderer(worlds, "follow", panel=False, scale=2).size == (480, 352)
-    with pytest.raises(UserError, match="size = 16000 x 16000 \(of scale 50\) is not allowed"):
+    with pytest.raises(UserError, match=r"size = 16000 x 16000 \(of scale 50\) is not allowed"):
         Renderer(worlds, scale=50)
 
 
