@@ -339,7 +339,7 @@ def test_the_shipped_studies_are_listed() -> None:
 
 def test_show_says_what_a_study_compares() -> None:
     text = _call("study", "show", "activation").out
-    assert "activation: tanh (tanh), relu (relu), leaky-relu (leaky-relu)" in text
+    assert "activation: tanh (tanh); relu (relu); leaky-relu (leaky-relu)" in text
     assert "Compared with: relu" in text
     assert "gradient_limit = 0.5" in text
     document = _call("study", "show", "activation", "--json").document

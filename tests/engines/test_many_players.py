@@ -166,7 +166,8 @@ def test_the_first_learner_begins_as_a_lone_one_and_the_others_each_otherwise() 
 def test_a_team_gives_each_player_its_own_policys_actions() -> None:
     def always(action: int) -> Policy:
         layer = (np.zeros((4, 5), np.float32), np.float32(50) * (np.arange(5) == action))
-        return Policy("tanh", (layer,), (layer,))
+        value = (np.zeros((4, 1), np.float32), np.zeros(1, np.float32))
+        return Policy("tanh", (layer,), (value,))
 
     team = Team((always(3), always(1)))
     shown = np.zeros((6, 4), np.float32)
