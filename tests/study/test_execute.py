@@ -306,7 +306,7 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
 def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    plan = _plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 600)  # not over before it is killed
+    plan = _plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 200)  # not over before it is killed
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
     seen: list[Progress] = []
 
@@ -324,7 +324,7 @@ def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     assert json.loads(store.read_file(name, "run.json"))["run"] == as_settings(plan.cells[0].run)
 
     (outcome,) = _run(plan, store, 1, lambda _: None)
-    assert (outcome.status.name, outcome.status.step, outcome.trained) == ("done", 2560, True)
+    assert (outcome.status.name, outcome.status.step, outcome.trained) == ("done", 64 * 200, True)
     assert {path.name for path in store.run_folder(name).iterdir()} == FILES
     assert len(workers) == 3
 
