@@ -22,7 +22,7 @@ def seeds_needed(
     b: ArrayLike,
     margin: float | None,
     alpha: float,
-    direction: str = "unlike",
+    direction: str = "different",
     power: float = 0.8,
 ) -> int | None:
     """Return how many seeds each arm needs, in all, for a contrast to be decided either way.

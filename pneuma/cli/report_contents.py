@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from pneuma.cli.options import selecting_words
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
 from pneuma.config import BASES, as_settings, make_run
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.study import execute, plan, spec
 from pneuma.study.definition import in_setting
 from pneuma.study.store import FINISHED, Store
@@ -230,12 +230,8 @@ def _extent(record: Mapping[str, Any]) -> str:
     amounts = f"{steps[0]:,}" if len(steps) == 1 else f"{steps[0]:,} to {steps[-1]:,}"
     each = Counter(run["condition"] for run in runs)
     least, most = min(each.values()), max(each.values())
-    seeds = _count(most, "seed") if least == most else f"{least} to {most} seeds"
-    return f"{_count(len(each), 'condition')}, {seeds} each, {amounts} agent steps a run"
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" + ("" if number == 1 else "s")
+    seeds = counted(most, "seed") if least == most else f"{least} to {most} seeds"
+    return f"{counted(len(each), 'condition')}, {seeds} each, {amounts} agent steps a run"
 
 
 def _command(study: str, setting: str) -> str:

@@ -220,13 +220,9 @@ def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame)
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return rows as JSON holds them: null for what there is not, and for what is endless."""
-    finite = table.astype(object).where(table.notna(), None)
-    endless = (float("inf"), float("-inf"))
-    return [
-        {str(key): None if value in endless else value for key, value in row.items()}
-        for row in finite.to_dict("records")
-    ]
+    """Return rows for `print_json`: None for what there is not."""
+    known = table.astype(object).where(table.notna(), None)
+    return [{str(key): value for key, value in row.items()} for row in known.to_dict("records")]
 
 
 def _missing(value: object) -> bool:
