@@ -15,6 +15,7 @@ from pneuma.cli.options import (
     Steps,
     print_json,
     read_count,
+    read_path,
     read_selection,
     say,
 )
@@ -127,7 +128,10 @@ def scaling(
     folder: Annotated[
         Path | None,
         typer.Option(
-            "--folder", metavar="DIR", help="Where the runs lie meanwhile (default: a temporary one)."
+            "--folder",
+            metavar="DIR",
+            parser=read_path,
+            help="Where the runs lie meanwhile (default: a temporary one).",
         ),
     ] = None,
     json: Json = False,
@@ -144,10 +148,10 @@ def scaling(
     for row in bench_scaling(*sizes, folder):
         rows.append(row)
         memory = f"{row['peak_megabytes']:>8,.0f} MB"
-        say(f"{row['case']:<28} {row['seconds']:>8.1f} s {memory} at the peak", as_json=json)
+        say(f"{row['case']:<28} {row['seconds']:>8.1f} s {memory} at the peak", aside=json)
     stored = rows[0]
     size, rate = f"{stored['megabytes']:,.0f} MB", f"{stored['runs_per_second']:.0f} a second"
-    say(f"{stored['runs']:,} runs of {size} in all, stored {rate}", as_json=json)
+    say(f"{stored['runs']:,} runs of {size} in all, stored {rate}", aside=json)
     return print_json({"schema": 1, "cases": rows}) if json else None
 
 
@@ -165,7 +169,7 @@ def calibration(
     tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
     for table, row in bench_calibration(read_count("--lists", lists)):
         tables[table].append(row)
-        say(_told(table, row), as_json=json)
+        say(_told(table, row), aside=json)
     return print_json({"schema": 1, **tables}) if json else None
 
 

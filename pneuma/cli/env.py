@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, print_json, read_settings_options, say
+from pneuma.cli.options import Json, Results, print_json, read_path, read_settings_options, say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
@@ -106,7 +106,10 @@ def check(
 def render(
     name: EnvName,
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="A .png, or a .gif or .mp4 of an episode.")
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", parser=read_path, help="A .png, or a .gif or .mp4 of an episode."
+        ),
     ],
     episode: Annotated[
         bool, typer.Option("--episode", help="Play a whole episode, as .gif and .mp4 imply.")
@@ -152,10 +155,9 @@ def render(
     from pneuma.env.video import check_video, write_video
     from pneuma.env.watch import FRAMES_PER_SECOND, episode_frames
 
-    out = out.expanduser()
     check_video(out, FRAMES_PER_SECOND)
     moving = _is_moving(out, episode, player)
-    settings, make_act = _player(player or "random", name, seed, results.expanduser())
+    settings, make_act = _player(player or "random", name, seed, results)
     chosen = _settings(set_)
     if not trust:
         _refuse_strangers(player, {key: value for key, value in settings.items() if key not in chosen})
@@ -210,7 +212,7 @@ def _settings(texts: list[str] | None) -> dict[str, Any]:
     settings = read_settings_options(texts)
     for key in FILE_SETTINGS:
         if isinstance(settings.get(key), str) and settings[key].startswith("~"):
-            settings[key] = str(Path(settings[key]).expanduser())
+            settings[key] = str(read_path(settings[key]))
     return settings
 
 

@@ -37,13 +37,13 @@ def tensorboard(
 
     done = import_tensorboard(folder, Store(results), name)
     for note in done.notes:
-        say(plain(f"Note: {note}."), as_json=True)
+        say(plain(f"Note: {note}."), aside=True)
     for run in done.runs:
         for words in run.damage:
-            say(plain(f"Note: {run.shown}: {words}."), as_json=True)
+            say(plain(f"Note: {run.shown}: {words}."), aside=True)
         if run.superseded:
             replaced = f"{run.superseded:,} of {run.points:,} points were written again after a restart"
-            say(plain(f"Note: {run.shown}: {replaced}; the later ones count."), as_json=True)
+            say(plain(f"Note: {run.shown}: {replaced}; the later ones count."), aside=True)
     if json:
         rows = [
             {

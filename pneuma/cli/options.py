@@ -6,6 +6,7 @@ import functools
 import inspect
 import json
 import math
+import os
 import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -20,12 +21,20 @@ from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Plac
 from pneuma.study.plan import Selection
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
 
+
+def read_path(text: str) -> Path:
+    """Read a path as a shell does: a `~` that somebody's home folder can stand for is that folder."""
+    return Path(os.path.expanduser(text))
+
+
 StudyName = Annotated[
     str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
 ]
 Results = Annotated[
     Path,
-    typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept."),
+    typer.Option(
+        "--results", metavar="DIR", parser=read_path, envvar="PNEUMA_RESULTS", help="Where runs are kept."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but results and mistakes.")]
@@ -319,15 +328,15 @@ def _without_nan(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def say(text: str, as_json: bool = False, quiet: bool = False) -> None:
-    """Print a line for people: on standard error when standard output is for JSON.
+def say(text: str, aside: bool = False, quiet: bool = False) -> None:
+    """Print a line for people; aside is on standard error, where standard output is for a document.
 
     Nobody need read standard error for a command to go on.
     """
     if quiet:
         return
     try:
-        print(text, file=sys.stderr if as_json else sys.stdout)
+        print(text, file=sys.stderr if aside else sys.stdout)
     except BrokenPipeError:
-        if not as_json:
+        if not aside:
             raise

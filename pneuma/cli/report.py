@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from pneuma import __version__
-from pneuma.cli.options import Json, Quiet, Results, print_json, say
+from pneuma.cli.options import Json, Quiet, Results, print_json, read_path, say
 from pneuma.cli.plain_text import plain
 from pneuma.cli.report_contents import studies_to_report, study_section
 from pneuma.errors import UserError
@@ -20,7 +20,10 @@ ENDINGS = (".html", ".htm")
 
 
 def report(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The page to write, ending in .html.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="FILE", parser=read_path, help="The page to write, ending in .html."),
+    ],
     names: Annotated[
         list[str] | None,
         typer.Argument(metavar="[NAME]…", help="Studies; left out: all that are shipped or were run."),
@@ -30,7 +33,6 @@ def report(
     json: Json = False,
 ) -> None:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
-    out = out.expanduser()
     _check_out(out)
     store = Store(results)
     studies = studies_to_report(store, names or [])
@@ -39,7 +41,7 @@ def report(
 
     sections = []
     for place, study in enumerate(studies, 1):
-        say(f"{place}/{len(studies)} {plain(study)}", as_json=True, quiet=quiet)
+        say(f"{place}/{len(studies)} {plain(study)}", aside=True, quiet=quiet)
         sections.append(study_section(store, study))
     claims, note = judged_claims(store, studies)
     page = report_page(Report(claims, sections, note, __version__))

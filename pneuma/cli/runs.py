@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli.fork import fork
-from pneuma.cli.options import Json, Results, print_json
+from pneuma.cli.options import Json, Results, print_json, read_path
 from pneuma.cli.plain_text import plain
 from pneuma.config import EnvConfig, Run, make_run
 from pneuma.errors import UserError, nearest_name
@@ -104,7 +104,9 @@ def export(
     name: RunName,
     out: Annotated[
         Path,
-        typer.Option("--out", metavar="FILE", help="A .zip for Stable-Baselines3, or an .onnx."),
+        typer.Option(
+            "--out", metavar="FILE", parser=read_path, help="A .zip for Stable-Baselines3, or an .onnx."
+        ),
     ],
     trust: Annotated[
         bool, typer.Option("--trust", help="Open the run's own level and characters files, for its bounds.")
@@ -116,7 +118,6 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
-    out = out.expanduser()
     _check_out(out)
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))

@@ -11,7 +11,7 @@ import typer
 
 from pneuma.cli import search_promote, search_run
 from pneuma.cli.figure_files import Formats, draw_files, read_formats
-from pneuma.cli.options import Json, Results, SettingName, print_json
+from pneuma.cli.options import Json, Results, SettingName, print_json, read_path
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_choice
 from pneuma.cli.study_records import study_record
@@ -110,7 +110,10 @@ def status(
 def plot(
     name: search_run.SearchName,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", parser=read_path, help="Where to write (default: RESULTS/figures)."
+        ),
     ] = None,
     what: Annotated[
         list[str] | None,

@@ -67,10 +67,10 @@ def promote(
     store.check_writable()
     store.write(path, promoting.promoted_study(search, record, chosen).encode())
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
-    say(f"wrote {plain(str(path))}", as_json=True, quiet=quiet)
+    say(f"wrote {plain(str(path))}", aside=True, quiet=quiet)
     code = exit_code(train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet))
     if code:
-        say(f"Not all runs ended: pneuma study status {path} --results {store.root}", as_json=True)
+        say(f"Not all runs ended: pneuma study status {path} --results {store.root}", aside=True)
         return code
     gains = promoting.gains(search, record, chosen, planned, store)
     ends = [(cell.condition, store.status(cell.run_id).name) for cell in planned.cells]
@@ -97,13 +97,13 @@ def run_sensitivity(
     planned = plan_sensitivity(task)
     if left := left_out(task):
         told = f"left out, as the base has no value of it in the space: {', '.join(left)}"
-        say(f"Note: {told}.", as_json=True, quiet=quiet)
+        say(f"Note: {told}.", aside=True, quiet=quiet)
     code = train(planned, store, how, retry_failed, json, quiet)
     save_points(store, task)
     name = task.search.name
     say(
         f"Draw it with: pneuma search plot {name} --sensitivity --results {store.root}",
-        as_json=True,
+        aside=True,
         quiet=quiet,
     )
     return code

@@ -181,11 +181,11 @@ def _search(
     try:
         searched = run_search(task, store, storage, train, tell)
     except Unfinished as error:
-        say(f"Stopped: {error}", as_json=True)
+        say(f"Stopped: {error}", aside=True)
         return 1
     except KeyboardInterrupt as left:
         told = str(left) if isinstance(left, Detached) else "Stopped."
-        say(f"{told} The same command goes on where the search was stopped.", as_json=True)
+        say(f"{told} The same command goes on where the search was stopped.", aside=True)
         return 130
     from pneuma.search.record import best_number, trial_document
 
@@ -226,13 +226,13 @@ def _tell_generation(task: Task, generation: Sequence[Told], told: Sequence[Told
     for trial in generation:
         own = trial_document(trial, task.search)
         note = f" ({trial.note})" if trial.note else ""
-        say(f"trial {trial.number}: {trial.state}, {told_value(own)}{note}", as_json=True, quiet=quiet)
+        say(f"trial {trial.number}: {trial.state}, {told_value(own)}{note}", aside=True, quiet=quiet)
     if isinstance(best, int):
         value = told_value(trial_document(told[best], task.search))
-        say(f"{len(told)}/{task.budget.trials} trials; best {value}, trial {best}", as_json=True, quiet=quiet)
+        say(f"{len(told)}/{task.budget.trials} trials; best {value}, trial {best}", aside=True, quiet=quiet)
     else:
         front = ", ".join(map(str, best or ())) or "none"
-        say(f"{len(told)}/{task.budget.trials} trials; Pareto front: {front}", as_json=True, quiet=quiet)
+        say(f"{len(told)}/{task.budget.trials} trials; Pareto front: {front}", aside=True, quiet=quiet)
 
 
 def told_value(trial: Mapping[str, Any]) -> str:

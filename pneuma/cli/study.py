@@ -197,7 +197,7 @@ def _queued(store: Store) -> dict[str, Job]:
     try:
         return jobs_by_run(submissions)
     except UserError as error:
-        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}", as_json=True)
+        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}", aside=True)
         return {}
 
 

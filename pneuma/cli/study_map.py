@@ -15,6 +15,7 @@ from pneuma.cli.options import (
     SettingName,
     StudyName,
     print_json,
+    read_path,
     read_settings_options,
     selects,
 )
@@ -43,7 +44,10 @@ def robustness(
     ],
     outcome: Annotated[str, typer.Option("--outcome", metavar="NAME", help="What to compare.")] = PRIMARY,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Draw the map, and write the figure there.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", parser=read_path, help="Draw the map, and write the figure there."
+        ),
     ] = None,
     format: Formats = None,
     selection: Selected = None,

@@ -26,6 +26,7 @@ from pneuma.cli.options import (
     SettingName,
     StudyName,
     print_json,
+    read_path,
     say,
     selects,
 )
@@ -48,7 +49,10 @@ def export(
     name: StudyName,
     table: Annotated[str, typer.Option("--table", metavar="|".join(EXPORT_TABLES), help="What to export.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="The file to write; - for standard output.")
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", parser=read_path, help="The file to write; - for standard output."
+        ),
     ],
     format: Annotated[
         str | None,
@@ -201,7 +205,7 @@ def _with_other_studies(
         try:
             others += [read_published(store, study)] if study != data.study else []
         except UserError as error:
-            say(f"Note: {error}; its runs are not taken from it.", as_json=True)
+            say(f"Note: {error}; its runs are not taken from it.", aside=True)
     return with_other_studies(data, own, others, curves, rounding)
 
 
@@ -222,11 +226,11 @@ def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
     if isinstance(data.source, PartlyPublished):
         published = sum(run.run_id in data.source.published_ids for run in data.runs)
         of = f"{published} of {data.left_out + len(data.runs)} runs"
-        say(f"Note: {of} of {plain(data.study)} are not here, but taken from its table.", as_json=True)
+        say(f"Note: {of} of {plain(data.study)} are not here, but taken from its table.", aside=True)
     missing = data.left_out - found_elsewhere
     if missing:
         of = f"{missing} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
-        say(f"Note: {of} are not here, not finished or damaged, and left out.", as_json=True)
+        say(f"Note: {of} are not here, not finished or damaged, and left out.", aside=True)
 
 
 def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:

@@ -23,6 +23,7 @@ from pneuma.cli.options import (
     Steps,
     StudyPreset,
     print_json,
+    read_path,
     read_selection,
 )
 from pneuma.cli.plain_text import plain
@@ -111,7 +112,10 @@ def plot(
     ] = None,
     format: Formats = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where to write (default: RESULTS/figures).")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", parser=read_path, help="Where to write (default: RESULTS/figures)."
+        ),
     ] = None,
     preset: StudyPreset = None,
     seeds: Seeds = None,

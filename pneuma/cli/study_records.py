@@ -129,7 +129,7 @@ def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
     record = store.selection(stem)
     if record is None and store.selection_path(stem).exists() and _has_table(store, stem):
         path = store.selection_path(stem)
-        say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", as_json=True)
+        say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", aside=True)
     if record is not None and name.endswith(".toml"):
         execute.check_same_file(record, Path(name), store)
     return record

@@ -75,7 +75,7 @@ def plan_(
     measured = foresight.measured_runs(planned, statuses, store)
     paces = foresight.known_paces(measured, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
-        paces = foresight.calibrate(todo.values(), store, paces, lambda text: say(text, as_json=True))
+        paces = foresight.calibrate(todo.values(), store, paces, lambda text: say(text, aside=True))
     seconds: dict[str, float | None] = {}
     for cell in planned.cells:
         pace = paces.get(foresight.kind(cell.run))
@@ -188,15 +188,15 @@ def train_cells(
     """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C."""
     todo = execute.prepare(planned, store, retry_failed, how)
     for note in (*planned.notes, *todo.notes):
-        say(f"Note: {note}.", as_json=True, quiet=quiet)
+        say(f"Note: {note}.", aside=True, quiet=quiet)
     try:
         with ProgressDisplay(planned, todo.runs, how.workers, quiet, todo.kept) as display:
             outcomes = execute.execute(planned, todo.runs, store, how, display.update)
     except Detached as left:
-        say(str(left), as_json=True)
+        say(str(left), aside=True)
         return None
     except KeyboardInterrupt:
-        say("Stopped. The same command goes on where every run was stopped.", as_json=True)
+        say("Stopped. The same command goes on where every run was stopped.", aside=True)
         return None
     _tell_outcomes(planned, outcomes, store, json, quiet)
     return outcomes
@@ -220,7 +220,7 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
         except UserError as error:
             if study == planned.study.name:
                 raise
-            say(f"Note: {error}; its runs are trained.", as_json=True)
+            say(f"Note: {error}; its runs are trained.", aside=True)
     return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
 
 

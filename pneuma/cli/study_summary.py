@@ -20,6 +20,7 @@ from pneuma.cli.options import (
     Trust,
     Workers,
     print_json,
+    read_path,
     read_seeds_option,
     read_workers,
     selects,
@@ -78,7 +79,7 @@ def collapse(
     ] = FORK_SEEDS,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Draw the collapses into this folder."),
+        typer.Option("--out", metavar="DIR", parser=read_path, help="Draw the collapses into this folder."),
     ] = None,
     format: Formats = None,
     workers: Workers = None,

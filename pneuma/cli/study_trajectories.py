@@ -18,6 +18,7 @@ from pneuma.cli.options import (
     StudyName,
     Trust,
     print_json,
+    read_path,
     say,
     selects,
 )
@@ -53,7 +54,10 @@ def trajectories(
         ),
     ] = EPISODES,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Draw them on the map, into this folder.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", parser=read_path, help="Draw them on the map, into this folder."
+        ),
     ] = None,
     publish: Annotated[
         bool,
@@ -96,7 +100,7 @@ def trajectories(
     print(f"{plain(data.title)}: {found.per_run} episodes of each run, trained for {data.budget:,} steps")
     _print(data, table)
     if not files:
-        say("Draw them on the map with --out DIR.", as_json=True)
+        say("Draw them on the map with --out DIR.", aside=True)
     for path in files:
         print(f"wrote {plain(str(path))}")
     return None
@@ -121,7 +125,7 @@ def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
         )
     runs = own.episodes["run_id"].nunique()
     if runs < len(data.runs):
-        say(f"Note: trajectories are published of {runs} of these {len(data.runs)} runs.", as_json=True)
+        say(f"Note: trajectories are published of {runs} of these {len(data.runs)} runs.", aside=True)
     return own
 
 
@@ -153,7 +157,7 @@ def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool
         raise UserError(f"study {data.study}: every run diverged, and left no policy")
     if len(runs) < len(data.runs):
         gone = len(data.runs) - len(runs)
-        say(f"Note: {gone} of {len(data.runs)} runs diverged, and left no policy to play.", as_json=True)
+        say(f"Note: {gone} of {len(data.runs)} runs diverged, and left no policy to play.", aside=True)
     for run in runs:
         _refuse_strangers(data, run, trust)
     return gathered(_level(data), _played(store, data, runs, episodes, quiet))
@@ -203,7 +207,7 @@ def _played(
             raise UserError(f"the policy of run {run.run_id} {error}") from None
         yield from _rows(run, found)
         if not quiet and number % 10 == 0:
-            say(f"{number} of {len(runs)} runs have played", as_json=True)
+            say(f"{number} of {len(runs)} runs have played", aside=True)
 
 
 def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:

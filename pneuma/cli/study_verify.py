@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, SettingName, print_json
+from pneuma.cli.options import Json, Results, SettingName, print_json, read_path
 from pneuma.cli.plain_text import plain
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import SETTINGS
@@ -30,7 +30,8 @@ def verify(
     ] = None,
     setting: SettingName = None,
     file: Annotated[
-        Path | None, typer.Option("--claims", metavar="FILE", help="Other claims than the thesis's.")
+        Path | None,
+        typer.Option("--claims", metavar="FILE", parser=read_path, help="Other claims than the thesis's."),
     ] = None,
     results: Results = RESULTS,
     json: Json = False,

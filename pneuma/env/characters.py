@@ -7,6 +7,7 @@ add to it. Seconds and pixels a second become the ticks and pixels a tick that t
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -101,7 +102,7 @@ def character_files(name: str) -> list[Path]:
     """Return the user's own file that a name of characters stands for, if it does."""
     if not name or name in SHIPPED_CHARACTERS:
         return []
-    path = Path(name).expanduser()
+    path = Path(os.path.expanduser(name))
     if not path.is_file():
         hint, known = nearest_name(name, SHIPPED_CHARACTERS), ", ".join(SHIPPED_CHARACTERS)
         raise UserError(f"characters {name!r}: no such file{hint}; shipped are {known}")

@@ -24,6 +24,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import re
 import tomllib
 from collections import Counter
@@ -212,7 +213,7 @@ def _level_path(name: str) -> Path:
     """Return the folder or the .tmx file that a name other than `random:…` stands for."""
     if name in _shipped():
         return LEVELS / name
-    path = Path(name).expanduser()
+    path = Path(os.path.expanduser(name))
     if path.is_dir():
         if _folder_files(path):
             return path

@@ -129,6 +129,20 @@ def test_results_that_cannot_be_written_are_refused(folder: str, here: Path, cap
     assert (here / "file").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("folder", "read"), [("~/mine", "{here}/mine"), ("~nobody-at-all/mine", "~nobody-at-all/mine")]
+)
+def test_a_home_folder_is_read_as_a_shell_reads_it(
+    folder: str, read: str, here: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bash leaves `--results=~/mine` as it is, and a folder named `~` is nobody's wish."""
+    monkeypatch.setenv("HOME", str(here))
+    monkeypatch.setenv("USERPROFILE", str(here))
+    line = _refusal(["study", "status", "activation", f"--results={folder}"], capsys)
+    assert f"has no runs in {read.format(here=here)}:" in line
+    assert os.listdir(here) == []
+
+
 @pytest.mark.parametrize("arguments", [[], ["study"]])
 def test_a_command_left_out_is_answered_with_readable_help(arguments: list[str], capsys: Captured) -> None:
     main(arguments)

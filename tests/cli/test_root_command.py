@@ -73,7 +73,7 @@ def test_a_command_goes_on_where_nobody_reads_its_words(monkeypatch: pytest.Monk
             raise BrokenPipeError
 
     monkeypatch.setattr(sys, "stderr", Gone())
-    say("for people", as_json=True)
+    say("for people", aside=True)
     monkeypatch.setattr(sys, "stdout", Gone())
     with pytest.raises(BrokenPipeError):
         say("what was asked for")
