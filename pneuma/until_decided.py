@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.contrasts import Contrast, compare
-from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.outcomes import HALF_A_MONSTER, PRIMARY, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sequential import Stage, decide, make_stages
 from pneuma.analysis.sources import open_study
@@ -30,10 +30,6 @@ from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
-OUTCOME = "final-share-killed"
-MARGIN_SHARE = 0.5 / 14
-"""Half of one of the level's 14 monsters: shares that differ by less count as alike."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -42,7 +38,8 @@ class Finding:
     Attributes:
         condition: its name.
         contrast: of its runs against the baseline's.
-        decided: "greater", "less" or "equal", now or at an earlier look; empty while undecided.
+        decided: "greater", "less" or "equal", now or at an earlier look; empty while undecided, and while
+            runs are left out: those that are left may look too good.
         left_out: runs of both that have no such outcome.
     """
 
@@ -142,24 +139,25 @@ def _look(
     data: StudyData, baseline: str, others: tuple[str, ...], stage: Stage, earlier: Mapping[str, str]
 ) -> Look:
     at_step = common_step(data)
-    base = outcome_values(data, baseline, OUTCOME, at_step)
-    arms = {name: outcome_values(data, name, OUTCOME, at_step) for name in others}
+    base = outcome_values(data, baseline, PRIMARY, at_step)
+    arms = {name: outcome_values(data, name, PRIMARY, at_step) for name in others}
     if not np.isfinite(np.concatenate([base, *arms.values()])).any():
         raise UserError(
-            f"--until-decided compares by {OUTCOME}, which no run of study {data.study} has; "
+            f"--until-decided compares by {PRIMARY}, which no run of study {data.study} has; "
             "give a number of --seeds"
         )
     contrasts = {
-        name: compare("mean", _had(values), _had(base), MARGIN_SHARE, _generator(stage, name))
+        name: compare("mean", _had(values), _had(base), HALF_A_MONSTER, _generator(stage, name))
         for name, values in arms.items()
     }
+    left_out = {name: int(np.isnan(values).sum() + np.isnan(base).sum()) for name, values in arms.items()}
     decided = decide(stage, [contrast.p_any for contrast in contrasts.values()])
     findings = [
         Finding(
             name,
             contrast,
-            earlier.get(name) or (found(contrast) if now else ""),
-            int(np.isnan(arms[name]).sum() + np.isnan(base).sum()),
+            earlier.get(name) or (found(contrast) if now and not left_out[name] else ""),
+            left_out[name],
         )
         for (name, contrast), now in zip(contrasts.items(), decided, strict=True)
     ]
@@ -178,8 +176,8 @@ def _had(values: np.ndarray) -> np.ndarray:
 def _as_record(stages: list[Stage], looks: list[Look]) -> dict[str, Any]:
     """Return what a study's record keeps of how its seeds came about."""
     return {
-        "outcome": OUTCOME,
-        "margin": MARGIN_SHARE,
+        "outcome": PRIMARY,
+        "margin": HALF_A_MONSTER,
         "stages": [stage.seeds for stage in stages],
         "looks": [look_document(look) for look in looks],
     }

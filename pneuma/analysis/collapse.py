@@ -82,7 +82,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     unseen = tuple(sign for sign in SIGNS if sign not in (*found, *([FALL] if len(steps) else [])))
     falls = _falls(seen, steps, shares)
     distance = _update_steps(data, run)
-    gap = GAP * run.budget + (distance or 0)
+    gap = GAP * seen.until + (distance or 0)
     spells = joined(_one_action(found, seen, gap, distance or 1) + falls, gap)
     if not spells:
         return Diagnosis(False, unseen=unseen)
@@ -164,7 +164,7 @@ def _one_action(found: dict[str, list[Stretch]], seen: RunView, gap: float, dist
     parts = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
         parts = both(parts, found[ONE_ACTION])
-    shortest = SHORTEST * seen.run.budget
+    shortest = SHORTEST * seen.until
     long_enough = [spell for spell in joined(parts, gap) if spell[1] - spell[0] >= shortest]
     return [spell for spell in long_enough if share_held(parts, spell, distance) > MOST]
 

@@ -91,14 +91,15 @@ def deviation_ratio_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -
     """Return Bonett's interval of the ratio of standard deviations, a over b.
 
     Source: Bonett (2006), Robust confidence interval for a ratio of standard deviations: the error of
-    a log variance follows from the kurtosis of both arms together.
+    a log variance follows from the kurtosis of both arms together, each here in units of its own deviation,
+    for pooled as they are, arms of unlike spread would look heavy-tailed by that alone.
     """
     first, second = finite(a), finite(b)
     if min(first.size, second.size) < 5 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return no_interval(level)
     z = special.ndtri((1 + level) / 2)
     factor = first.size / (first.size - z) * (second.size - z) / second.size
-    half = z * np.sqrt(_log_variance_error((first, second)))
+    half = z * np.sqrt(_log_variance_error(tuple(arm / arm.std(ddof=1) for arm in (first, second))))
     centre = np.log(factor * first.var(ddof=1) / second.var(ddof=1))
     return _of_log_variance(float(centre), float(half), level)
 

@@ -4,7 +4,7 @@
 
 Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in the text's
 setting, in godot's, and by the published logs where they bear on it, side by side and never pooled. All
-contrasts of all claims in all settings, also of those without runs, are one family for Holm's correction:
+contrasts of all claims in all settings, also of those without runs, are one family for the correction:
 whatever is asked for and whatever has been run, the chance of any false verdict stays at most `ALPHA`.
 """
 
@@ -27,11 +27,13 @@ from pneuma.analysis.verdicts import (
     REFUTED,
     SUPPORTED,
     Verdict,
+    found,
     judge_list,
     smallest_p,
     together,
 )
 from pneuma.config import stream_seed
+from pneuma.errors import counted
 from pneuma.study.spec import SETTINGS
 from pneuma.study.store import Store
 
@@ -43,6 +45,8 @@ LOGS = "logs"
 
 PLACES = (*SETTINGS, LOGS)
 UNTESTABLE = "untestable"
+AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
+"""The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
 VERDICTS = (SUPPORTED, REFUTED, INCONCLUSIVE, UNTESTABLE)
 
 
@@ -73,7 +77,8 @@ class Judged:
 
     Attributes:
         verdict: of `VERDICTS`.
-        reason: in words, why it is untestable, or what is missing; empty for a plain result.
+        reason: in words, why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain
+            result.
         pairs: its contrasts; none where its study is not run in the setting.
     """
 
@@ -123,12 +128,10 @@ def judge(claims: ClaimList, store: Store) -> list[Judged]:
         for place in PLACES
     ]
     family = [(pair.contrast, claim.direction) for claim, _, pairs in open_cases for pair in pairs]
-    found = judge_list(family, ALPHA)
-    left = sum(verdict.word == INCONCLUSIVE for verdict in found)
-    verdicts = iter(found)
+    verdicts = iter(judge_list(family, ALPHA))
     judged = []
     for claim, place, pairs in open_cases:
-        decided = tuple(_decided(pair, next(verdicts), claim, left) for pair in pairs)
+        decided = tuple(_decided(pair, next(verdicts), claim, len(family)) for pair in pairs)
         if place in (*claim.settings, LOGS) and (decided or place != LOGS):
             judged.append(_judged(claim, place, _planned(claim, place, runs, decided, len(family))))
         elif place != LOGS:
@@ -185,13 +188,15 @@ def _first(reasons: Iterable[str]) -> str:
 def _at_an_end(claim: Claim, arms: Sequence[Arm]) -> str:
     """Say so where every run of both arms lies at the outcome's least or greatest value.
 
-    As near as the margin counts as there: arms that kill nothing are alike for a reason of their own.
+    As near as the margin counts as there: arms that kill nothing are alike for a reason of their own. The
+    margin of a spread is a ratio; what is near an end is then the outcome's to say.
     """
     if len(arms) < 2 or claim.event is not None:
         return ""
-    near = claim.margin if claim.kind == "mean" and claim.margin else 1e-9
+    outcome = find_outcome(claim.outcome)
+    near = claim.margin if claim.kind == "mean" and claim.margin else outcome.alike
     values = np.concatenate([arm.values for arm in arms])
-    for end, bound in zip(("floor", "ceiling"), find_outcome(claim.outcome).bounds, strict=True):
+    for end, bound in zip(("floor", "ceiling"), outcome.bounds, strict=True):
         if np.isfinite(bound) and (np.abs(values - bound) <= near).all():
             return (
                 f"both arms are at the {end}: every run has a {claim.outcome} within {near:.2g} of {bound:g}"
@@ -206,21 +211,21 @@ def _none(claim: Claim, reason: str) -> Contrast:
 # --- Verdicts ------------------------------------------------------------------------------------
 
 
-def _decided(pair: Pair, verdict: Verdict, claim: Claim, left: int) -> Pair:
+def _decided(pair: Pair, verdict: Verdict, claim: Claim, family: int) -> Pair:
     """Give a contrast its verdict: untestable for a reason, or where so few runs could not support it.
 
     Args:
         pair: without a verdict.
         verdict: the list's on it.
         claim: whose it is.
-        left: contrasts of the list that are not decided: by their number Holm multiplies the next p-value.
+        family: contrasts of the list, by whose number each p-value is multiplied.
     """
     pair = replace(pair, verdict=verdict.word, p=verdict.p)
     smallest = smallest_p(pair.contrast, claim.direction)
-    if pair.verdict == INCONCLUSIVE and not pair.contrast.reason and smallest * left > ALPHA:
+    if pair.verdict == INCONCLUSIVE and not pair.contrast.reason and smallest * family > ALPHA:
         told = (
             f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}, "
-            f"and {left} contrasts are open"
+            f"and the list has {counted(family, 'contrast')}"
         )
         return replace(pair, verdict=UNTESTABLE, contrast=replace(pair.contrast, reason=told))
     if not pair.contrast.reason or pair.verdict != INCONCLUSIVE:
@@ -237,7 +242,8 @@ def _planned(
         if pair.verdict != INCONCLUSIVE or place == LOGS or claim.value is not None or claim.only:
             return None  # of runs that count alone, nobody knows beforehand how many there are
         a, b = (_counted(claim, runs.arm(claim, place, name).values) for name in (pair.a, pair.b))
-        return seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family, claim.direction)
+        count = seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family, claim.direction)
+        return count if count is not None and count > min(a.size, b.size) else None  # as many decided nothing
 
     return tuple(replace(pair, seeds_needed=needed(pair)) for pair in pairs)
 
@@ -247,7 +253,17 @@ def _judged(claim: Claim, place: str, pairs: tuple[Pair, ...]) -> Judged:
     verdicts = [pair.verdict for pair in pairs]
     verdict = together(verdicts, claim.need) or (UNTESTABLE if UNTESTABLE in verdicts else INCONCLUSIVE)
     reason = _together(pair.contrast.reason for pair in pairs) if verdict == UNTESTABLE else ""
-    return Judged(claim, place, verdict, reason, pairs)
+    judged = Judged(claim, place, verdict, reason, pairs)
+    return replace(judged, reason=AS_CLAIMED_BUT_SMALL) if _is_as_claimed_but_small(judged) else judged
+
+
+def _is_as_claimed_but_small(judged: Judged) -> bool:
+    """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
+    if judged.verdict != REFUTED or judged.told is None or not judged.told.contrast.interval.exists:
+        return False
+    contrast, none = judged.told.contrast, 1.0 if judged.claim.kind == "spread" else 0.0
+    sides = {"greater": contrast.interval.low > none, "less": contrast.interval.high < none}
+    return found(contrast) == "equal" and sides.get(judged.claim.direction, False)
 
 
 def _together(reasons: Iterable[str]) -> str:

@@ -27,6 +27,8 @@ from pneuma.errors import UserError, nearest_name, unknown_name
 NAN = float("nan")
 ANYTHING = (-np.inf, np.inf)
 SHARE = (0.0, 1.0)
+HALF_A_MONSTER = 0.5 / 14
+"""Of the level's 14: shares killed that differ by less count as alike."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Outcome:
         source: what it is taken from: a table, a quantity, 'signs' of collapse, or 'times'.
         measure: gives the number.
         supposes_rise: whether it is 0 of a run that never learned anything, and tells of others alone.
+        alike: how near floor or ceiling a run counts as there, where a claim has no margin of its unit.
     """
 
     words: str
@@ -50,6 +53,7 @@ class Outcome:
     source: str
     measure: Callable[[RunView], float]
     supposes_rise: bool = False
+    alike: float = 1e-9
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
@@ -238,13 +242,15 @@ def _last(series: Series) -> float:
 
 
 def _evaluated(words: str, column: str, better: str, bounds: tuple[float, float], unit: str = "") -> Outcome:
-    return Outcome(words, unit, better, bounds, "evaluations", partial(_final_evaluation, column=column))
+    measure = partial(_final_evaluation, column=column)
+    alike = HALF_A_MONSTER if column.endswith("share_killed") else Outcome.alike
+    return Outcome(words, unit, better, bounds, "evaluations", measure, alike=alike)
 
 
 def _from_share(
     words: str, measure: Callable[[RunView], float], better: str, bounds: tuple[float, float] = SHARE
 ) -> Outcome:
-    return Outcome(words, "share", better, bounds, "evaluations", measure)
+    return Outcome(words, "share", better, bounds, "evaluations", measure, alike=HALF_A_MONSTER)
 
 
 def _of_risen(words: str, measure: Callable[[RunView], float]) -> Outcome:

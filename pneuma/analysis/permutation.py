@@ -27,6 +27,8 @@ _AT_ONCE = 20_000
 _SLACK = 1e-9
 """By how much of itself a statistic may fall short of the seen one and still be as extreme: sums in
 another order differ in their last bits."""
+ROUNDING = 1e-13
+"""Of the greatest magnitude: values that lie closer together are equal, but for their last bits."""
 LEAST_VARIANCE = 1e-13
 """Of values scaled to at most 1: below it, a variance is rounding, and the arm has no spread."""
 
@@ -107,10 +109,14 @@ def studentised_difference(samples: np.ndarray, labels: Relabelings) -> np.ndarr
 
 
 def scaled(samples: np.ndarray) -> np.ndarray:
-    """Return each row less its mean and over its greatest magnitude; all zero where it is constant."""
+    """Return each row less its mean and over its greatest magnitude; all zero where it is constant.
+
+    Constant is also what differs by rounding alone, such as 0.3 and 0.1 + 0.2.
+    """
     centred = samples - samples.mean(axis=1, keepdims=True)
     size = np.abs(centred).max(axis=1, keepdims=True)
-    return centred / np.where(size > 0, size, 1.0)
+    differs = size > ROUNDING * np.abs(samples).max(axis=1, keepdims=True)
+    return np.divide(centred, size, out=np.zeros_like(centred), where=differs)
 
 
 def _of_mean(total: np.ndarray, squares: np.ndarray, size: float) -> np.ndarray:

@@ -4,7 +4,8 @@
 
 A cell is a pair of conditions that differ in that setting alone, as they resolved. What the cells differ
 in are the map's factors; nobody has to name them. Each cell is tested by itself, Holm-corrected over
-the map. The map is *robust* where every cell holds, *conditional* where some do, *reversed* where some
+the map. The map is *robust* where every cell holds, *conditional* where some hold and some are reversed,
+*partial* where some hold and the others are open, for few seeds show no condition; *reversed* where some
 are reversed and none holds, and *undecided* where no cell can be told from no difference.
 """
 
@@ -29,7 +30,8 @@ from pneuma.errors import UserError
 LEVEL = 0.05
 """Error rate over all cells of a map."""
 
-ROBUST, CONDITIONAL, REVERSED, UNDECIDED = "robust", "conditional", "reversed", "undecided"
+ROBUST, PARTIAL, CONDITIONAL = "robust", "partial", "conditional"
+REVERSED, UNDECIDED = "reversed", "undecided"
 HOLDS, OPEN = "holds", "open"
 
 Levels = tuple[tuple[str, Any], ...]
@@ -65,7 +67,7 @@ class Map:
         outcome: by what they are judged.
         factors: what the cells differ in, with their levels.
         cells: in the study's order.
-        label: robust, conditional, reversed or undecided.
+        label: robust, partial, conditional, reversed or undecided.
     """
 
     study: str
@@ -214,9 +216,9 @@ def _cell_label(contrast: Contrast, p: float) -> str:
 
 
 def _label(cells: Sequence[Cell]) -> str:
-    labels = [cell.label for cell in cells]
+    labels = {cell.label for cell in cells}
     if HOLDS in labels:
-        return ROBUST if set(labels) == {HOLDS} else CONDITIONAL
+        return ROBUST if labels == {HOLDS} else CONDITIONAL if REVERSED in labels else PARTIAL
     return REVERSED if REVERSED in labels else UNDECIDED
 
 

@@ -1,7 +1,7 @@
 """Seeds in stages: looking, adding seeds and looking again, with the chance of a false finding kept.
 
 The stages are fixed beforehand. Each may spend part of alpha, little at first and most at the end, and
-the parts add up to alpha. A contrast is decided at a stage when its p-value, corrected over all
+the parts add up to alpha. A contrast is decided at a stage when its p-value, times the number of
 contrasts of the list, is at most that part; what is decided stays so. That the parts simply add up
 holds for any p-values that are valid at each stage, however the stages depend on each other: no normal
 distribution is supposed, as the usual boundaries do.
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneuma.analysis.corrections import holm
+from pneuma.analysis.corrections import bonferroni
 
 FIRST_SEEDS, MOST_SEEDS = 10, 40
 SPENDING_POWER = 2.0
@@ -47,5 +47,5 @@ def make_stages(most_seeds: int = MOST_SEEDS, first: int = FIRST_SEEDS, alpha: f
 
 
 def decide(stage: Stage, p_values: Sequence[float]) -> list[bool]:
-    """Return which contrasts of a list are decided at a look, by Holm's correction over all of them."""
-    return (holm(p_values) <= stage.alpha).tolist()
+    """Return which contrasts of a list are decided at a look, by Bonferroni's correction over all of them."""
+    return (bonferroni(p_values) <= stage.alpha).tolist()

@@ -1,6 +1,7 @@
 """Verdicts over a list of claims, so that the chance of any false one among them stays at most alpha.
 
-Each claim enters Holm's correction with one p-value, the lesser of what can decide it. For one of a
+Each claim enters with one p-value, the lesser of what can decide it, times the number of claims: by
+Bonferroni's correction and not by Holm's, whose steps do not hold here (`bonferroni` says why). For one of a
 direction, or of any difference, these are the two-sided p-value of a difference and the p-value of
 equivalence. That bounds the chance of any false verdict on the claim, whatever the truth. With no difference
 only the two-sided test can err. With one inside the margin only the wrong direction can, at half that
@@ -15,7 +16,7 @@ A claim on several contrasts speaks of all of them, or of any. With all, it is s
 contrast is, and refuted where one is; with any, the other way round. A claim's verdict is false only where
 that on one of its contrasts is: in a true claim on all, none can be refuted truly; in a false one, some
 contrast is not as claimed, and can be supported only falsely. For any, the same with both words exchanged.
-Every contrast keeps its own place in Holm's family, so the bound on false verdicts holds for claims too.
+Every contrast keeps its own place in the list, so the bound on false verdicts holds for claims too.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from pneuma.analysis.contrasts import Contrast
-from pneuma.analysis.corrections import holm
+from pneuma.analysis.corrections import bonferroni
 
 SUPPORTED, REFUTED, INCONCLUSIVE = "supported", "refuted", "inconclusive"
 DIRECTIONS = ("greater", "less", "different", "equal", "not-less")
@@ -43,7 +44,7 @@ class Verdict(NamedTuple):
 
     Attributes:
         word: supported, refuted or inconclusive.
-        p: the p-value after Holm's correction over the list.
+        p: the p-value after the list's correction.
     """
 
     word: str
@@ -58,7 +59,7 @@ def judge_list(contrasts: Sequence[tuple[Contrast, str]], alpha: float = 0.05) -
         alpha: the chance of any false verdict in the list.
     """
     read = [_read(contrast, direction) for contrast, direction in contrasts]
-    adjusted = holm([own.p for own in read])
+    adjusted = bonferroni([own.p for own in read])
     return [
         Verdict(own.word if p <= alpha else INCONCLUSIVE, float(p))
         for own, p in zip(read, adjusted, strict=True)

@@ -18,7 +18,7 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
 
     Args:
         lists: how many lists of claims to simulate in each setting.
-        seed: of the generators of everything that is drawn; equivalence and stages have their own.
+        seed: of the generators of everything that is drawn; equivalence, means and stages have their own.
     """
     generator = np.random.default_rng(seed)
     for row in coverage.coverages(lists * COVERED_PER_LIST, generator):
@@ -27,6 +27,8 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
         yield "false_verdicts", row
     equal = np.random.default_rng([seed, 2])
     for row in claim_lists.false_verdicts_on_equivalence(lists, equal):
+        yield "false_verdicts", row
+    for row in claim_lists.false_verdicts_on_means(lists, np.random.default_rng([seed, 3])):
         yield "false_verdicts", row
     for row in claim_lists.staged_verdicts(lists, np.random.default_rng([seed, 1])):
         yield "false_verdicts", row

@@ -177,6 +177,6 @@ def _told(table: str, row: dict[str, Any]) -> str:
     if table == "coverage":
         covers = f"{row['method']:<16} {row['distribution']:<14} {row['seeds']:>8} seeds"
         return f"{covers}  covers {row['coverage']:.3f}"
-    setting = f"{row['truth']:<16} {row['distribution']:<14} {row['seeds']:>8} seeds"
+    setting = f"{row['truth']:<28} {row['distribution']:<14} {row['seeds']:>8} seeds"
     rate, bound = f"{row['false_rate']:.4f}", f"{row['upper_bound']:.4f}"
     return f"{setting}  false in {rate} of {row['lists']} lists, at most {bound}"

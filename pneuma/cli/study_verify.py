@@ -56,7 +56,7 @@ def verify(
         return print_json({**head, "claims": [_document(one) for one in shown]})
     _print_table(shown)
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…, fixed before the runs.")
-    print(f"At most {ALPHA:.0%} chance of any false verdict among all, by Holm's correction.")
+    print(f"At most {ALPHA:.0%} chance of any false verdict among all, by Bonferroni's correction.")
     return None
 
 
@@ -113,6 +113,8 @@ def _interval(pair: Pair) -> list[float] | None:
 
 def _print_table(shown: Sequence[Judged]) -> None:
     """Print a line for each claim: its verdicts side by side, and numbers of the first place with some."""
+    from pneuma.analysis.judgement import UNTESTABLE
+
     by_claim: dict[str, dict[str, Judged]] = {}
     for one in shown:
         by_claim.setdefault(one.claim.name, {})[one.place] = one
@@ -120,7 +122,7 @@ def _print_table(shown: Sequence[Judged]) -> None:
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    reasons = Counter(f"{one.place}: {_kind_of(one.reason)}" for one in shown if one.reason)
+    reasons = Counter(f"{one.place}: {_kind_of(one.reason)}" for one in shown if one.verdict == UNTESTABLE)
     if reasons:
         print("\nUntestable for:")
         for reason, count in reasons.most_common():

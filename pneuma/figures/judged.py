@@ -54,7 +54,7 @@ def judged_claims(store: Store, studies: Collection[str] | None = None) -> tuple
             shown.setdefault(one.claim.name, []).append(one)
     note = (
         f"Claims: {known.path.name}, SHA-256 {known.digest}, fixed before the runs. The chance of any false "
-        f"verdict in the whole list of {len(known.claims)} is at most {ALPHA:.0%}, by Holm's correction."
+        f"verdict in the whole list of {len(known.claims)} is at most {ALPHA:.0%} (Bonferroni)."
     )
     return [_claim(judged) for judged in shown.values()], note
 

@@ -118,7 +118,7 @@ def test_single_updates_that_come_again_are_a_collapse_only_where_they_are_most(
     every: int, spells: list[tuple[float, float]]
 ) -> None:
     """A million steps in updates of 256: signs may be interrupted for 10,256 steps, forty updates."""
-    seen = SimpleNamespace(run=SimpleNamespace(budget=1_000_000))
+    seen = SimpleNamespace(until=1_000_000)
     with_sign = [k for k in range(1000) if k % every == 0 or (every == 2 and k % 3 == 0)]
     dips = [(256.0 * k, 256.0 * k) for k in with_sign]
     assert _one_action({NO_ENTROPY: dips}, seen, 10_256, 256) == spells  # type: ignore[arg-type]

@@ -31,16 +31,22 @@ def by_scipy(a: Any, b: Any, alternative: str) -> float:
     ).pvalue
 
 
+def greater_p(a: Any, b: Any, alternative: str) -> float:
+    """Return the greater of the p-values by relabelings and by Student's distribution."""
+    by_student = stats.ttest_ind(a, b, equal_var=False, alternative=alternative).pvalue
+    return max(by_scipy(a, b, alternative), by_student)
+
+
 def test_means_are_tested_as_scipy_permutes_welchs_t() -> None:
     own = compare("mean", A, B, 0.5, rng())
     assert own.effect == pytest.approx(6.3 - 2.625)
-    assert own.p_greater == pytest.approx(by_scipy(A, B, "greater"), abs=1e-12)
-    assert own.p_less == pytest.approx(by_scipy(A, B, "less"), abs=1e-12)
-    below = by_scipy([a - 0.5 for a in A], B, "less")
-    above = by_scipy([a + 0.5 for a in A], B, "greater")
+    assert own.p_greater == pytest.approx(greater_p(A, B, "greater"), abs=1e-12)
+    assert own.p_less == pytest.approx(greater_p(A, B, "less"), abs=1e-12)
+    below = greater_p([a - 0.5 for a in A], B, "less")
+    above = greater_p([a + 0.5 for a in A], B, "greater")
     assert own.p_equivalent == pytest.approx(max(below, above), abs=1e-12)
-    assert own.p_far_greater == pytest.approx(by_scipy([a - 0.5 for a in A], B, "greater"), abs=1e-12)
-    assert own.p_far_less == pytest.approx(by_scipy([a + 0.5 for a in A], B, "less"), abs=1e-12)
+    assert own.p_far_greater == pytest.approx(greater_p([a - 0.5 for a in A], B, "greater"), abs=1e-12)
+    assert own.p_far_less == pytest.approx(greater_p([a + 0.5 for a in A], B, "less"), abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -48,8 +54,21 @@ def test_unequal_arms_are_tested_by_welchs_t_too(seed: int) -> None:
     generator = np.random.default_rng(seed)
     a, b = generator.normal(0, 3, size=4), generator.normal(size=8)
     own = compare("mean", a, b, None, generator)
-    assert own.p_greater == pytest.approx(by_scipy(a, b, "greater"), abs=1e-12)
-    assert own.p_less == pytest.approx(by_scipy(a, b, "less"), abs=1e-12)
+    assert own.p_greater == pytest.approx(greater_p(a, b, "greater"), abs=1e-12)
+    assert own.p_less == pytest.approx(greater_p(a, b, "less"), abs=1e-12)
+
+
+def test_a_small_arm_that_spreads_wide_is_not_found_different_too_often() -> None:
+    """Six runs against ten, ten times as far apart: relabelings alone would find five times as much."""
+    generator = np.random.default_rng(3)
+    a, b = 10 * generator.normal(size=(4_000, 6)), generator.normal(size=(4_000, 10))
+    p = two_arms.mean_p_values(a, b, None, relabel(6, 10, generator, draws=2_000))
+    assert (p.greater <= 0.005).mean() < 0.01
+
+
+def test_values_that_differ_by_rounding_alone_are_equal() -> None:
+    own = compare("mean", [0.1 + 0.2] * 8, [0.3] * 8, None, rng())
+    assert (own.p_greater, own.p_less) == (1.0, 1.0)
 
 
 def test_drawn_relabelings_come_close_to_all_of_them() -> None:

@@ -372,7 +372,7 @@ def test_seeds_may_be_too_few_for_a_list_alone(store: Store, tmp_path: Path) -> 
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": WIDE[:5], "low": WIDE[:5][::-1]})
     reasons = [_judge_among(count, store, tmp_path).reason for count in (6, 7)]
-    told = "too few seeds: the smallest p possible of greater is 0.0079, and 7 contrasts are open"
+    told = "too few seeds: the smallest p possible of greater is 0.0079, and the list has 7 contrasts"
     assert reasons == ["", told]
 
 
@@ -384,7 +384,7 @@ def test_seeds_may_be_too_few_in_the_claimed_direction_alone(store: Store, tmp_p
     save_runs(store, tmp_path, {"high": LOW})
     one = _one(store, tmp_path, counted.replace('"greater"', '"less"'))
     assert one.verdict == "untestable"
-    assert one.reason == "too few seeds: the smallest p possible of less is 0.86, and 1 contrasts are open"
+    assert one.reason == "too few seeds: the smallest p possible of less is 0.86, and the list has 1 contrast"
     assert _one(store, tmp_path, counted).verdict == "inconclusive"
 
 

@@ -52,11 +52,6 @@ def test_a_claim_of_no_difference_is_decided_by_what_lies_beyond_the_margin() ->
     assert all(needed is not None and 25 <= needed <= 27 for needed in asked[3:])  # 2 · 2.8² / 0.64 = 24.5
 
 
-def test_a_ratio_of_deviations_of_two_takes_some_thirty_seeds_in_a_list_of_25() -> None:
-    needed = seeds_needed("spread", spaced(0, 2, 30), spaced(5, 1, 30), None, 0.05 / 25)
-    assert needed is not None and 25 <= needed <= 50
-
-
 def test_fewer_than_a_permutation_test_takes_are_never_asked_for() -> None:
     assert seeds_needed("mean", spaced(100, 1), spaced(0, 1), None, 0.05) == 4  # 2 / 70; of 3 it is 2 / 20
     assert seeds_needed("mean", spaced(100, 1), spaced(0, 1), None, 0.05 / 66) == 7
@@ -65,7 +60,7 @@ def test_fewer_than_a_permutation_test_takes_are_never_asked_for() -> None:
 def test_what_cannot_be_planned_is_none() -> None:
     assert seeds_needed("mean", [1.0], [2.0], 0.5, 0.05) is None
     assert seeds_needed("mean", [1.0, 1.0], [2.0, 2.0], 0.5, 0.05) is None
-    assert seeds_needed("spread", [1.0, 1.0], [2.0, 3.0], 1.5, 0.05) is None
+    assert seeds_needed("spread", spaced(0, 2, 30), spaced(5, 1, 30), 1.5, 0.05) is None
     assert seeds_needed("incidence", [1] * 10, [0] * 10, 0.1, 0.05) is not None
     with pytest.raises(ValueError, match="there are mean"):
         seeds_needed("median", [1.0], [2.0], 0.5, 0.05)
@@ -96,7 +91,7 @@ def test_looking_in_stages_keeps_the_error_rate_that_looking_freely_breaks() -> 
 def test_a_stage_corrects_over_the_whole_list() -> None:
     stage = make_stages(10)[0]
     assert decide(stage, [0.03, 0.9]) == [False, False]
-    assert decide(stage, [0.02, 0.04]) == [True, True]
+    assert decide(stage, [0.02, 0.04]) == [True, False]  # what is found makes it no easier for the others
 
 
 def crossed(runs: int, **effects: float) -> tuple[np.ndarray, dict[str, list[str]]]:

@@ -53,6 +53,7 @@ def mapped(folder: Path, *values: float, seeds: int = 6) -> Map:
     [
         ((0.2, 0.2, 0.2, 0.2), ["holds"] * 4, "robust"),
         ((0.2, 0.0, 0.2, -0.2), ["holds", "open", "holds", "reversed"], "conditional"),
+        ((0.2, 0.0, 0.2, 0.0), ["holds", "open", "holds", "open"], "partial"),
         ((-0.2, 0.0, 0.0, -0.2), ["reversed", "open", "open", "reversed"], "reversed"),
         ((0.0, 0.0, 0.0, 0.0), ["open"] * 4, "undecided"),
     ],

@@ -95,19 +95,21 @@ def test_what_counts_as_a_false_verdict_on_equivalence(
 def _wrong_of_three(
     monkeypatch: pytest.MonkeyPatch, truths: tuple[str, ...], p: tuple[float, ...], claimed: str
 ) -> int:
-    def given(kind: str, a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> PValues:
+    def given(
+        kind: str, a: np.ndarray, b: np.ndarray, margin: float, generator: np.random.Generator
+    ) -> PValues:
         return PValues(*(np.full(len(a), each) for each in p))
 
     monkeypatch.setattr(claim_lists, "_p_values", given)
     draw = claim_lists.DISTRIBUTIONS["normal"]
-    return claim_lists._wrong_lists(3, draw, 4, truths, np.random.default_rng(4), claimed)
+    return claim_lists._wrong_lists(3, draw, 4, claim_lists.Made(truths, claimed), np.random.default_rng(4))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", claim_lists.DISTRIBUTIONS)
 def test_lists_of_ten_seeds_keep_their_error_rate(name: str) -> None:
     draw = claim_lists.DISTRIBUTIONS[name]
-    wrong = claim_lists._wrong_lists(400, draw, 10, ("alike",), np.random.default_rng(5))
+    wrong = claim_lists._wrong_lists(400, draw, 10, claim_lists.Made(("alike",)), np.random.default_rng(5))
     known = 0.0225  # the greatest of the three that docs/evidence.md has for ten seeds
     assert 0 < wrong / 400 < known + 3 * np.sqrt(known * (1 - known) / 400)
 
