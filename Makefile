@@ -20,12 +20,12 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@touch $@
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset and draw its figure
-	$(BIN)/pneuma study run activation --results results
-	$(BIN)/pneuma study plot activation --results results
+	$(BIN)/pneuma study run activation --results "$(RESULTS)"
+	$(BIN)/pneuma study plot activation --results "$(RESULTS)"
 
 figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md
-	$(BIN)/python -m pneuma.figures.paper paper_figures
-	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md
+	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)"
+	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md --results "$(RESULTS)"
 
 # --- The reproduction ---------------------------------------------------------------------------
 #
@@ -64,7 +64,7 @@ define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
   $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
-  $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results $(RESULTS) \
+  $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \
   || { code=$$?; [ $$code = 1 ] || exit $$code; failed="$$failed $(1) ($(2))"; };
 endef
 
@@ -90,7 +90,7 @@ reproduction-collapse: install  ## Train the crossed studies: collapse and robus
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
 	$(call each,architecture actor-size algorithms)
 
-trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --quiet --results $(RESULTS)
+trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --quiet --results "$(RESULTS)"
 
 trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
 	$(call trajectories,sigmoid)
@@ -102,8 +102,8 @@ trajectories: install  ## Let policies of the reproduction play, and keep where 
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
-tuned = $(foreach name,$(1),$(BIN)/pneuma search run tune-$(name) --preset paper --results $(RESULTS) && \
-$(BIN)/pneuma search promote tune-$(name) --seeds 10 --steps $(2) --results $(RESULTS) &&) true
+tuned = $(foreach name,$(1),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" && \
+$(BIN)/pneuma search promote tune-$(name) --seeds 10 --steps $(2) --results "$(RESULTS)" &&) true
 
 tuning: install  ## Tune optimizers and algorithms alike, and train each winner on ten fresh seeds
 	$(call tuned,$(TUNED_OPTIMIZERS),1000000)

@@ -1,4 +1,4 @@
-"""What players of known skill reach in a study's environments: the random player and the scripted hunter."""
+"""What a study's conditions can be held against: players of known skill, and each other's returns."""
 
 from __future__ import annotations
 
@@ -14,6 +14,16 @@ _COLUMNS = {
     "share_killed": ("random_share_killed", "hunter_share_killed"),
     "argmax_share_killed": ("random_share_killed", "hunter_share_killed"),
 }
+
+
+_OF_RETURNS = ("reward", "players")
+"""Settings of which a return is the sum: where they differ, returns are in unlike units."""
+
+
+def have_one_return(data: StudyData) -> bool:
+    """Tell whether all conditions have the same reward and as many players: else no returns compare."""
+    settings = [data.settings(own[0]) for name in data.conditions if (own := data.of_condition(name))]
+    return len({str([own.get(key) for key in _OF_RETURNS]) for own in settings}) <= 1
 
 
 def reference_levels(data: StudyData, quantity: str) -> dict[str, dict[str, float]]:

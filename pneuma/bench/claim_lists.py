@@ -48,9 +48,9 @@ OTHER_TRUTHS_LISTS = 4
 EVENT_SHARE = 0.2
 
 ROUNDS = ((400, 60, 1.0), (3_000, 10, 0.1), (20_000, 10, 0.01))
-"""Relabelings drawn, samples that share them, and the greatest p-value of the round before by which a sample is
-tested again by more: no greater one can come to a verdict, and the least that counts is 4e-4. So few share one set
-of many that lists are as good as independent, and the bound of their rate is one."""
+"""Relabelings drawn, samples that share them, and the greatest p-value of the round before by which a sample
+is tested again by more: no greater one can come to a verdict, and the least that counts is 4e-4. So few share
+one set of many that lists are as good as independent, and the bound of their rate is one."""
 TRUE_FINDINGS = {"alike": ("equal",), "edge": ("greater",), "far": ("greater",)}
 """What may be found of each truth without being false."""
 TRUE_OF_EQUAL = {"alike": "supported", "half": "supported", "edge": "refuted", "far": "refuted"}

@@ -11,15 +11,16 @@ from pneuma.analysis import EPISODE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
 from pneuma.analysis.coverage import coverage
 from pneuma.analysis.curves import Curve
-from pneuma.analysis.references import reference_levels, shared_levels
+from pneuma.analysis.references import have_one_return, reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
 
-_WORLDS = {"godot": "in the published code's world"}
-"""Of settings that are not the usual one."""
+_WORLDS = {"text": "in the text's world", "godot": "in the published code's world"}
+_WORLD = "pneuma/Pneuma"
+"""What the names of environments begin with that are such a world."""
 
 _EPISODES = {
     WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
@@ -36,7 +37,8 @@ def headline_of(data: StudyData, shown: str = "") -> str:
             that it is the counterpart of, if it has one.
     """
     plain = data.title.removesuffix(f" ({data.setting})")
-    world = " ".join(filter(None, [plain, _WORLDS.get(data.setting, "")]))
+    played = any(name.startswith(_WORLD) for name in data.environments)
+    world = " ".join(filter(None, [plain, _WORLDS.get(data.setting, "") if played else ""]))
     same = "; ".join(" = ".join(names) for names in data.same)
     told = ": ".join(filter(None, [world, shown or _counterpart(data)]))
     return told + (f"   (A/A: {same} are one configuration)" if same else "")
@@ -44,7 +46,7 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 
 def _counterpart(data: StudyData) -> str:
     found = re.match(r"fig-(\d)-(\d)(?!\d|-all)", data.figure)
-    return f"as in the thesis's Fig. {found[1]}.{found[2]}" if found else ""
+    return f"after the thesis's Fig. {found[1]}.{found[2]}" if found else ""
 
 
 def legend_title_of(band: str) -> str:
@@ -68,7 +70,17 @@ def caption_of(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str
 def _origin(data: StudyData) -> list[str]:
     engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
     mixed = f" Engines are mixed ({', '.join(engines)}): no contrast holds." if len(engines) > 1 else ""
-    return [f"{', '.join(data.environments)}.{mixed}"]
+    return [f"{', '.join(data.environments)}.{mixed}", *_forks(data)]
+
+
+def _forks(data: StudyData) -> list[str]:
+    """Say of forks that several go back to one run."""
+    parents = {data.settings(run).get("parent") for run in data.runs} - {None, ""}
+    of_one = max((len(data.of_condition(name)) for name in data.conditions), default=0)
+    if not parents or len(parents) >= of_one:
+        return []
+    told = f"Runs are forks of {len(parents)} others, several of each"
+    return [f"{told}: bands and intervals take them for independent."]
 
 
 def looks_told(data: StudyData) -> list[str]:
@@ -84,6 +96,8 @@ def _lines(drawn: Sequence[Curve], band: str) -> list[str]:
     if any((curve.count < len(curve.runs)).any() for curve in drawn):
         bare = ", and without a band," if BANDS[band].about_mean else ""
         words.append(f"Lines are faint{bare} where not all n runs have a value.")
+    if band == "minmax" and len({len(curve.runs) for curve in drawn}) > 1:
+        words.append("The more runs, the wider a band from least to greatest: those of unlike n say nothing.")
     words += _worth([curve for curve in drawn if shows_runs(curve, band)], band)
     if band == "variance":
         words.append(
@@ -101,7 +115,7 @@ def _worth(few: Sequence[Curve], band: str) -> list[str]:
     told = f"cover the mean at worst {' or '.join(known)} of the time" if known else ""
     none = "of two runs say little" if not all(covered.values()) else ""
     worth = ", and those ".join(filter(None, [told, none]))
-    return [f"Bands {worth}, so each run is drawn too, as a thin line."]
+    return [f"Bands are for each point by itself; they {worth}, so these runs are drawn too, as thin lines."]
 
 
 def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
@@ -124,6 +138,8 @@ def _marks(
             if blank:
                 of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
                 words.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
+    if "return" in curves and not have_one_return(data):
+        words.append("Returns of unlike rewards, or of more players, cannot be compared.")
     if any(curve.stops for curve in drawn):
         words.append("×: a run diverged, and its curve ends there.")
     step = common_step(data)

@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter
 
 from pneuma.analysis import ACTION_QUANTITIES
-from pneuma.analysis.collapse import diagnoses, incidence
+from pneuma.analysis.collapse import SHORTEST, diagnoses, incidence
 from pneuma.analysis.run_view import Series, view
-from pneuma.analysis.signs import NO_ENTROPY
+from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.figures.captions import headline_of
 from pneuma.figures.looks import condition_looks
-from pneuma.figures.panel import per_cent, whole_ticks
+from pneuma.figures.panel import BELOW_ZERO, per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import house_style, save_figure
 from pneuma.figures.words import Words, wrap_label
@@ -32,7 +32,11 @@ FEW_ROWS, MOST_ROWS = 10, 24
 LABEL_CHARACTERS = 32
 """Of a line of a condition's name, so that it leaves room for the panels."""
 LEAST_SHOWN = 0.01
-"""What every vertical axis reaches to, so that nothing is seen to be nothing."""
+"""What the axis of monsters killed reaches to, so that nothing is seen to be nothing."""
+WHOLE = {"entropy": float(np.log(5)), "action": 1.0, "dead_units": 1.0}
+"""What other axes reach to, so that what has no entropy from the first is not seen to fall."""
+THRESHOLDS = {"entropy": LEAST_ENTROPY, "action": MOST_OF_ONE}
+"""Beyond which a policy is down to one action."""
 
 PANELS = {
     "entropy": "Entropy (nats)",
@@ -60,6 +64,7 @@ def draw_collapse(
     left out on the right, and the caption says so.
     """
     found, shares = diagnoses(data), incidence(data)
+    shares = shares[shares["runs"] > 0]
     shown = shares if len(shares) <= MOST_ROWS else shares[shares["collapsed"] > 0]
     words = Words(headline_of(data, _told(shares)), "", _caption(data, len(shares) - len(shown)))
     with house_style(SIZE.type_points):
@@ -68,6 +73,8 @@ def draw_collapse(
             [["entropy", "action", "bars"], ["dead_units", "share_killed", "bars"]],
             width_ratios=(1, 1, 0.9),
         )
+        for name in list(PANELS)[1:]:
+            panels[name].sharex(panels["entropy"])
         collapsed = {row["run_id"]: row for row in found[found["collapsed"]].to_dict("records")}
         for name, title in PANELS.items():
             _draw_panel(panels[name], data, collapsed, name)
@@ -90,14 +97,17 @@ def _caption(data: StudyData, left_out: int) -> list[str]:
     return [
         f"{', '.join(data.environments)}. Left: each run that collapsed, in its condition's colour, by its "
         "steps before and after the onset; means over 5 % of the budget, and single evaluations. Right: "
-        "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson). "
-        "Hollow: the share "
-        f"that recovered. {none}"
+        "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson).",
+        f"Collapsed: down to one action (dashed: {LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
+        f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations or more. Hollow: "
+        f"no longer so at the end. {none}",
     ]
 
 
 def _draw_panel(axes: Axes, data: StudyData, collapsed: dict[str, Any], name: str) -> None:
-    axes.axvline(0, color="#333333", linewidth=0.8)
+    axes.axvline(0, color="#999999", linewidth=0.8)
+    if name in THRESHOLDS:
+        axes.axhline(THRESHOLDS[name], color="#999999", linewidth=0.8, linestyle="--")
     looks = condition_looks(data.conditions)
     faint = 0.8 if len(collapsed) < 20 else 0.4
     for run in data.runs:
@@ -111,8 +121,9 @@ def _draw_panel(axes: Axes, data: StudyData, collapsed: dict[str, Any], name: st
     axes.yaxis.set_major_locator(whole_ticks(5))
     if name != "entropy":
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
-    top = max(axes.dataLim.y1 * 1.05, LEAST_SHOWN) if collapsed else 1
-    axes.set_ylim(-0.02 * top, top)  # what is 0 throughout is still seen
+    highest = max(axes.dataLim.y1, LEAST_SHOWN) if collapsed else 1.0
+    top = 1.02 * max(highest, WHOLE.get(name, 0))  # magic's two actions more have more entropy
+    axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen
     axes.set_xlabel("Steps from onset")
     if not collapsed:
         axes.text(0.5, 0.5, "no run collapsed", transform=axes.transAxes, ha="center", color="#666666")

@@ -1,6 +1,6 @@
 """The figure of a study's curves: the share of monsters killed and the return, or whatever is asked for.
 
-Few conditions share a panel; more than eight get a panel each, with the others' means behind it.
+Few conditions share a panel; more than `MOST_IN_A_PANEL` get a panel each, with the others' means behind it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pneuma.analysis.curves import Curve, curve_names, study_curves
-from pneuma.analysis.references import PLAYERS, shared_levels
+from pneuma.analysis.references import PLAYERS, have_one_return, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import caption_of, headline_of, legend_title_of
@@ -37,6 +37,8 @@ from pneuma.figures.words import Words
 USUAL_BAND = {"pneuma": "ci", "thesis": "minmax"}
 """Of each layout; the author's own script drew the least and the greatest."""
 USUAL_QUANTITIES = ("share_killed", "return")
+IN_PLACE_OF_RETURN = "length"
+"""Where conditions have unlike rewards."""
 ALONE = 1.3
 """How much higher a panel is that stands alone."""
 THESIS_WINDOW = "trailing-100"
@@ -75,7 +77,8 @@ def draw_study(
         window: one of the study's windows; the layout's usual one when left out.
         formats: of `FIGURE_FORMATS`.
         quantities: of `curve_names`; when left out, the share killed and the return, of these what there
-            is, and the first of them alone where each condition has a panel.
+            is, and the first of them alone where each condition has a panel. Where returns are of unlike
+            rewards, the length of episodes stands in their place.
         layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
         size: one of `SIZES`.
         shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
@@ -168,6 +171,8 @@ def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], 
 
 def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
     """Return what is drawn where nothing is asked for."""
-    wanted = USUAL_QUANTITIES if layout == "pneuma" else ("return",)
+    wanted: tuple[str, ...] = USUAL_QUANTITIES if layout == "pneuma" else ("return",)
+    if layout == "pneuma" and not have_one_return(data):
+        wanted = tuple(IN_PLACE_OF_RETURN if name == "return" else name for name in wanted)
     names = tuple(name for name in wanted if name in curve_names(data)) or ("return",)
     return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names

@@ -11,7 +11,7 @@ from typing import Any
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 
-INDEX = "index.json"
+INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
 
 
@@ -31,6 +31,7 @@ def index_entries(
     shared = {
         "command": command,
         "from": f"study {data.study}",
+        "title": data.title.removesuffix(f" ({data.setting})"),
         "environments": data.environments,
         "engines": sorted(engines),
         **drawn,
@@ -43,8 +44,49 @@ def index_entries(
     ]
 
 
+def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return a page of a folder's figures for people, a section to a source, its figures in their order."""
+    sections: dict[str, list[Mapping[str, Any]]] = {}
+    for entry in entries:
+        sections.setdefault(entry["from"], []).append(entry)
+    head = f"Drawn by `make figures`, which writes this page too. As data, with run ids: `{INDEX}`."
+    lines = ["# Figures and tables", "", head, ""]
+    for source, own in sections.items():
+        lines += [f"## {own[0].get('title', source)}", "", f"From {source}.", ""]
+        lines += [
+            f"- [{entry['file']}]({entry['file']}){_drawn(entry)}" for entry in own if not _is_twin(entry)
+        ]
+        lines += [""]
+    return "\n".join(lines).encode()
+
+
+def _is_twin(entry: Mapping[str, Any]) -> bool:
+    """Tell whether a file is another's in one more format."""
+    return Path(entry["file"]).suffix in (".svg", ".tex", ".csv")
+
+
+def _drawn(entry: Mapping[str, Any]) -> str:
+    """Say what a file shows: which figure or table, of which quantities, and of how many runs."""
+    kind = entry.get("figure", f"table: {entry['table']}" if "table" in entry else "")
+    quantities = ", ".join(name.replace("_", " ") for name in entry.get("quantities", ()))
+    runs = ", ".join(f"{name} {count}" for name, count in entry.get("n", {}).items() if count)
+    shown = ": ".join(filter(None, [kind, quantities]))
+    told = "; ".join(filter(None, [shown, f"runs: {runs}" if runs else ""]))
+    return f": {told}" if told else ""
+
+
 def read_index(folder: Path) -> list[dict[str, Any]]:
     """Return the entries of a folder's index whose files are still there.
+
+    Raises:
+        UserError: where a file of its name is no index.
+    """
+    entries = read_entries(folder)
+    return [entry for entry in entries if "/" not in entry["file"] and (folder / entry["file"]).is_file()]
+
+
+def read_entries(folder: Path) -> list[dict[str, Any]]:
+    """Return all entries of a folder's index; none where it has no index.
 
     Raises:
         UserError: where a file of its name is no index.
@@ -54,7 +96,7 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
         return []
     try:
         entries = json.loads(path.read_bytes())["figures"]
-        return [entry for entry in entries if "/" not in entry["file"] and (folder / entry["file"]).is_file()]
+        return [entry for entry in entries if isinstance(entry["file"], str)]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise UserError(f"{path}: is no index of figures; remove it, or name another folder") from None
 

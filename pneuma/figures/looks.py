@@ -11,7 +11,7 @@ from typing import Any
 
 from pneuma.figures.style import condition_look
 
-MOST_IN_A_PANEL = 8
+MOST_IN_A_PANEL = 7
 """Conditions that share a panel at most: so many looks can be told apart."""
 
 OWN_PLACES = {

@@ -23,6 +23,8 @@ FAR = 3.0
 """How many times as high as the highest point a level is for its line to be left out."""
 RUN_WIDTH, RUN_ALPHA = 0.2, 0.4
 """Of a single run's line, in widths of a mean's: there may be thirty behind one mean."""
+BELOW_ZERO = 0.02
+"""How far an axis of shares reaches below 0, in parts of what it reaches above."""
 REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -116,7 +118,8 @@ def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> No
         axes.set_ylim(_positive(curves).min() / 1.5, None)
         axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
     elif look.percent:
-        axes.set_ylim(0, max(axes.get_ylim()[1], 0.01))
+        top = max(axes.get_ylim()[1], 0.01)
+        axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen
         axes.yaxis.set_major_locator(whole_ticks(6))
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
     elif np.ptp(axes.get_ylim()) > 5000:

@@ -1,14 +1,15 @@
 """Everything in `paper_figures/`: `make figures` runs this, and nothing else writes there.
 
-    python -m pneuma.figures.paper FOLDER [RESULTS]
+    python -m pneuma.figures.paper FOLDER [--results RESULTS]
 
 The environment's own figures, the thesis's tables of hyperparameters, and what `plates` draws of every
-published study in RESULTS/published. Beside them an index: which command drew each, from which runs.
+published study in RESULTS/published. Beside them an index: which command drew each, from which runs; and
+the same for people.
 """
 
 from __future__ import annotations
 
-import json
+import argparse
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -24,9 +25,10 @@ from pneuma.analysis.tables import tell_figures_apart
 from pneuma.analysis.trajectories import read_trajectories
 from pneuma.errors import UserError
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
-from pneuma.figures.index import INDEX, encode_index
+from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, read_entries
 from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
 from pneuma.figures.settings_table import settings_table
+from pneuma.study.files import write_whole
 
 RESULTS = Path("results")
 FEW = 4
@@ -38,31 +40,32 @@ Task = tuple[Path, str, str, Path]
 
 
 def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
-    """Draw every figure, write every table and the index; return the files written.
+    """Draw every figure, write every table, the index and its page; return the files written.
 
     What the index knew of and is not drawn any more is removed.
 
     Raises:
-        UserError: when a published table is damaged.
+        UserError: when a published table, or the index that is there, is damaged.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
+    read_entries(folder)  # so that a damaged one is told before all is drawn
     entries = [*_draw_environment(folder), *_write_settings(folder)]
     studies = open_published(results)
     tell_figures_apart(studies)
     tasks = [(results, data.study, data.figure, folder) for data in studies]
     for drawn in _draw_studies(tasks):
         entries += drawn
-    index = folder / INDEX
-    gone = _indexed(index) - {entry["file"] for entry in entries}
-    index.write_bytes(encode_index(entries))
+    gone = _indexed(folder) - {entry["file"] for entry in entries}
+    write_whole(folder / INDEX, encode_index(entries))
+    write_whole(folder / CONTENTS, encode_contents(entries))
     for name in gone:
         (folder / name).unlink(missing_ok=True)
-    return [*(folder / entry["file"] for entry in entries), index]
+    return [*(folder / entry["file"] for entry in entries), folder / INDEX, folder / CONTENTS]
 
 
-def _indexed(index: Path) -> set[str]:
-    """Return the files of an index, of which there may be none yet; all lie beside it or in its tables."""
-    names = (entry["file"] for entry in json.loads(index.read_bytes())["figures"]) if index.exists() else ()
+def _indexed(folder: Path) -> set[str]:
+    """Return the files of a folder's index, if it has one; all lie beside it or in its tables."""
+    names = (entry["file"] for entry in read_entries(folder))
     return {name for name in names if name.removeprefix(f"{TABLES}/") == Path(name).name}
 
 
@@ -119,7 +122,10 @@ def main(folder: Path, results: Path = RESULTS) -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--results", type=Path, default=RESULTS)
     try:
-        main(*map(Path, sys.argv[1:3]))
+        main(**vars(parser.parse_args()))
     except UserError as error:
         sys.exit(f"pneuma: {error}")

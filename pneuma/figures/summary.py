@@ -37,6 +37,8 @@ WITHOUT_EVALUATIONS = "final-return"
 LONGEST_INCHES = 7.6
 """Of the rows: with what is said around them a figure still fits a page."""
 ROW_LINES = 1.6
+DOT_SHARE, MOST_BESIDE = 0.012, 0.3
+"""How wide a run's dot is, in parts of all values; and how far from its row it lies at most, in rows."""
 _STATISTICS = {"mean": ("D", 0.14), "iqm": ("s", -0.14)}
 """Marker of a statistic, and where it lies beside the condition's row."""
 _INK = "#222222"
@@ -73,11 +75,11 @@ def shown_outcome(data: StudyData) -> str:
 
 def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> Figure:
     figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
-    values = {name: _known(data, name, outcome) for name in data.conditions}
-    pitch = min(ROW_LINES * size.line_inches, LONGEST_INCHES / len(data.conditions))
-    rows_inches = pitch * len(data.conditions) + 0.75
+    values = {name: _known(data, name, outcome) for name in data.conditions if data.of_condition(name)}
+    pitch = min(ROW_LINES * size.line_inches, LONGEST_INCHES / len(values))
+    rows_inches = pitch * len(values) + 0.75
     improved = table[table["statistic"] == "improvement"]
-    profiled = len(data.conditions) <= MOST_IN_A_PANEL
+    profiled = len(values) <= MOST_IN_A_PANEL
     panels = [
         rows_inches,
         *([rows_inches] if len(improved) else []),
@@ -93,7 +95,7 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
     with _dense(pitch / (ROW_LINES * size.line_inches)):
         _draw_runs(places[0], data, values, table, outcome)
         if len(improved):
-            _draw_improvement(places[1], data, improved, labelled=stacked)
+            _draw_improvement(places[1], data, list(values), improved, labelled=stacked)
     if profiled:
         _draw_profiles(places[-1], data, values, outcome)
     words = Words(headline_of(data, "at the end of training"), "", _caption(data, outcome, values, table))
@@ -105,7 +107,7 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
         ),
     }
     low, high = words.put(figure, size, sum(panels) if stacked else max(panels), entries)
-    size.check_room(1 + len(data.conditions) // 3, high - low)
+    size.check_room(1 + len(values) // 3, high - low)
     return figure
 
 
@@ -134,9 +136,9 @@ def _draw_runs(
     axes: Axes, data: StudyData, values: dict[str, np.ndarray], table: pd.DataFrame, outcome: str
 ) -> None:
     looks, mark = condition_looks(data.conditions), mpl.rcParams["lines.markersize"]
-    for row, condition in enumerate(data.conditions):
-        runs, colour = values[condition], looks[condition]["color"]
-        places = np.full(len(runs), float(row))
+    reach = np.ptp(np.concatenate([*values.values(), [0.0]]))
+    for row, (condition, runs) in enumerate(values.items()):
+        colour, places = looks[condition]["color"], row + _beside(runs, reach)
         faint = 0.7 if len(runs) < 20 else 0.4
         axes.plot(
             runs,
@@ -154,8 +156,7 @@ def _draw_runs(
             for one in found.itertuples():
                 face = colour if statistic == "mean" else "white"
                 _draw_interval(axes, one, row - beside, marker, face)
-    labels = [f"{name} (n = {len(values[name])})" for name in data.conditions]
-    _label_rows(axes, labels)
+    _label_rows(axes, [f"{name} (n = {len(runs)})" for name, runs in values.items()])
     known = find_outcome(outcome)
     shares = known.bounds == (0.0, 1.0)
     axes.set(title="Every run", xlabel="Share killed" if shares else "Return of an episode")
@@ -165,14 +166,28 @@ def _draw_runs(
         axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
 
 
-def _draw_improvement(axes: Axes, data: StudyData, table: pd.DataFrame, labelled: bool) -> None:
+def _beside(values: np.ndarray, reach: float) -> np.ndarray:
+    """Return how far from their row's middle the dots of (runs,) lie, so that none covers another."""
+    beside = np.zeros(len(values))
+    near = np.round(values / (DOT_SHARE * reach or 1.0))
+    for place in np.unique(near):
+        alike = np.flatnonzero(near == place)
+        step = min(0.09, 2 * MOST_BESIDE / len(alike))
+        beside[alike] = step * (np.arange(len(alike)) - (len(alike) - 1) / 2)
+    return beside
+
+
+def _draw_improvement(
+    axes: Axes, data: StudyData, shown: Sequence[str], table: pd.DataFrame, labelled: bool
+) -> None:
     looks = condition_looks(data.conditions)
     for one in table.itertuples():
-        row = data.conditions.index(str(one.condition))
-        _draw_interval(axes, one, row, "o", looks[str(one.condition)]["color"])
+        sure = np.isfinite(float(one.low))  # type: ignore[arg-type]
+        face = looks[str(one.condition)]["color"] if sure else "white"
+        _draw_interval(axes, one, shown.index(str(one.condition)), "o", face)
     axes.axvline(0.5, color="#666666", linewidth=0.9, zorder=1.2)
     axes.set(xlim=(0, 1), title="Against the baseline", xlabel="Probability of being better")
-    _label_rows(axes, data.conditions if labelled else ["" for _ in data.conditions])
+    _label_rows(axes, shown if labelled else [""] * len(shown))
 
 
 def _draw_interval(axes: Axes, row: object, place: float, marker: str, face: str) -> None:
@@ -207,10 +222,14 @@ def _draw_profiles(axes: Axes, data: StudyData, values: dict[str, np.ndarray], o
     shares = find_outcome(outcome).bounds == (0.0, 1.0)
     levels = np.linspace(0 if shares else pooled.min(), pooled.max(), 201)
     looks = condition_looks(data.conditions)
-    for condition in data.conditions:
-        if len(values[condition]):
-            look = {**looks[condition], "marker": ""}
-            axes.step(levels, performance_profile(values[condition], levels), where="post", **look)
+    for condition, runs in values.items():
+        if len(runs):
+            look = {**looks[condition], "marker": "", "label": condition}
+            axes.step(levels, performance_profile(runs, levels), where="post", **look)
+    axes.legend(
+        loc="best", fontsize="small", handlelength=2.6, labelspacing=0.2, borderaxespad=0.2,
+        frameon=True, framealpha=0.8, edgecolor="none",
+    )  # fmt: skip
     axes.set(title="Runs above a level", xlabel="Share killed" if shares else "Return of an episode")
     axes.set(ylabel="Share of runs", ylim=(0, 1.02))
     axes.xaxis.set_major_locator(whole_ticks(4))
@@ -229,7 +248,13 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], table
         words.append(f"All as they stood at {step:,} steps, the most that all runs were to reach.")
     if data.record.get("baseline") in data.conditions and len(data.conditions) > 1:
         baseline = data.record["baseline"]
-        words.append(f"Against the baseline: the probability that a run is better than one of {baseline}.")
+        words.append(
+            f"Against the baseline: the probability that a run is better than one of {baseline}, a tie being "
+            "half of it, with 95 % intervals (bootstrap); hollow where no resample differs: there is none."
+        )
+    absent = [name for name in data.conditions if name not in values]
+    if absent:
+        words.append(f"Not run: {', '.join(absent)}.")
     for name, known in values.items():
         total = len(data.of_condition(name))
         if len(known) < total:
