@@ -25,7 +25,7 @@ from pneuma.analysis.checksums import is_whole
 from pneuma.errors import UserError, install_extra
 from pneuma.study import spec
 from pneuma.study.executors.local import available_cores, one_thread_environment
-from pneuma.study.store import Store
+from pneuma.study.store import Store, read_whole
 
 GOOD, NOTE, BROKEN = "good", "note", "broken"
 PYTHONS = ((3, 11), (3, 14))
@@ -126,6 +126,9 @@ def _cores() -> Finding:
 def _packages() -> list[Finding]:
     """Return one finding for all packages that are as needed, and one for each that is not."""
     needed = [text.partition(";")[0].strip() for text in _requirements() if "extra ==" not in text]
+    if not needed:
+        told = "Pneuma runs from its folder and is not installed: versions are not compared"
+        return [Finding("packages", NOTE, told, "pip install --constraint constraints.txt --editable .")]
     found = [(text, _installed(_name_of(text))) for text in needed]
     wrong = [(text, has) for text, has in found if has is None or not satisfies(has, text)]
     findings = [
@@ -312,7 +315,7 @@ def _tables(folder: Path) -> list[Finding]:
 
 def _is_whole(path: Path) -> bool:
     try:
-        return is_whole(path.read_bytes())
+        return is_whole(read_whole(path))
     except OSError:
         return False
 

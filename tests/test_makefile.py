@@ -17,7 +17,7 @@ from pneuma.study.spec import list_studies, load_study
 
 ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
-COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --setting (\S+) (.*?)--results results")
+COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --setting (\S+) (.*?)--results \"results\"")
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
 

@@ -27,7 +27,7 @@ from pneuma.analysis.published_times import read_times
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.tables import FinishedRun, told_seconds, told_share
 from pneuma.errors import UserError
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Status, Store, read_whole
 from pneuma.study.tables import from_parquet
 
 SCHEMA = 2
@@ -64,7 +64,7 @@ def read_published(store: Store, study: str) -> PublishedRuns:
     """
     path = published_path(store, study)
     try:
-        data = path.read_bytes()
+        data = read_whole(path)
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from None
     if not is_whole(data):
@@ -72,11 +72,13 @@ def read_published(store: Store, study: str) -> PublishedRuns:
     try:
         table = from_parquet(data)
         head = json.loads(table.schema.metadata[b"pneuma"])
+        schema = head["schema"]
+        runs = PublishedRuns(head, table, read_times(store, study)) if schema == SCHEMA else None
     except (pa.ArrowException, TypeError, KeyError, ValueError):
         raise UserError(f"{path}: is no published table of a study") from None
-    if head["schema"] != SCHEMA:
-        raise UserError(f"{path}: of schema {head['schema']}, which this version of Pneuma cannot read")
-    return PublishedRuns(head, table, read_times(store, study))
+    if runs is None:
+        raise UserError(f"{path}: of schema {schema}, which this version of Pneuma cannot read")
+    return runs
 
 
 class PublishedRuns:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.tables import StudyData, told_seconds
-from pneuma.study.store import Store, to_json
+from pneuma.study.store import Store, read_whole, to_json
 
 SCHEMA = 1
 _MACHINE = ("system", "cpu", "threads")
@@ -46,7 +46,7 @@ def encode_times(data: StudyData, staying: Mapping[str, Any] | None = None) -> b
 def read_times(store: Store, study: str) -> dict[str, dict[str, Any]]:
     """Return what the file tells of each run whose time makes sense; nothing where there is no such file."""
     try:
-        told = json.loads(times_path(store, study).read_bytes())["runs"].items()
+        told = json.loads(read_whole(times_path(store, study)))["runs"].items()
         return {run_id: about for run_id, about in told if told_seconds(about) is not None}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}

@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from pneuma.analysis.checksums import NO_SUM, is_whole, with_sum
 from pneuma.analysis.intervals import mean_interval
 from pneuma.errors import UserError
+from pneuma.study.store import read_whole
 from pneuma.study.tables import from_parquet
 
 FOLDER = "trajectories"
@@ -171,7 +172,7 @@ def read_trajectories(results: Path, study: str) -> StudyTrajectories | None:
     if not path.exists():
         return None
     try:
-        data = path.read_bytes()
+        data = read_whole(path)
         if not is_whole(data):
             raise ValueError
         table = from_parquet(data)

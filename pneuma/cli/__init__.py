@@ -6,6 +6,7 @@ Exit codes: 0 done; 1 a run crashed; 2 the command or a file it read was wrong, 
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Sequence
 
@@ -66,11 +67,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         sys.stderr.close()  # the reader of our output has gone, as in `pneuma … | head`
         return 0
+    except OSError as error:  # a folder that may not be read, a name too long, a full disk
+        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
     return code if isinstance(code, int) else 0
 
 
 def run() -> None:
     """Entry point of the `pneuma` command."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal of few characters shows the others as \\u…
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     raise SystemExit(main())
 
 

@@ -10,9 +10,9 @@ import typer
 
 from pneuma.cli.options import (
     Json,
+    OwnSeeds,
     Quiet,
     Results,
-    Seeds,
     Settings,
     Trust,
     Workers,
@@ -41,7 +41,7 @@ def fork(
     reset: Annotated[
         str, typer.Option("--reset", metavar="|".join(FORK_RESETS), help="What to begin anew at the fork.")
     ] = "",
-    seeds: Seeds = "3",
+    seeds: OwnSeeds = "3",
     workers: Workers = None,
     trust: Trust = False,
     results: Results = Path("results"),
@@ -57,7 +57,7 @@ def fork(
     settings = read_settings_options(set_)
     parent = find_run(store, name)
     step = read_count("--at", at)
-    plan = plan_fork(store, parent, step, settings, reset, read_seeds_option(seeds or "3"), trust)
+    plan = plan_fork(store, parent, step, settings, reset, read_seeds_option(seeds), trust)
     plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
     how = Supervision(workers=read_workers(workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

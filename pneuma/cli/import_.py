@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pneuma.cli.options import Json, Results, print_json, say
-from pneuma.cli.plain_text import plain
+from pneuma.cli.plain_text import command, plain
 from pneuma.study.store import Store
 
 app = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
@@ -65,5 +65,5 @@ def tensorboard(
     kept = len(done.runs) - new
     print(f"{done.study}: {len(done.runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
     print("Returns are means of 100 episodes, as Stable-Baselines3 logs them.")
-    print(f"Draw it with: pneuma study plot {done.study} --results {results}")
+    print(f"Draw it with: {command('study', 'plot', done.study, '--results', results)}")
     return None

@@ -54,12 +54,12 @@ StudyPreset = Annotated[
         help="How much to run, also joined (paper+claims): quick for plan and run, else as last run.",
     ),
 ]
-Seeds = Annotated[
-    str | None,
-    typer.Option(
-        "--seeds", metavar="N|LIST", help="A count N (seeds 0 to N-1) or a list: 3,5,8; '7,' is seed 7."
-    ),
-]
+_SEEDS = typer.Option(
+    "--seeds", metavar="N|LIST", help="A count N (seeds 0 to N-1) or a list: 3,5,8; '7,' is seed 7."
+)
+Seeds = Annotated[str | None, _SEEDS]
+OwnSeeds = Annotated[str, _SEEDS]
+"""The same of commands with seeds of their own where none are given."""
 Steps = Annotated[
     str | None,
     typer.Option("--steps", metavar="N", help="Steps of each run, rounded up to whole horizons."),

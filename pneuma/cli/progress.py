@@ -80,7 +80,7 @@ class ProgressDisplay:
             if self._show or not progress.passing:
                 self._print_note(progress)
             return
-        if progress.status:
+        if progress.status and progress.status != "stopped":
             self._ended[name] = progress.status
         over = progress.status in FINISHED
         self._steps[name] = progress.cell.run.steps if over else max(self._steps[name], progress.step)
@@ -95,7 +95,7 @@ class ProgressDisplay:
         from rich.progress import Progress as Bars
 
         self._bars = Bars(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.fields[runs]}"),
             MofNCompleteColumn(),

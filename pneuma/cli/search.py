@@ -12,7 +12,7 @@ import typer
 from pneuma.cli import search_promote, search_run
 from pneuma.cli.figure_files import Formats, draw_files, read_formats
 from pneuma.cli.options import Json, Results, SettingName, print_json, read_path
-from pneuma.cli.plain_text import plain
+from pneuma.cli.plain_text import command, plain
 from pneuma.cli.study_output import check_choice
 from pneuma.cli.study_records import study_record
 from pneuma.errors import UserError, counted
@@ -101,7 +101,7 @@ def status(
     for trial in trials:
         print(f"  {_told_trial(trial, record['best'])}")
     _tell_begun(begun)
-    _tell_best(record, name, setting)
+    _tell_best(record, name, setting, store.root)
     print(f"Look closer with: optuna-dashboard {plain(record['storage'])}")
     return None
 
@@ -247,12 +247,16 @@ def _tell_begun(begun: Begun) -> None:
         print("A process is searching now.")
 
 
-def _tell_best(record: Mapping[str, Any], name: str, setting: str | None) -> None:
+def _tell_best(record: Mapping[str, Any], name: str, setting: str | None, root: Path) -> None:
+    from pneuma.search.spec import list_searches
+    from pneuma.study.definition import split_setting
+
     if record["best"] in (None, []):
         print("No trial is complete yet.")
     elif isinstance(record["best"], list):
         print(f"Pareto front (*): trials {', '.join(map(str, record['best']))}.")
     else:
-        there = f" --setting {setting}" if setting else ""
-        told = f"pneuma search promote {plain(name)}{there}"
+        there = ["--setting", setting] if setting else []
+        own = name if split_setting(name)[0] in list_searches() else record.get("path") or name
+        told = command("search", "promote", own, *there, "--results", root)
         print(f"Best (*): trial {record['best']}. Confirm it with: {told}")

@@ -11,9 +11,9 @@ import typer
 
 from pneuma.cli.options import (
     Json,
+    OwnSeeds,
     Quiet,
     Results,
-    Seeds,
     SettingName,
     Workers,
     print_json,
@@ -22,7 +22,7 @@ from pneuma.cli.options import (
     read_workers,
     say,
 )
-from pneuma.cli.plain_text import plain
+from pneuma.cli.plain_text import command, plain
 from pneuma.cli.search_run import RunSteps, SearchName, recorded
 from pneuma.cli.study_run import exit_code, train, train_cells
 from pneuma.study import plan, spec
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 def promote(
     name: SearchName,
-    seeds: Seeds = "10",
+    seeds: OwnSeeds = "10",
     steps: RunSteps = None,
     trial: Annotated[
         str | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
@@ -59,7 +59,7 @@ def promote(
         load_search(name if name.endswith(".toml") else _source(record, name), setting), record
     )
     chosen = promoting.winner(record, None if trial is None else _number(trial))
-    fresh = read_seeds_option(seeds or "10")
+    fresh = read_seeds_option(seeds)
     promoting.refuse_seen_seeds(fresh, record)
     budget = record["steps"] if steps is None else read_count("--steps", steps)
     how = Supervision(workers=read_workers(workers))
@@ -70,7 +70,7 @@ def promote(
     say(f"wrote {plain(str(path))}", aside=True, quiet=quiet)
     code = exit_code(train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet))
     if code:
-        say(f"Not all runs ended: pneuma study status {path} --results {store.root}", aside=True)
+        say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
         return code
     gains = promoting.gains(search, record, chosen, planned, store)
     ends = [(cell.condition, store.status(cell.run_id).name) for cell in planned.cells]
@@ -82,7 +82,7 @@ def promote(
     for arm, count in diverged.items():
         if count:
             print(f"  {count} of the {arm}'s {len(planned.seeds)} runs diverged, and count as in a search")
-    say(f"Draw it with: pneuma study plot {path} --results {store.root}", quiet=quiet)
+    say(f"Draw it with: {command('study', 'plot', path, '--results', store.root)}", quiet=quiet)
     return 0
 
 
@@ -100,12 +100,8 @@ def run_sensitivity(
         say(f"Note: {told}.", aside=True, quiet=quiet)
     code = train(planned, store, how, retry_failed, json, quiet)
     save_points(store, task)
-    name = task.search.name
-    say(
-        f"Draw it with: pneuma search plot {name} --sensitivity --results {store.root}",
-        aside=True,
-        quiet=quiet,
-    )
+    drawn = command("search", "plot", task.search.name, "--sensitivity", "--results", store.root)
+    say(f"Draw it with: {drawn}", aside=True, quiet=quiet)
     return code
 
 

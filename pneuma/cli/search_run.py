@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,6 +25,7 @@ from pneuma.cli.options import (
     read_workers,
     say,
 )
+from pneuma.cli.plain_text import command
 from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
@@ -195,8 +197,8 @@ def _search(
         document = {"schema": 1, "search": task.search.name, "trials": trials, "best": best}
         print_json({**document, "storage": searched.storage, "optuna_study": searched.optuna_study})
         return 0
-    say(f"Look closer with: optuna-dashboard {searched.storage}", quiet=quiet)
-    say(f"Draw it with: pneuma search plot {task.search.name} --results {store.root}", quiet=quiet)
+    say(f"Look closer with: optuna-dashboard {shlex.quote(searched.storage)}", quiet=quiet)
+    say(f"Draw it with: {command('search', 'plot', task.search.name, '--results', store.root)}", quiet=quiet)
     return 0
 
 

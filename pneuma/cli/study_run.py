@@ -25,7 +25,7 @@ from pneuma.cli.options import (
     say,
     selects,
 )
-from pneuma.cli.plain_text import plain
+from pneuma.cli.plain_text import command, plain
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
@@ -301,7 +301,8 @@ def _tell_outcomes(
     kept = len(outcomes) - trained
     say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
     if outcomes and not any(counts[name] for name in UNWELL):
-        say(f"Draw it with: pneuma study plot {planned.study.name} --results {store.root}", as_json, quiet)
+        drawn = command("study", "plot", planned.study.name, "--results", store.root)
+        say(f"Draw it with: {drawn}", as_json, quiet)
 
 
 def _cause(trace: Path) -> str:

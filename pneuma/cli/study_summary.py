@@ -92,6 +92,10 @@ def collapse(
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     formats = read_figures_asked(out, format)
+    if fork and out is not None:
+        raise UserError("--out: does not go with --fork; `pneuma study plot` draws the forks")
+    if not fork and (idle := _idle(run=run, workers=workers, trust=trust, quiet=quiet)):
+        raise UserError(f"--{idle}: goes with --fork alone")
     store = Store(results)
     data = open_data(store, name, selection, setting, mixed=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
@@ -112,6 +116,11 @@ def collapse(
     for path in figures:
         print(f"wrote {plain(str(path))}")
     return 0
+
+
+def _idle(**given: object) -> str:
+    """Return the first option that was given; empty where none was."""
+    return next((name for name, value in given.items() if value), "")
 
 
 def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> list[Path]:

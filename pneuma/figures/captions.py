@@ -115,7 +115,7 @@ def _worth(few: Sequence[Curve], band: str) -> list[str]:
     told = f"cover the mean at worst {' or '.join(known)} of the time" if known else ""
     none = "of two runs say little" if not all(covered.values()) else ""
     worth = ", and those ".join(filter(None, [told, none]))
-    return [f"Bands are for each point by itself; they {worth}, so these runs are drawn too, as thin lines."]
+    return [f"Bands, each point by itself, {worth}; so these runs are drawn too, as thin lines."]
 
 
 def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:

@@ -150,8 +150,8 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def per_cent(share: float, _: Any) -> str:
-    """Return a share in per cent without idle decimals, for an axis."""
-    return f"{100 * share:.3g} %"
+    """Return a share in per cent without idle decimals, for an axis; below 0 there is none."""
+    return f"{100 * share:.3g} %" if share >= 0 else ""
 
 
 def _marked(points: int, marker: str) -> tuple[int, int]:

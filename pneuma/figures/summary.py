@@ -224,12 +224,8 @@ def _draw_profiles(axes: Axes, data: StudyData, values: dict[str, np.ndarray], o
     looks = condition_looks(data.conditions)
     for condition, runs in values.items():
         if len(runs):
-            look = {**looks[condition], "marker": "", "label": condition}
+            look = {**looks[condition], "marker": ""}
             axes.step(levels, performance_profile(runs, levels), where="post", **look)
-    axes.legend(
-        loc="best", fontsize="small", handlelength=2.6, labelspacing=0.2, borderaxespad=0.2,
-        frameon=True, framealpha=0.8, edgecolor="none",
-    )  # fmt: skip
     axes.set(title="Runs above a level", xlabel="Share killed" if shares else "Return of an episode")
     axes.set(ylabel="Share of runs", ylim=(0, 1.02))
     axes.xaxis.set_major_locator(whole_ticks(4))
@@ -243,6 +239,8 @@ def _caption(data: StudyData, outcome: str, values: dict[str, np.ndarray], table
     shown = known_outcome.words
     words = [f"{', '.join(data.environments)}. {shown[:1].upper()}{shown[1:]}."]
     words += looks_told(data)
+    if len(values) <= MOST_IN_A_PANEL:
+        words.append("Runs above a level: in the colours of the rows.")
     step = common_step(data)
     if step is not None:
         words.append(f"All as they stood at {step:,} steps, the most that all runs were to reach.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 
@@ -91,7 +91,14 @@ def check_outcomes(task: Task) -> None:
 @contextmanager
 def _alone(task: Task, store: Store) -> Iterator[None]:
     """Keep a second process from searching here at the same time."""
-    with RunLock(lock_folder(store, task.search.name)) as mine:
+    folder = lock_folder(store, task.search.name)
+    if folder.is_symlink():
+        raise UserError(f"{folder}: is a link; remove it, the search makes a folder in its place")
+    with ExitStack() as held:
+        try:
+            mine = held.enter_context(RunLock(folder))
+        except OSError as error:
+            raise UserError(f"{folder}: cannot be written ({error.strerror})") from None
         if not mine:
             raise UserError(f"search {task.search.name}: another process searches in {store.root} now")
         yield

@@ -12,8 +12,9 @@ import json
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from pneuma.config import Run, as_settings
@@ -165,11 +166,20 @@ def _measure(run: Run) -> Pace | None:
     with tempfile.TemporaryDirectory() as folder:
         how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=CALIBRATION_SECONDS)
         run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
-    if len(moments) < 2 or moments[-1][1] == moments[0][1]:
+    if all(late <= early for (_, early), (_, late) in pairwise(moments)):
         return None
-    (first, early), (last, late) = moments[0], moments[-1]
-    per_step = (last - first) / (late - early)
+    first, early = moments[0]
+    per_step = _usual_pace(moments)
     return Pace(max(0.0, first - begun - early * per_step), per_step)
+
+
+def _usual_pace(moments: Sequence[tuple[float, int]]) -> float:
+    """Return the seconds a step between most moments: between some a program is compiled, once."""
+    return statistics.median(
+        (then - before) / (late - early)
+        for (before, early), (then, late) in pairwise(moments)
+        if late > early
+    )
 
 
 def _calibration_path(store: Store) -> Path:

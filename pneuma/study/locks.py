@@ -21,9 +21,9 @@ from pathlib import Path
 
 RENEW_SECONDS = 30.0
 STALE_SECONDS = 600.0
+"""Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 LOOKS, LOOK_SECONDS = 5, 0.002
 """How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
-"""Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 
 
 class _Renewal:

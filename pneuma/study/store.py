@@ -42,7 +42,7 @@ from pneuma.study.files import (
 )
 from pneuma.study.locks import RunLock, is_held
 
-__all__ = ["FINISHED", "STATUSES", "Status", "Store", "run_document", "to_json", "write_whole"]
+__all__ = ["FINISHED", "STATUSES", "Status", "Store", "read_whole", "run_document", "to_json", "write_whole"]
 
 STATUSES = (
     "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
+from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.study.store import Status
 
 from .hand_made import BUDGET, HandMade, headline, legend, make_id, words
@@ -56,7 +57,7 @@ def test_the_legend_says_of_how_many_runs(study: HandMade, tmp_path: Path, drawn
     study.add("tanh", 2)
     study.draw(tmp_path)
     assert legend(drawn[0])[:2] == ["tanh (n = 3)", "relu (n = 2)"]
-    told = "Bands cover the mean at worst 82 % (n = 3) of the time, and those of two runs say little"
+    told = "each point by itself, cover the mean at worst 82 % (n = 3) of the time, and those of two runs"
     assert words(drawn[0]).replace("\n", " ").count(told) == 1
 
 
@@ -92,7 +93,7 @@ def test_a_figure_names_its_study_and_environment(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.draw(tmp_path)
-    assert headline(drawn[0]) == "Mine"
+    assert headline(drawn[0]) == "Mine in the text's world"
     assert "pneuma/Pneuma-v0" in words(drawn[0])
 
 
@@ -181,14 +182,14 @@ def test_runs_in_which_no_episode_ended_are_drawn_with_their_evaluations(tmp_pat
 
 def test_more_conditions_than_colours_are_still_told_apart(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path)
-    for number in range(8):
+    for number in range(MOST_IN_A_PANEL):
         study.add(f"condition-{number}", 0)
     study.draw(tmp_path, formats=("svg",))
     looks = [
         (str(line.get_color()), str(line.get_linestyle()), str(line.get_marker()))
-        for line in drawn[0].axes[0].get_lines()[:16:2]
+        for line in drawn[0].axes[0].get_lines()[: 2 * MOST_IN_A_PANEL : 2]
     ]
-    assert len(set(looks)) == 8
+    assert len({colour for colour, _, _ in looks}) == len(set(looks)) == MOST_IN_A_PANEL
 
 
 def test_a_study_without_a_finished_run_is_told_and_nothing_is_written(tmp_path: Path) -> None:

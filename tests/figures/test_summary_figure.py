@@ -122,11 +122,13 @@ def test_make_figures_draws_published_studies_without_their_runs(three: HandMade
     tables = {
         Path("tables") / f"{name}.{form}" for name in ("mine", "mine-godot") for form in ("tex", "md", "csv")
     }
-    assert written == figures | tables | {Path("index.json")}
+    assert written == figures | tables | {Path("index.json"), Path("README.md")}
     index = json.loads((tmp_path / "paper" / "index.json").read_bytes())["figures"]
     assert {entry["file"] for entry in index} == {str(path) for path in figures | tables}
     assert {entry["command"] for entry in index} == {"make figures"}
     assert {len(entry["runs"]["tanh"]) for entry in index} == {3}
+    page = (tmp_path / "paper" / "README.md").read_text()
+    assert page.count("\n## ") == 2 and "- [fig-mine.png](fig-mine.png): curves: share killed" in page
     again = paper.draw_all(tmp_path / "again", fresh)
     assert all(
         path.read_bytes() == (tmp_path / "paper" / path.relative_to(tmp_path / "again")).read_bytes()
