@@ -12,7 +12,7 @@ from pneuma import __version__
 from pneuma.cli.options import Json, Quiet, Results, print_json, read_path, say
 from pneuma.cli.plain_text import plain
 from pneuma.cli.report_contents import studies_to_report, study_section
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.study.store import Store, write_whole
 
 RESULTS = Path("results")
@@ -52,8 +52,13 @@ def report(
     if json:
         document = {"schema": 1, "file": str(out), "bytes": len(page)}
         return print_json({**document, "studies": len(sections), "claims": len(claims)})
-    print(f"wrote {plain(str(out))}: {len(page) / 1e6:.1f} MB, {len(sections)} studies, {len(claims)} claims")
+    held = f"{_studies(len(sections))}, {counted(len(claims), 'claim')}"
+    print(f"wrote {plain(str(out))}: {len(page) / 1e6:.1f} MB, {held}")
     return None
+
+
+def _studies(count: int) -> str:
+    return "1 study" if count == 1 else f"{count} studies"
 
 
 def _check_out(out: Path) -> None:

@@ -62,7 +62,7 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
         ]
         return print_json({"schema": 1, "runs": rows})
     if not runs:
-        print(f"No run is stored in {results} yet.")
+        print(f"No run is stored in {results} yet." if results.is_dir() else f"There is no folder {results}.")
     for run in runs:
         held = ", ".join(f"{plain(h.study)}/{plain(h.condition)}" for h in run.holders) or "of no study"
         seed = "?" if run.seed is None else run.seed

@@ -1,4 +1,4 @@
-"""`pneuma study …`: list, show, plan, run, status, plot, export, publish and verify studies."""
+"""`pneuma study …`: all that is done with studies; the larger commands have files of their own."""
 
 from __future__ import annotations
 

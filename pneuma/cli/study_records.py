@@ -26,6 +26,8 @@ def study_record(
     """
     stem = _record_name(name, setting)
     record = _own_record(store, name, stem) or _published_record(store, stem)
+    if record is None and not store.root.is_dir() and not is_shipped(name):
+        raise UserError(f"--results {store.root}: there is no such folder")
     if record is None and selection is None:
         raise _unknown(store, name, stem, setting)
     if selection is None:

@@ -60,7 +60,7 @@ def plan_(
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
-    """Say which runs are stored and which would be trained, and how long that takes; train nothing."""
+    """Say which runs are stored and which would be trained, and how long that takes; none is trained."""
     from pneuma.study import foresight
 
     selection = selection or plan.Selection()

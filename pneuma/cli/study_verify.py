@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 
-_HEAD = ("claim", "section", "text", "godot", "published", "numbers of", "effect", "95 % interval", "seeds")
+_HEAD = ("claim", "section", "text", "godot", "logs", "numbers of", "effect", "95 % interval", "seeds")
 
 
 def verify(
@@ -55,7 +55,9 @@ def verify(
         head = {"schema": 1, "claims_hash": known.digest, "alpha": ALPHA, "contrasts": contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
     _print_table(shown)
-    print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…, fixed before the runs.")
+    _print_reasons(shown, named=bool(claims))
+    fixed = ", fixed before the runs" if file is None else ""
+    print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
     print(f"At most {ALPHA:.0%} chance of any false verdict among all, by Bonferroni's correction.")
     return None
 
@@ -113,8 +115,6 @@ def _interval(pair: Pair) -> list[float] | None:
 
 def _print_table(shown: Sequence[Judged]) -> None:
     """Print a line for each claim: its verdicts side by side, and numbers of the first place with some."""
-    from pneuma.analysis.judgement import UNTESTABLE
-
     by_claim: dict[str, dict[str, Judged]] = {}
     for one in shown:
         by_claim.setdefault(one.claim.name, {})[one.place] = one
@@ -122,9 +122,20 @@ def _print_table(shown: Sequence[Judged]) -> None:
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _print_reasons(shown: Sequence[Judged], named: bool) -> None:
+    """Print why claims are untestable: of those that were named in full, of a long list how often."""
+    from pneuma.analysis.judgement import UNTESTABLE
+
+    if named:
+        for one in shown:
+            if one.reason:
+                print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
+        return
     reasons = Counter(f"{one.place}: {_kind_of(one.reason)}" for one in shown if one.verdict == UNTESTABLE)
     if reasons:
-        print("\nUntestable for:")
+        print("\nUntestable for (of a claim that is named, the whole reason is told):")
         for reason, count in reasons.most_common():
             print(f"  {count:>3}  {plain(reason)}")
 

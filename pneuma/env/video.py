@@ -61,7 +61,9 @@ def check_video(path: Path, frames_per_second: float) -> None:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         hint = nearest_name(suffix, SUFFIXES)
-        raise UserError(f"{path}: unknown kind of video {suffix!r}{hint}; known are {', '.join(SUFFIXES)}")
+        raise UserError(
+            f"{path}: unknown kind of picture or video {suffix!r}{hint}; known are {', '.join(SUFFIXES)}"
+        )
     fastest = MOST_GIF_FRAMES_PER_SECOND if suffix == ".gif" else 1000.0
     if not 0 < frames_per_second <= fastest:
         raise UserError(

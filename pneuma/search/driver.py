@@ -74,7 +74,10 @@ def check_outcomes(task: Task) -> None:
     """
     search = task.search
     for objective in search.objectives:
-        find_outcome(objective.outcome)
+        try:
+            find_outcome(objective.outcome)
+        except UserError as error:
+            raise UserError(f"{task.search.path}: [objectives.{objective.name}] outcome: {error}") from None
         if objective.over_seeds == "deviation" and len(task.budget.seeds) < 2:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
     if search.pruner["name"] and len(search.objectives) > 1:

@@ -51,7 +51,9 @@ def claims_preset(study: Study) -> dict[str, Preset]:
     """
     found = fixed_amounts(study)
     if not found:
-        raise UserError(f"--preset {CLAIMS}: {_file_beside(study)} has no claim on study {study.name}")
+        beside = _file_beside(study)
+        lacks = f"has no claim on study {study.name}" if beside.exists() else "is not there"
+        raise UserError(f"--preset {CLAIMS}: {beside} {lacks}")
     return found
 
 
@@ -170,6 +172,8 @@ def _by_condition(
     """Read what is one value for all conditions, or a table of one for each; else as in [defaults]."""
     where = where if key in file.table(where) else ("defaults",)
     value = file.table(where).get(key)
+    if value is None:
+        raise file.mistake(where, f"the key {key!r} is missing, here or in the claim")
     given = value if isinstance(value, dict) else dict.fromkeys(conditions, value)
     if given.keys() != {*conditions}:
         raise file.mistake(where, f"{key}: one value, or one for each of {', '.join(conditions)}", key)

@@ -134,6 +134,8 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
     conditions, runs = {}, []
     for name in names:
         where = ("conditions", name)
+        if not name.strip():
+            raise file.mistake(("conditions",), "a condition needs a name that can be read")
         conditions[name] = read_settings_table(file, where)
         _refuse_faults(file, base, shared, name, conditions[name], check_run)
         runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))

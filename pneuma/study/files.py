@@ -58,12 +58,30 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
                 descriptors.append(descriptor)
             _wait_for_disk(descriptors)
         for name, temporary in written.items():
-            os.chmod(temporary, 0o644)
+            os.chmod(temporary, _mode(folder / name))
             os.replace(temporary, folder / name)
     except BaseException:
         for temporary in written.values():
             Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def _mode(path: Path) -> int:
+    """Return who may read and write a file that is put in a place: as before, or as a new file there."""
+    try:
+        return stat.S_IMODE(path.lstat().st_mode) if not path.is_symlink() else 0o666 & ~_UMASK
+    except FileNotFoundError:
+        return 0o666 & ~_UMASK
+
+
+def _umask() -> int:
+    """Return what new files are kept from; it can only be read by setting it, so at the start alone."""
+    own = os.umask(0o077)
+    os.umask(own)
+    return own
+
+
+_UMASK = _umask()
 
 
 def _wait_for_disk(descriptors: Sequence[int]) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from pneuma.config import as_settings, make_run
 from pneuma.errors import UserError
-from pneuma.study.files import read_sealed, read_whole
+from pneuma.study.files import CHECKPOINTS, checksum, read_checkpoint_name, read_sealed, read_whole
 from pneuma.study.store import FINISHED, Status, Store
 
 SHORTEST_PREFIX = 4
@@ -208,12 +208,23 @@ def _file(store: Store, run_id: str, name: str, listed: bool) -> StoredFile:
         return StoredFile(name, 0, "missing")
     size = path.stat().st_size
     if not listed:
-        return StoredFile(name, size, "unlisted")
+        return StoredFile(name, size, _checkpoint_state(path) or "unlisted")
     try:
         store.read_file(run_id, name)
     except UserError:
         return StoredFile(name, size, "damaged")
     return StoredFile(name, size, "sound")
+
+
+def _checkpoint_state(path: Path) -> str:
+    """Tell whether a checkpoint is what its own name says; empty for any other file."""
+    told = read_checkpoint_name(path.name) if path.parent.name == CHECKPOINTS else None
+    if told is None:
+        return ""
+    try:
+        return "sound" if checksum(read_whole(path)).startswith(told[1]) else "damaged"
+    except OSError:
+        return "damaged"
 
 
 def _document(store: Store, run_id: str, name: str) -> dict[str, Any]:

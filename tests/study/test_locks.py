@@ -28,15 +28,12 @@ def test_one_holder_at_a_time(tmp_path: Path) -> None:
         assert again
 
 
-def test_who_only_looks_keeps_nobody_out(tmp_path: Path) -> None:
+def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `study status` does, again and again, while a run's end is to be stored."""
-    with RunLock(tmp_path):
-        looking = os.open(tmp_path / ".lock", os.O_RDONLY)
     (tmp_path / ".lock").touch()
-    os.close(looking)
     looking = os.open(tmp_path / ".lock", os.O_RDONLY)
     fcntl.flock(looking, fcntl.LOCK_SH)
-    threading.Timer(locks.LOOK_SECONDS, os.close, (looking,)).start()
+    monkeypatch.setattr(locks.time, "sleep", lambda seconds: os.close(looking))  # it has seen what it wanted
     with RunLock(tmp_path) as mine:
         assert mine
 
