@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
@@ -133,11 +133,31 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
             )
         if len(set(values.get(key, ()))) == 1:
             values[key] = values[key][:1]
-    if values.get("random_levels", 1) > 1 and not values.get("level", "").startswith("random:"):
+    if values.get("random_levels", 1) > 1 and not is_random_level(values.get("level", "")):
         raise UserError(
             f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"
         )
     return values
+
+
+def is_own_level(name: str) -> bool:
+    """Tell whether a level is a file of its user's, and neither shipped nor made from a number."""
+    return bool(name) and name not in SHIPPED_LEVELS and not is_random_level(name)
+
+
+def is_random_level(name: str) -> bool:
+    """Tell whether a level is made from a number."""
+    return name.startswith("random:")
+
+
+def are_own_characters(name: str) -> bool:
+    """Tell whether characters are a file of their user's."""
+    return bool(name) and name not in SHIPPED_CHARACTERS
+
+
+def own_rewards(names: Iterable[str]) -> list[str]:
+    """Return those of the names of rewards that are functions of their user's."""
+    return [name for name in names if ":" in name]
 
 
 _Config = TypeVar("_Config", bound=EnvConfig)

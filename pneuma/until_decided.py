@@ -82,7 +82,7 @@ def run_until_decided(
     stages = make_stages(most_seeds)
     plans = [make_plan(study, replace(selection, seeds=tuple(range(s.seeds)))) for s in stages]
     others = compared(plans[0])
-    _refuse_another_plan(store.selection(study.name) or {}, stages, plans[-1])
+    _refuse_another_plan(store.selection(study.name) or {}, stages, others, plans[-1])
     looks: list[Look] = []
     for stage, planned in zip(stages, plans, strict=True):
         if not train(planned):
@@ -90,23 +90,28 @@ def run_until_decided(
         record = execute.selection_record(planned)
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
-        store.save_selection(study.name, {**record, "adaptive": _as_record(stages, looks)})
+        store.save_selection(study.name, {**record, "adaptive": _as_record(stages, others, looks)})
         yield looks[-1]
         if looks[-1].decided:
             return
 
 
-def _refuse_another_plan(record: Mapping[str, Any], stages: Sequence[Stage], whole: Plan) -> None:
-    """Refuse to look at other stages at runs that were looked at: that spends the error rate twice."""
+def _refuse_another_plan(
+    record: Mapping[str, Any], stages: Sequence[Stage], others: Sequence[str], whole: Plan
+) -> None:
+    """Refuse to look at runs again by other stages, or for other conditions: that spends alpha twice."""
     before = [stage.seeds for stage in stages]
-    if not looks_of(record) or record["adaptive"].get("stages") == before:
+    if not looks_of(record):
+        return
+    told = record["adaptive"]
+    if told.get("stages") == before and told.get("conditions", list(others)) == list(others):
         return
     ids = {cell.run_id for cell in whole.cells}
     if any(run["run_id"] in ids for run in record["runs"]):
         at = ", ".join(map(str, looks_of(record)))
         raise UserError(
-            f"study {whole.study.name}: was looked at with {at} seeds by another --max-seeds; looking again "
-            "would spend its error rate twice: give the same --max-seeds, or fix --seeds"
+            f"study {whole.study.name}: was looked at with {at} seeds by another --max-seeds or --condition; "
+            "looking again would spend its error rate twice: give the same ones, or fix --seeds"
         )
 
 
@@ -173,12 +178,13 @@ def _had(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _as_record(stages: list[Stage], looks: list[Look]) -> dict[str, Any]:
+def _as_record(stages: list[Stage], others: Sequence[str], looks: list[Look]) -> dict[str, Any]:
     """Return what a study's record keeps of how its seeds came about."""
     return {
         "outcome": PRIMARY,
         "margin": HALF_A_MONSTER,
         "stages": [stage.seeds for stage in stages],
+        "conditions": list(others),
         "looks": [look_document(look) for look in looks],
     }
 

@@ -48,12 +48,18 @@ class FinishedRun:
 
 
 def looks_of(record: Mapping[str, Any]) -> tuple[int, ...]:
-    """Return at how many seeds a study was looked at before more were added, as its record has it."""
+    """Return at how many seeds a study was looked at, as its record has it."""
     try:
         seeds = [look["seeds"] for look in record["adaptive"]["looks"]]
     except (KeyError, TypeError):  # fixed beforehand, or a stranger's record
         return ()
     return tuple(own for own in seeds if isinstance(own, int))
+
+
+def looks_told(record: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return those that say how a record's runs came about: not those at more seeds than it has."""
+    seeds = {run["seed"] for run in record["runs"]}
+    return tuple(own for own in looks_of(record) if own <= len(seeds))
 
 
 class Source(Protocol):
@@ -196,7 +202,7 @@ class StudyData:
     @property
     def looks(self) -> tuple[int, ...]:
         """At how many seeds it was looked at to decide on more; empty where their number was fixed."""
-        return looks_of(self.record)
+        return looks_told(self.record)
 
     @cached_property
     def budget(self) -> int:

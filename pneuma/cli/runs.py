@@ -62,7 +62,8 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
         ]
         return print_json({"schema": 1, "runs": rows})
     if not runs:
-        print(f"No run is stored in {results} yet." if results.is_dir() else f"There is no folder {results}.")
+        none = "" if results.is_dir() else ": there is no such folder"
+        print(f"No run is stored in {results} yet{none}.")
     for run in runs:
         held = ", ".join(f"{plain(h.study)}/{plain(h.condition)}" for h in run.holders) or "of no study"
         seed = "?" if run.seed is None else run.seed

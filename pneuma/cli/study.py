@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -153,10 +154,7 @@ def status(
             counts = ", ".join(f"{n} {state}" for state, n in Counter(told).items())
             print(f"{plain(record['study'])}: {counts}")
             if "adaptive" in record:
-                from pneuma.analysis.tables import looks_of
-
-                at = ", ".join(map(str, looks_of(record)))
-                print(f"  seeds were added by --until-decided, which looked at {at} of them")
+                _tell_looks(record)
             for run, state in zip((state.run for state in states), told, strict=True):
                 job = jobs.get(run["run_id"])
                 mark = f"  ({marks[run['run_id']]} than most)" if run["run_id"] in marks else ""
@@ -168,6 +166,14 @@ def status(
 
 
 # --- Helpers -------------------------------------------------------------------------------------
+
+
+def _tell_looks(record: Mapping[str, Any]) -> None:
+    from pneuma.analysis.tables import looks_told
+
+    at = ", ".join(map(str, looks_told(record)))
+    if at:
+        print(f"  seeds were added by --until-decided, which looked at {at} of them")
 
 
 def _show_record(record: dict[str, Any], json: bool) -> None:

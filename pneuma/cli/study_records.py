@@ -26,8 +26,6 @@ def study_record(
     """
     stem = _record_name(name, setting)
     record = _own_record(store, name, stem) or _published_record(store, stem)
-    if record is None and not store.root.is_dir() and not is_shipped(name):
-        raise UserError(f"--results {store.root}: there is no such folder")
     if record is None and selection is None:
         raise _unknown(store, name, stem, setting)
     if selection is None:
@@ -254,9 +252,9 @@ def _unknown(store: Store, name: str, stem: str, setting: str | None) -> UserErr
         anew = f"`pneuma study run {told}` writes it" if _is_asked_for(name) else "import or fork its runs"
         return UserError(f"{path}: damaged; {anew} anew")
     if not _is_asked_for(name):
-        return unknown_name(
-            "study", name, sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})
-        )
+        known = sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})
+        where = "" if store.root.is_dir() else f"; and --results {store.root} is no folder"
+        return UserError(f"{unknown_name('study', name, known)}{where}")
     return UserError(
         f"study {stem} has no runs in {store.root}: run `pneuma study run {told}` first, "
         "or name the folder with --results"

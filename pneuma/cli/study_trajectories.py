@@ -24,6 +24,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records
+from pneuma.env_settings import is_random_level
 from pneuma.errors import UserError
 from pneuma.study.spec import TEXT, split_setting
 from pneuma.study.store import Store
@@ -178,7 +179,7 @@ def _refuse_strangers(data: StudyData, run: FinishedRun, trust: bool) -> None:
 def _level(data: StudyData) -> str:
     """Return the level that all runs play on; '' where these are several, or drawn at random."""
     levels = {str(data.settings(run).get("level")) for run in data.runs}
-    return levels.pop() if len(levels) == 1 and not min(levels).startswith("random:") else ""
+    return levels.pop() if len(levels) == 1 and not is_random_level(min(levels)) else ""
 
 
 def _played(

@@ -21,6 +21,7 @@ from pneuma.engines.team import Team
 from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
+from pneuma.env_settings import own_rewards
 
 
 class Evaluation:
@@ -89,7 +90,7 @@ class Evaluation:
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         policies = policy.policies if isinstance(policy, Team) else (policy,)
-        asks = policies[0].exploration is not None or any(":" in name for name in self.run.reward)
+        asks = policies[0].exploration is not None or bool(own_rewards(self.run.reward))
         if not asks and sum(weight.size for weight, _ in policies[0].actor) <= MOST_WEIGHTS:
             self._begin()
             return play_episodes(self.worlds, policies, self.episodes, generator)

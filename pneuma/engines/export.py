@@ -22,8 +22,6 @@ from pneuma.algorithms import TABULAR
 from pneuma.config import (
     ACTION_NAMES,
     REWARDS,
-    SHIPPED_CHARACTERS,
-    SHIPPED_LEVELS,
     SPELL_NAMES,
     Run,
     env_config,
@@ -32,6 +30,7 @@ from pneuma.config import (
 from pneuma.engines.policy import LEAKY_SLOPE, Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
+from pneuma.env_settings import are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
 
 ONNX_OPSET = 17
@@ -118,8 +117,7 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
 
 def reads_only_shipped_files(run: Run) -> bool:
     """Tell whether a run's level and characters come with Pneuma."""
-    level = run.level in SHIPPED_LEVELS or run.level.startswith("random:")
-    return level and run.characters in ("", *SHIPPED_CHARACTERS)
+    return not (is_own_level(run.level) or are_own_characters(run.characters))
 
 
 def _check_shape(policy: Policy, run: Run) -> None:

@@ -95,8 +95,10 @@ def read_entries(folder: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     try:
-        entries = json.loads(path.read_bytes())["figures"]
-        return [entry for entry in entries if isinstance(entry["file"], str)]
+        entries: list[dict[str, Any]] = json.loads(path.read_bytes())["figures"]
+        if not all(isinstance(entry["file"], str) for entry in entries):
+            raise ValueError
+        return entries
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise UserError(f"{path}: is no index of figures; remove it, or name another folder") from None
 

@@ -97,11 +97,11 @@ def prepare(
 
 
 def _looked_at(plan: Plan, recorded: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return what a study's record says of seeds that were added by looking, where a plan goes on."""
+    """Return what a study's record says of looks at its runs, where a plan has any of them."""
     if not recorded or "adaptive" not in recorded:
         return {}
     ids = {cell.run_id for cell in plan.cells}
-    return {"adaptive": recorded["adaptive"]} if all(run["run_id"] in ids for run in recorded["runs"]) else {}
+    return {"adaptive": recorded["adaptive"]} if any(run["run_id"] in ids for run in recorded["runs"]) else {}
 
 
 def execute(

@@ -7,7 +7,8 @@ import json
 from importlib import import_module
 from pathlib import Path
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, SHIPPED_CHARACTERS, SHIPPED_LEVELS, Run, as_settings
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_settings
+from pneuma.env_settings import are_own_characters, is_own_level, own_rewards
 
 
 def run_id(run: Run) -> str:
@@ -20,9 +21,9 @@ def run_id(run: Run) -> str:
     """
     usual = as_settings(Run())
     own = {key: value for key, value in as_settings(run).items() if value != usual[key]}
-    if run.level not in SHIPPED_LEVELS and not run.level.startswith("random:"):
+    if is_own_level(run.level):
         own["level"] = "of the user's own"
-    if run.characters and run.characters not in SHIPPED_CHARACTERS:
+    if are_own_characters(run.characters):
         own["characters"] = "of the user's own"
     identity = {
         "run": own,
@@ -39,11 +40,11 @@ def _contents(run: Run) -> str:
     What is shipped is part of the rules' version.
     """
     paths: list[Path] = []
-    if run.level not in SHIPPED_LEVELS and not run.level.startswith("random:"):
+    if is_own_level(run.level):
         paths += import_module("pneuma.env.level").level_files(run.level)
-    if run.characters and run.characters not in SHIPPED_CHARACTERS:
+    if are_own_characters(run.characters):
         paths += import_module("pneuma.env.characters").character_files(run.characters)
-    custom = [name for name in run.reward if ":" in name]
+    custom = own_rewards(run.reward)
     if custom:
         paths += import_module("pneuma.env.reward").reward_files(custom)
     digest = hashlib.sha256()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pneuma.config import SHIPPED_CHARACTERS, SHIPPED_LEVELS, Run, read_setting
+from pneuma.config import Run, read_setting
+from pneuma.env_settings import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
 
@@ -22,12 +23,12 @@ def own_things(settings: Mapping[str, object]) -> dict[str, str]:
         for key in (REWARD, LEVEL, CHARACTERS)
         if settings.get(key) is not None
     }
-    custom = [name for name in read.get(REWARD, ()) if ":" in name]
+    custom = own_rewards(read.get(REWARD, ()))
     found = {REWARD: f"run the reward {', '.join(custom)}"} if custom else {}
     level = read.get(LEVEL, "")
-    if level and level not in SHIPPED_LEVELS and not level.startswith("random:"):
+    if is_own_level(level):
         found[LEVEL] = f"read the level {level}"
     characters = read.get(CHARACTERS, "")
-    if characters and characters not in SHIPPED_CHARACTERS:
+    if are_own_characters(characters):
         found[CHARACTERS] = f"read the characters {characters}"
     return found

@@ -92,8 +92,11 @@ def test_a_study_whose_seeds_came_by_looking_says_so_while_it_goes_on_and_no_oth
     assert record is not None and looks_of(record) == (10,)
     assert main(["study", "status", STUDY, "--results", str(tmp_path)]) == 0
     assert "seeds were added by --until-decided, which looked at 10 of them" in capsys.readouterr().out
-    execute.prepare(make_plan(study, Selection(seeds=(0, 1, 2))), store)  # another question
-    assert looks_of(store.selection(STUDY) or {}) == ()
+    execute.prepare(make_plan(study, Selection(seeds=(0, 1, 2))), store)  # another question, of fixed seeds
+    assert main(["study", "status", STUDY, "--results", str(tmp_path)]) == 0
+    assert "until-decided" not in capsys.readouterr().out
+    with pytest.raises(UserError, match="was looked at with 10 seeds"):  # but the first is not forgotten
+        next(run_until_decided(study, Selection(), 20, store, written.train))
 
 
 def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -104,6 +107,9 @@ def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path:
         next(run_until_decided(study, Selection(), 40, store, written.train))
     again = run_until_decided(study, Selection(), 20, store, written.train)
     assert [look.stage.seeds for look in again] == looks  # the same looks at the same runs
+    one = Selection(conditions=(study.baseline, list(study.conditions)[-1]))
+    with pytest.raises(UserError, match="or --condition; looking again"):
+        next(run_until_decided(study, one, 20, store, written.train))
     longer = replace(study.in_setting("godot"), name=study.name)  # other runs
     next(run_until_decided(longer, Selection(), 40, store, written.train))
 

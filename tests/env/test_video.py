@@ -108,8 +108,12 @@ def test_png_is_the_first_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "rate", "told"),
     [
-        ("a.gfi", 10, r"unknown kind of video '.gfi' \(did you mean .gif\?\); known are .gif, .mp4, .png"),
-        ("a", 10, "unknown kind of video ''"),
+        (
+            "a.gfi",
+            10,
+            r"unknown kind of picture or video '.gfi' \(did you mean .gif\?\); known are .gif, .mp4, .png",
+        ),
+        ("a", 10, "unknown kind of picture or video ''"),
         ("a.gif", 60, "frames per second = 60 is not allowed: above 0 and at most 50"),
         ("a.gif", 0, "frames per second = 0 is not allowed"),
         ("missing/a.gif", 10, "there is no folder"),

@@ -132,7 +132,7 @@ def test_a_study_without_claims_has_no_such_preset(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"claims\.toml has no claim on study mine"):
         claims_preset(study)
     (tmp_path / "claims.toml").unlink()
-    with pytest.raises(UserError, match=r"claims\.toml has no claim on study mine"):
+    with pytest.raises(UserError, match=r"claims\.toml is not there"):
         claims_preset(study)
     with pytest.raises(UserError, match="study mine is no file"):
         claims_preset(replace(study, path=None))

@@ -21,6 +21,7 @@ from pneuma.engines.acting import ACTIVATION_CODES, activate, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 from pneuma.env.worlds import ENDINGS, Worlds
+from pneuma.env_settings import own_rewards
 
 ENDED = np.dtype(
     [
@@ -106,7 +107,7 @@ class Collector:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self._asks = any(":" in name for name in run.reward)
+        self._asks = bool(own_rewards(run.reward))
         self.worlds = Worlds(run.slots, env_config(run))
         self.worlds.seed([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
         self.worlds.reset()
