@@ -111,7 +111,7 @@ def test_png_is_the_first_frame(tmp_path: Path) -> None:
         (
             "a.gfi",
             10,
-            r"unknown kind of picture or video '.gfi' \(did you mean .gif\?\); known are .gif, .mp4, .png",
+            r"unknown kind of picture or video .\.gfi. \(did you mean .gif\?\); known are .gif, .mp4",
         ),
         ("a", 10, "unknown kind of picture or video ''"),
         ("a.gif", 60, "frames per second = 60 is not allowed: above 0 and at most 50"),
