@@ -10,6 +10,15 @@ MOST_NAMES = 8
 """As many as there can be players in a world."""
 
 
+def shown_setting(value: object) -> str:
+    """Return a setting's value as people read it: a list without its brackets, nothing as "none"."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(shown_setting, value)) or "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "none" if value in (None, "") else str(value)
+
+
 @dataclass(frozen=True)
 class Number:
     """A number within bounds; `whole` for integers, `optional` where "none" switches it off."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import combinations, product
 from math import prod
 
-from pneuma.analysis.robustness import shown_level
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
+from pneuma.values import shown_setting
 
 _NO_FACTORS = ("seed", "steps", "engine")
 
@@ -77,7 +77,7 @@ def _settings(data: StudyData) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     for run in data.record["runs"]:
         own = {key: tuple(value) if isinstance(value, list) else value for key, value in run["run"].items()}
-        shown = {key: shown_level(value) for key, value in own.items() if key not in _NO_FACTORS}
+        shown = {key: shown_setting(value) for key, value in own.items() if key not in _NO_FACTORS}
         found.setdefault(run["condition"], shown)
     return found
 

@@ -26,6 +26,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_setting, stream_seed
 from pneuma.errors import UserError
+from pneuma.values import shown_setting
 
 LEVEL = 0.05
 """Error rate over all cells of a map."""
@@ -101,12 +102,14 @@ def robustness_map(
         raise UserError(f"outcome {outcome}: is neither better high nor better low")
     values = _comparable(read_setting(Run, setting, better)), _comparable(read_setting(Run, setting, worse))
     if values[0] == values[1]:
-        raise UserError(f"{setting}: {shown_level(values[0])} against itself is no contrast; name two values")
+        raise UserError(
+            f"{setting}: {shown_setting(values[0])} against itself is no contrast; name two values"
+        )
     pairs = _pairs(data, setting, *values)
     if not pairs:
         raise UserError(
             f"study {data.study}: no two conditions differ in {setting} alone, "
-            f"{shown_level(values[0])} in one and {shown_level(values[1])} in the other"
+            f"{shown_setting(values[0])} in one and {shown_setting(values[1])} in the other"
         )
     factors = _factors([settings for _, _, settings in pairs])
     at_step = common_step(data)
@@ -136,7 +139,7 @@ def map_table(found: Map) -> pd.DataFrame:
         contrast = cell.contrast
         rows.append(
             {
-                **{key: shown_level(level) for key, level in cell.levels},
+                **{key: shown_setting(level) for key, level in cell.levels},
                 "better": cell.better,
                 "worse": cell.worse,
                 "outcome": found.outcome,
@@ -220,10 +223,3 @@ def _label(cells: Sequence[Cell]) -> str:
     if HOLDS in labels:
         return ROBUST if labels == {HOLDS} else CONDITIONAL if REVERSED in labels else PARTIAL
     return REVERSED if REVERSED in labels else UNDECIDED
-
-
-def shown_level(value: Any) -> str:
-    """Return a level as people read it."""
-    if isinstance(value, tuple):
-        return ", ".join(map(shown_level, value))
-    return "none" if value is None else str(value)

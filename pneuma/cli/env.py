@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,15 +48,15 @@ def list_(json: Json = False) -> None:
 
     rows = []
     for name in pneuma.env.REGISTERED:
-        env = gymnasium.make(name).unwrapped
-        rows.append(
-            {
-                "id": name,
-                "about": ABOUT[name],
-                "observation": str(env.observation_space.shape or env.observation_space),
-                "actions": int(env.action_space.n),  # type: ignore[attr-defined]
-            }
-        )
+        with closing(gymnasium.make(name).unwrapped) as env:
+            rows.append(
+                {
+                    "id": name,
+                    "about": ABOUT[name],
+                    "observation": str(env.observation_space.shape or env.observation_space),
+                    "actions": int(env.action_space.n),  # type: ignore[attr-defined]
+                }
+            )
     if json:
         return print_json({"schema": 1, "environments": rows})
     for row in rows:

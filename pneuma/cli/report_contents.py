@@ -21,6 +21,7 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.definition import in_setting
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
+from pneuma.values import shown_setting
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -294,9 +295,7 @@ def _value(settings: Mapping[str, Any], key: str) -> str:
     if key not in settings:
         return "unknown"
     value = settings[key]
-    if value is None:
-        return "none"
-    shown = value if isinstance(value, str) and value else json.dumps(value, ensure_ascii=False)
+    shown = json.dumps(value) if isinstance(value, dict) else shown_setting(value)
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
@@ -304,15 +303,15 @@ def _origins(data: StudyData) -> list[Origin]:
     """Return what produced a study's runs, with how many runs each set-up produced."""
     from pneuma.figures.report_studies import Origin
 
-    counted: dict[tuple[tuple[str, str], ...], int] = {}
+    runs_of: dict[tuple[tuple[str, str], ...], int] = {}
     for run in data.runs:
         try:
             found = data.source.provenance(run)
         except (UserError, ValueError):
             found = None
         facts = tuple(_facts(found).items())
-        counted[facts] = counted.get(facts, 0) + 1
-    return [Origin(dict(facts), runs) for facts, runs in counted.items()]
+        runs_of[facts] = runs_of.get(facts, 0) + 1
+    return [Origin(dict(facts), runs) for facts, runs in runs_of.items()]
 
 
 def _facts(provenance: Any) -> dict[str, str]:

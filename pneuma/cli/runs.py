@@ -19,6 +19,7 @@ from pneuma.study import stored_runs
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store, write_whole
 from pneuma.study.stored_runs import Holder, StoredRun
+from pneuma.values import shown_setting
 
 app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
@@ -312,7 +313,4 @@ def _rows(held: tuple[Holder, ...]) -> list[dict[str, Any]]:
 
 def _value(value: object) -> str:
     """Write a value for people."""
-    if value is None:
-        return "none"
-    shown = value if isinstance(value, str) and value else json_module.dumps(value, ensure_ascii=False)
-    return plain(shown)
+    return plain(json_module.dumps(value) if isinstance(value, dict) else shown_setting(value))

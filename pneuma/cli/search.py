@@ -151,8 +151,10 @@ def plot(
         record = search_run.recorded(store, name, setting)
         wanted = tuple(what or PLOTS)
         paths = draw_files(store, out, lambda folder: draw_search(record, folder, wanted, formats))
-        if not paths:
-            print(_why_nothing(record, wanted), file=sys.stderr)
+        drawn = {path.stem.rpartition(f"search-{record['search']}-")[2] for path in paths}
+        lacking = [name for name in wanted if name not in drawn] if what or not paths else []
+        if lacking:
+            print(_why_nothing(record, lacking), file=sys.stderr)
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
@@ -161,13 +163,12 @@ def plot(
 
 
 def _why_nothing(record: Mapping[str, Any], wanted: Sequence[str]) -> str:
-    """Say why a search has none of the figures that were asked for."""
+    """Say why a search has not the figures that were asked for."""
     from pneuma.figures.search import NEEDS
 
     if record["best"] in (None, []):
         return "nothing to draw yet: no trial is complete"
-    needs = "; ".join(f"{name} needs {NEEDS[name]}" for name in wanted)
-    return f"nothing to draw: {needs}"
+    return "not drawn: " + "; ".join(f"{name} needs {NEEDS[name]}" for name in wanted)
 
 
 def _sensitivity(store: Store, search: str) -> tuple[StudyData, dict[str, Any]]:

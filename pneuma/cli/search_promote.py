@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -82,7 +83,6 @@ def promote(
     for arm, count in diverged.items():
         if count:
             print(f"  {count} of the {arm}'s {len(planned.seeds)} runs diverged, and count as in a search")
-    say(f"Draw it with: {command('study', 'plot', path, '--results', store.root)}", quiet=quiet)
     return 0
 
 
@@ -166,7 +166,11 @@ def _tell(
         print(f"  {objective.over_seeds} over seeds of {objective.outcome}:")
         print(f"    in the search      {own.seen:.4f}" + _beside(own.seen_baseline))
         print(f"    on fresh seeds     {own.fresh:.4f}" + _beside(own.fresh_baseline))
-        told = f"95 % interval {low:+.4f} to {high:+.4f}" if low == low else "too few seeds for an interval"
+        told = (
+            f"95 % interval {low:+.4f} to {high:+.4f}"
+            if math.isfinite(low)
+            else "too few seeds for an interval"
+        )
         print(f"    difference of means {own.difference:+.4f} ({told})")
         flattered = own.luck if objective.direction == "maximize" else -own.luck
         print(
@@ -177,6 +181,5 @@ def _tell(
 
 
 def _beside(baseline: float) -> str:
-    return (
-        f"   (baseline {baseline:.4f})" if baseline == baseline else "   (baseline: no trial of the search)"
-    )
+    known = f"{baseline:.4f})" if math.isfinite(baseline) else "no trial of the search)"
+    return f"   (baseline: {known}"

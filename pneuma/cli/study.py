@@ -37,6 +37,7 @@ from pneuma.errors import UserError
 from pneuma.study import claimed, plan, spec
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
+from pneuma.values import shown_setting
 
 if TYPE_CHECKING:
     from pneuma.study.executors.slurm_queue import Job
@@ -107,7 +108,7 @@ def show(
     print("\nAll conditions share:")
     for key, value in as_settings(make_run(study.settings(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):
-            print(f"  {key} = {'none' if value is None else value}")
+            print(f"  {key} = {shown_setting(value)}")
     print("\nPresets:")
     for preset, amount in study.presets.items():
         print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")

@@ -23,6 +23,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records
 from pneuma.errors import UserError
 from pneuma.study.store import Store
+from pneuma.values import shown_setting
 
 if TYPE_CHECKING:
     from pneuma.analysis.robustness import Map
@@ -102,13 +103,12 @@ def _document(found: Map) -> dict[str, Any]:
 
 
 def _print_map(found: Map) -> None:
-    from pneuma.analysis.robustness import shown_level
     from pneuma.analysis.rounding import shown_with_interval
 
-    better, worse = map(shown_level, found.values)
+    better, worse = map(shown_setting, found.values)
     print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {found.outcome}: {found.label}")
     for cell in found.cells:
-        levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels) or cell.better
+        levels = ", ".join(f"{key} {shown_setting(level)}" for key, level in cell.levels) or cell.better
         interval = cell.contrast.interval
         effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
         print(f"  {plain(levels):<48} {effect:<28} p {cell.p:.3f}  {cell.label}")

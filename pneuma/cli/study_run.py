@@ -31,6 +31,7 @@ from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
+from pneuma.values import shown_setting
 
 RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
@@ -104,7 +105,7 @@ def plan_(
         about = "about" if len(known) == len(todo) else "at least"
         wall = f"{about} {told} with {at_once} at once, " if known else ""
         room = sum(foresight.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
-        print(f"To train: {wall}{room / 1e6:,.0f} MB of disk.")
+        print(f"To train: {wall}{max(room / 1e6, 1):,.0f} MB of disk.")
     return None
 
 
@@ -250,7 +251,7 @@ def by_value(values: Mapping[str, Any]) -> str:
     """Return each value of a setting with the conditions that have it."""
     having: dict[str, list[str]] = {}
     for condition, value in values.items():
-        having.setdefault("none" if value is None else str(value), []).append(condition)
+        having.setdefault(shown_setting(value), []).append(condition)
     return "; ".join(f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
 
 

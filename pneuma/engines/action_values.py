@@ -43,7 +43,7 @@ class ActionValues:
         Both are NaN where nothing discounts a future that has no end.
         """
         estimates, rewards, counted = self._play(policy)
-        if not (self._known or not self.worlds.truncated.any()):
+        if self.worlds.truncated.any() and not self._known:
             return {"q_estimate": math.nan, "q_true": math.nan}
         true = discounted(rewards, self.run.gamma)
         counted[self.run.episode_steps :] = False

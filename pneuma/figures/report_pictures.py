@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 from PIL import Image
 
-from pneuma.analysis.robustness import Map, shown_level
+from pneuma.analysis.robustness import Map
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import ENDINGS, StudyTrajectories, endings
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
@@ -18,6 +18,7 @@ from pneuma.figures.quantities import look_of
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.trajectories import draw_trajectories, share_told
+from pneuma.values import shown_setting
 
 LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
@@ -75,7 +76,7 @@ def _trajectories(data: StudyData, found: StudyTrajectories) -> Picture:
 
 
 def _map(found: Map) -> Picture:
-    better, worse = map(shown_level, found.values)
+    better, worse = map(shown_setting, found.values)
     alt = (
         f"{found.title}: {found.setting} {better} against {worse} in {len(found.cells)} cells of "
         f"{', '.join(found.factors) or 'nothing else'}, with intervals: {found.label}."

@@ -12,10 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Map, robustness_map, shown_level
+from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Map, robustness_map
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.values import shown_setting
 
 WIDTH_INCHES, ROW_INCHES, WORDS_INCHES = 7.0, 0.24, 1.15
 PANEL_INCHES = 0.55
@@ -86,8 +87,8 @@ def _draw_panel(
         if np.isfinite(ends).all():
             axes.plot(ends, [place, place], color=look["color"], linewidth=1.4)
         axes.plot([effect.effect], [place], linestyle="", markersize=5, **look)
-    axes.set_title(", ".join(f"{key} {shown_level(value)}" for key, value in levels.items()), fontsize=7.5)
-    axes.set_yticks(range(len(rows)), [shown_level(row) for row in rows])
+    axes.set_title(", ".join(f"{key} {shown_setting(value)}" for key, value in levels.items()), fontsize=7.5)
+    axes.set_yticks(range(len(rows)), [shown_setting(row) for row in rows])
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
     if axes.get_subplotspec().is_first_col():  # type: ignore[union-attr]
@@ -99,7 +100,7 @@ def _add_words(figure: Figure, found: Map, bottom: Sequence[Axes]) -> None:
     height = figure.get_size_inches()[1]
     edges = (0, 0.46 / height, 1, 1 - 1.04 / height)
     figure.get_layout_engine().set(rect=edges)  # type: ignore[union-attr, call-arg]
-    better, worse = map(shown_level, found.values)
+    better, worse = map(shown_setting, found.values)
     headline = f"{found.title}: {found.setting} {better} against {worse}"
     figure.text(0.01, 1 - 0.2 / height, f"{headline}: {found.label}", fontsize=10)
     counts = {label: sum(cell.label == label for cell in found.cells) for label in LOOKS}

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pandas as pd
 
 from pneuma.config import BASES, as_settings, make_run
+from pneuma.values import shown_setting
 
 SETTINGS = (
     "gamma", "gae_lambda", "learning_rate", "clip_range", "horizon", "minibatch", "epochs",
@@ -19,13 +18,7 @@ SETTINGS = (
 def settings_table() -> pd.DataFrame:
     """Return a row for each setting: its name, its value in either table, whether they differ."""
     bases = [as_settings(make_run(settings)) for settings in BASES.values()]
-    rows = [[name, *(_shown(base[name]) for base in bases)] for name in SETTINGS]
+    rows = [[name, *(shown_setting(base[name]) for base in bases)] for name in SETTINGS]
     table = pd.DataFrame(rows, columns=["setting", *BASES])
     table["differs"] = ["yes" if one != other else "" for _, one, other in rows]
     return table
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "none"
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

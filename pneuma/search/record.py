@@ -110,8 +110,8 @@ def lock_folder(store: Store, name: str) -> Path:
     return store.root / "searches" / f".{name}"
 
 
-def trial_values(trial: Mapping[str, Any]) -> list[float]:
-    """Return a recorded trial's values, one for each objective; those of a failed trial are None."""
+def trial_values(trial: Mapping[str, Any]) -> list[Any]:
+    """Return a recorded trial's values, a number for each objective; of a failed trial None, once."""
     return list(trial["values"] or [None]) if "values" in trial else [trial["value"]]
 
 

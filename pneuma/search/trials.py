@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -125,10 +125,8 @@ class _Asked:
     run: Run | None
     note: str = ""
     pruned: bool = False
-
-    def __post_init__(self) -> None:
-        self.cells: list[Cell] = []
-        self.rungs: dict[int, float] = {}
+    cells: list[Cell] = field(default_factory=list)
+    rungs: dict[int, float] = field(default_factory=dict)
 
 
 def conduct(

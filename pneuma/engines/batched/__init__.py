@@ -1,4 +1,4 @@
-"""The compiled engine: PPO with Stable-Baselines3's arithmetic, about twenty times as fast.
+"""The compiled engine: PPO with Stable-Baselines3's arithmetic, many times as fast.
 
 A rollout is one compiled call (`rollout.py`) and an update two (`learner.py`, `update.py`); Python only
 passes arrays from one to the other. A group's runs are trained one after another by the same programs,
