@@ -29,7 +29,7 @@ from pneuma.cli.plain_text import command
 from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
-from pneuma.study.definition import SETTINGS, TEXT, in_setting
+from pneuma.study.definition import TEXT, check_setting, in_setting
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
@@ -129,8 +129,7 @@ def read_budget(
 
 def record_name(name: str, setting: str | None) -> str:
     """Return what the record of a search is called."""
-    if setting not in (None, *SETTINGS):
-        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
+    check_setting(setting)
     return in_setting(Path(name).stem if name.endswith(".toml") else name, setting or TEXT)
 
 

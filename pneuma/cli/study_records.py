@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from pneuma.cli.options import say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
+from pneuma.study.definition import check_setting
 from pneuma.study.store import Store
 from pneuma.study.trust import own_things
 
@@ -54,7 +55,7 @@ def known_studies(store: Store, setting: str | None = None) -> list[str]:
         from pneuma.analysis.published import published_studies
 
         names |= {*published_studies(store)}
-    _check_setting(setting)
+    check_setting(setting)
     return sorted(
         name
         for name in names
@@ -108,16 +109,11 @@ def _record_name(name: str, setting: str | None) -> str:
     Raises:
         UserError: for a setting that there is not, or that a shipped study is not run in.
     """
-    _check_setting(setting)
+    check_setting(setting)
     if is_shipped(name):
         return spec.load_study(name, setting).name
     stem = Path(name).stem if name.endswith(".toml") else name
     return spec.in_setting(stem, setting or spec.TEXT)
-
-
-def _check_setting(setting: str | None) -> None:
-    if setting not in (None, *spec.SETTINGS):
-        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', spec.SETTINGS)}")
 
 
 def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:

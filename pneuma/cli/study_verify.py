@@ -12,8 +12,8 @@ import typer
 
 from pneuma.cli.options import Json, Results, SettingName, print_json, read_path
 from pneuma.cli.plain_text import plain
-from pneuma.errors import UserError, unknown_name
-from pneuma.study.spec import SETTINGS
+from pneuma.errors import unknown_name
+from pneuma.study.definition import SETTINGS, check_setting
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ def verify(
     json: Json = False,
 ) -> None:
     """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
-    if setting not in (None, *SETTINGS):
-        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
+    check_setting(setting)
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import ALPHA, judge
 

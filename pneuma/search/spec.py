@@ -19,12 +19,11 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.search.options import PRUNERS, SAMPLERS, read_options
 from pneuma.search.space import Choices, Parameter, Range, Space, usual_settings
-from pneuma.study.definition import PUBLISHED_CODE
+from pneuma.study.definition import PUBLISHED_CODE, check_setting
 from pneuma.study.spec import (
     GODOT,
     PRESETS,
     SEEDS_ALLOWED,
-    SETTINGS,
     TEXT,
     in_setting,
     read_seeds,
@@ -125,8 +124,7 @@ class Search:
         In godot's, all trials share the published code's environment, and its clip range and small actor
         where the search sets none itself.
         """
-        if setting not in SETTINGS:
-            raise UserError(f"--setting {setting}: {unknown_name('setting', setting, SETTINGS)}")
+        check_setting(setting)
         if setting == self.setting:
             return self
         own = {key for parameter in self.space.parameters for key in parameter.keys}

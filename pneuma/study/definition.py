@@ -99,8 +99,7 @@ class Study:
         Raises:
             UserError: for a setting that there is not, or that the study is not run in.
         """
-        if setting not in SETTINGS:
-            raise unknown_name("setting", setting, SETTINGS)
+        check_setting(setting)
         if setting not in self.settings_known:
             known = ", ".join(self.settings_known)
             raise UserError(f"study {self.name} is not run in the setting {setting}; it is in {known}")
@@ -140,6 +139,16 @@ def join_settings(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
     env = own.get("env")
     slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
     return {**BASES[base], **slots, **own}
+
+
+def check_setting(setting: str | None) -> None:
+    """Refuse a setting that there is not; None is whichever is usual.
+
+    Raises:
+        UserError: naming the nearest.
+    """
+    if setting not in (None, *SETTINGS):
+        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
 
 
 def in_setting(name: str, setting: str) -> str:
