@@ -88,7 +88,7 @@ def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     assert main(command) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == [
-        "claim", "section", "text", "godot", "published",
+        "claim", "section", "text", "godot", "logs",
         "numbers", "of", "effect", "95", "%", "interval", "seeds",
     ]  # fmt: skip
     assert lines[1].split()[:7] == ["better", "6", "supported", "untestable", "-", "text", "0.5"]
