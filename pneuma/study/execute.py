@@ -16,6 +16,7 @@ from typing import Any
 
 from pneuma.config import Run, as_settings, env_config
 from pneuma.errors import UserError, counted
+from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
@@ -143,8 +144,7 @@ def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
     alike: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():
         single = run.engine == "sb3" or how.timeout_seconds is not None
-        shapes = (run.actor, run.critic, run.activation, run.horizon, run.minibatch, run.epochs, run.slots)
-        like = (*shapes, run.optimizer, run.env, name in how.on_gpu)
+        like = (*(getattr(run, key) for key in SHAPED_BY), name in how.on_gpu)
         alike.setdefault(name if single else like, []).append((name, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / how.workers))
     return [
