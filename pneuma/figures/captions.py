@@ -36,12 +36,16 @@ def headline_of(data: StudyData, shown: str = "") -> str:
         shown: what the figure shows of it, such as 'every condition'; where left out, the thesis's figure
             that it is the counterpart of, if it has one.
     """
+    same = "; ".join(" = ".join(names) for names in data.same)
+    told = ": ".join(filter(None, [title_of(data), shown or _counterpart(data)]))
+    return told + (f"   (A/A: {same} are one configuration)" if same else "")
+
+
+def title_of(data: StudyData) -> str:
+    """Return a study's title and where it is played."""
     plain = data.title.removesuffix(f" ({data.setting})")
     played = any(name.startswith(_WORLD) for name in data.environments)
-    world = " ".join(filter(None, [plain, _WORLDS.get(data.setting, "") if played else ""]))
-    same = "; ".join(" = ".join(names) for names in data.same)
-    told = ": ".join(filter(None, [world, shown or _counterpart(data)]))
-    return told + (f"   (A/A: {same} are one configuration)" if same else "")
+    return " ".join(filter(None, [plain, _WORLDS.get(data.setting, "") if played else ""]))
 
 
 def _counterpart(data: StudyData) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
+from pneuma.figures.captions import title_of
 
 INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
@@ -31,7 +32,7 @@ def index_entries(
     shared = {
         "command": command,
         "from": f"study {data.study}",
-        "title": data.title.removesuffix(f" ({data.setting})"),
+        "title": title_of(data),
         "environments": data.environments,
         "engines": sorted(engines),
         **drawn,
@@ -52,7 +53,8 @@ def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
     head = f"Drawn by `make figures`, which writes this page too. As data, with run ids: `{INDEX}`."
     lines = ["# Figures and tables", "", head, ""]
     for source, own in sections.items():
-        lines += [f"## {own[0].get('title', source)}", "", f"From {source}.", ""]
+        title = own[0].get("title")
+        lines += [f"## {title}", "", f"From {source}.", ""] if title else [f"## {source}", ""]
         lines += [
             f"- [{entry['file']}]({entry['file']}){_drawn(entry)}" for entry in own if not _is_twin(entry)
         ]

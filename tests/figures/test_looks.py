@@ -100,7 +100,7 @@ def test_seeds_that_were_added_by_looking_are_told(
     assert [told in _caption(figure) for figure in drawn] == [False, True]
     data = open_study(study.store, study.record)
     study.store.write(published_path(study.store, "mine"), encode_study(data, (), False))
-    assert read_published(study.store, "mine").record["adaptive"] == study.record["adaptive"]
+    assert read_published(study.store, "mine").record["adaptive"] == {"looks": [{"seeds": 1}, {"seeds": 2}]}
 
 
 # --- Players of known skill ------------------------------------------------------------------------
