@@ -21,7 +21,7 @@ from pneuma.analysis.outcomes import HALF_A_MONSTER, PRIMARY, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sequential import Stage, decide, make_stages
 from pneuma.analysis.sources import open_study
-from pneuma.analysis.tables import StudyData, looks_of
+from pneuma.analysis.tables import StudyData, looked_at, looks_of
 from pneuma.analysis.verdicts import found
 from pneuma.config import stream_seed
 from pneuma.errors import UserError
@@ -90,7 +90,7 @@ def run_until_decided(
         record = execute.selection_record(planned)
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
-        store.save_selection(study.name, {**record, "adaptive": _as_record(stages, others, looks)})
+        store.save_selection(study.name, {**record, "adaptive": _as_record(stages, others, looks, planned)})
         yield looks[-1]
         if looks[-1].decided:
             return
@@ -106,8 +106,7 @@ def _refuse_another_plan(
     told = record["adaptive"]
     if told.get("stages") == before and told.get("conditions", list(others)) == list(others):
         return
-    ids = {cell.run_id for cell in whole.cells}
-    if any(run["run_id"] in ids for run in record["runs"]):
+    if {cell.run_id for cell in whole.cells} & looked_at(record):
         at = ", ".join(map(str, looks_of(record)))
         raise UserError(
             f"study {whole.study.name}: was looked at with {at} seeds by another --max-seeds or --condition; "
@@ -178,13 +177,16 @@ def _had(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _as_record(stages: list[Stage], others: Sequence[str], looks: list[Look]) -> dict[str, Any]:
+def _as_record(
+    stages: list[Stage], others: Sequence[str], looks: list[Look], planned: Plan
+) -> dict[str, Any]:
     """Return what a study's record keeps of how its seeds came about."""
     return {
         "outcome": PRIMARY,
         "margin": HALF_A_MONSTER,
         "stages": [stage.seeds for stage in stages],
         "conditions": list(others),
+        "runs": sorted({cell.run_id for cell in planned.cells}),
         "looks": [look_document(look) for look in looks],
     }
 

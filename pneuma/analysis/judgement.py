@@ -259,11 +259,16 @@ def _judged(claim: Claim, place: str, pairs: tuple[Pair, ...]) -> Judged:
 
 def _is_as_claimed_but_small(judged: Judged) -> bool:
     """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
-    if judged.verdict != REFUTED or judged.told is None or not judged.told.contrast.interval.exists:
-        return False
-    contrast, none = judged.told.contrast, 1.0 if judged.claim.kind == "spread" else 0.0
-    sides = {"greater": contrast.interval.low > none, "less": contrast.interval.high < none}
-    return found(contrast) == "equal" and sides.get(judged.claim.direction, False)
+    refuted = [pair.contrast for pair in judged.pairs if pair.verdict == REFUTED]
+    return judged.verdict == REFUTED and all(
+        found(own) == "equal" and _bears_out(own, judged.claim.direction) for own in refuted
+    )
+
+
+def _bears_out(contrast: Contrast, direction: str) -> bool:
+    """Tell whether the interval lies wholly where the direction has it."""
+    none, interval = 1.0 if contrast.kind == "spread" else 0.0, contrast.interval
+    return interval.low > none if direction == "greater" else direction == "less" and interval.high < none
 
 
 def _together(reasons: Iterable[str]) -> str:

@@ -29,6 +29,9 @@ ANYTHING = (-np.inf, np.inf)
 SHARE = (0.0, 1.0)
 HALF_A_MONSTER = 0.5 / 14
 """Of the level's 14: shares killed that differ by less count as alike."""
+NEAR_AN_END = 0.0357
+"""How near 0 or 1 a share killed counts as there: that much, as claims write it, so that claims on spread and
+on means have one floor."""
 
 
 @dataclass(frozen=True)
@@ -243,14 +246,14 @@ def _last(series: Series) -> float:
 
 def _evaluated(words: str, column: str, better: str, bounds: tuple[float, float], unit: str = "") -> Outcome:
     measure = partial(_final_evaluation, column=column)
-    alike = HALF_A_MONSTER if column.endswith("share_killed") else Outcome.alike
+    alike = NEAR_AN_END if column.endswith("share_killed") else Outcome.alike
     return Outcome(words, unit, better, bounds, "evaluations", measure, alike=alike)
 
 
 def _from_share(
     words: str, measure: Callable[[RunView], float], better: str, bounds: tuple[float, float] = SHARE
 ) -> Outcome:
-    return Outcome(words, "share", better, bounds, "evaluations", measure, alike=HALF_A_MONSTER)
+    return Outcome(words, "share", better, bounds, "evaluations", measure, alike=NEAR_AN_END)
 
 
 def _of_risen(words: str, measure: Callable[[RunView], float]) -> Outcome:

@@ -56,10 +56,19 @@ def looks_of(record: Mapping[str, Any]) -> tuple[int, ...]:
     return tuple(own for own in seeds if isinstance(own, int))
 
 
-def looks_told(record: Mapping[str, Any]) -> tuple[int, ...]:
-    """Return those that say how a record's runs came about: not those at more seeds than it has."""
+def looks_that_count(record: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return those by which a record's seeds came about: at runs of its own, and at no seed that it lacks."""
+    looks = looks_of(record)
+    if not looks or not {run["run_id"] for run in record["runs"]} & looked_at(record):
+        return ()
     seeds = {run["seed"] for run in record["runs"]}
-    return tuple(own for own in looks_of(record) if own <= len(seeds))
+    return tuple(own for own in looks if {*range(own)} <= seeds)
+
+
+def looked_at(record: Mapping[str, Any]) -> set[str]:
+    """Return the ids of the runs that a record's looks were at; its own, where it does not say."""
+    told = record["adaptive"].get("runs", [run["run_id"] for run in record["runs"]])
+    return {own for own in told if isinstance(own, str)} if isinstance(told, list) else set()
 
 
 class Source(Protocol):
@@ -202,7 +211,7 @@ class StudyData:
     @property
     def looks(self) -> tuple[int, ...]:
         """At how many seeds it was looked at to decide on more; empty where their number was fixed."""
-        return looks_told(self.record)
+        return looks_that_count(self.record)
 
     @cached_property
     def budget(self) -> int:

@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()  # the reader of our output has gone, as in `pneuma … | head`
         return 0
     except OSError as error:  # a folder that may not be read, a name too long, a full disk
-        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error) or repr(error))
     return code if isinstance(code, int) else 0
 
 

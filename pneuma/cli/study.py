@@ -170,9 +170,9 @@ def status(
 
 
 def _tell_looks(record: Mapping[str, Any]) -> None:
-    from pneuma.analysis.tables import looks_told
+    from pneuma.analysis.tables import looks_that_count
 
-    at = ", ".join(map(str, looks_told(record)))
+    at = ", ".join(map(str, looks_that_count(record)))
     if at:
         print(f"  seeds were added by --until-decided, which looked at {at} of them")
 

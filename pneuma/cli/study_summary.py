@@ -94,7 +94,7 @@ def collapse(
     formats = read_figures_asked(out, format)
     if fork and out is not None:
         raise UserError("--out: does not go with --fork; `pneuma study plot` draws the forks")
-    if not fork and (idle := _idle(run=run, workers=workers, trust=trust, quiet=quiet)):
+    if not fork and (idle := _idle(run, fork_seeds, workers, trust)):
         raise UserError(f"--{idle}: goes with --fork alone")
     store = Store(results)
     data = open_data(store, name, selection, setting, mixed=not fork)
@@ -118,8 +118,9 @@ def collapse(
     return 0
 
 
-def _idle(**given: object) -> str:
-    """Return the first option that was given; empty where none was."""
+def _idle(run: list[str] | None, fork_seeds: str, workers: str | None, trust: bool) -> str:
+    """Return the first option of forks that was given; empty where none was."""
+    given = {"run": run, "fork-seeds": fork_seeds != FORK_SEEDS, "workers": workers, "trust": trust}
     return next((name for name, value in given.items() if value), "")
 
 

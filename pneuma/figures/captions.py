@@ -83,7 +83,8 @@ def _forks(data: StudyData) -> list[str]:
     of_one = max((len(data.of_condition(name)) for name in data.conditions), default=0)
     if not parents or len(parents) >= of_one:
         return []
-    told = f"Runs are forks of {len(parents)} others, several of each"
+    few = f"{len(parents)} runs, several of each" if len(parents) > 1 else "one run"
+    told = f"Runs are forks of {few}"
     return [f"{told}: bands and intervals take them for independent."]
 
 
@@ -101,7 +102,7 @@ def _lines(drawn: Sequence[Curve], band: str) -> list[str]:
         bare = ", and without a band," if BANDS[band].about_mean else ""
         words.append(f"Lines are faint{bare} where not all n runs have a value.")
     if band == "minmax" and len({len(curve.runs) for curve in drawn}) > 1:
-        words.append("The more runs, the wider a band from least to greatest: those of unlike n say nothing.")
+        words.append("From least to greatest is wider of more runs: bands of unlike n cannot be compared.")
     words += _worth([curve for curve in drawn if shows_runs(curve, band)], band)
     if band == "variance":
         words.append(

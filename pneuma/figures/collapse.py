@@ -99,8 +99,8 @@ def _caption(data: StudyData, left_out: int) -> list[str]:
         "steps before and after the onset; means over 5 % of the budget, and single evaluations. Right: "
         "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson).",
         f"Collapsed: down to one action (dashed: {LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
-        f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations or more. Hollow: "
-        f"no longer so at the end. {none}",
+        f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations in a row. "
+        f"Hollow: no longer so at the end. {none}",
     ]
 
 

@@ -166,8 +166,10 @@ def main(pages: Sequence[Path], results: Path) -> None:
     """Write every page anew, or none, and say so.
 
     Raises:
-        UserError: for a page that cannot be read, or has a wrong mark.
+        UserError: for a page that cannot be read, or has a wrong mark, or without published tables.
     """
+    if not (results / PUBLISHED).is_dir():
+        raise UserError(f"{results / PUBLISHED}: is no folder, so no verdict is written")
     claims = published_claims(results)
     written = {page: with_verdicts(_read(page), claims) for page in pages}
     for page, text in written.items():

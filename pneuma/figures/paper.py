@@ -113,7 +113,13 @@ def _write_settings(folder: Path) -> list[dict[str, Any]]:
 
 
 def main(folder: Path, results: Path = RESULTS) -> None:
-    """Draw all and say so."""
+    """Draw all and say so.
+
+    Raises:
+        UserError: where the results folder has no published tables: what was drawn of them would be removed.
+    """
+    if not (results / "published").is_dir():
+        raise UserError(f"{results / 'published'}: is no folder, so nothing is drawn, and nothing removed")
     written = draw_all(folder, results)
     for path in written:
         print(f"wrote {path}")

@@ -88,7 +88,7 @@ class Verdict:
 
     Attributes:
         verdict: of `MEANINGS`.
-        reason: why nothing can be concluded; empty for a plain result.
+        reason: why nothing can be concluded, or what a refuted claim has right; empty for a plain result.
         effects: its contrasts, the one that decides first.
         seeds_needed: an arm, to decide; None where nothing is known of it.
         run_ids: of every run that was looked at.

@@ -120,5 +120,5 @@ def _caption(found: Map) -> str:
     turned = " (turned, less is better)" if find_outcome(found.outcome).better == "lower" else ""
     return (
         f"Marks: difference of means of {found.outcome}{turned}, {runs} runs an arm; lines: 95 % intervals, "
-        "each for itself.\nFilled marks differ from 0 by a permutation test, at 5 % over all cells (Holm)."
+        "each for itself.\nFilled marks differ from 0 by Welch's t, at 5 % over all cells (Holm)."
     )

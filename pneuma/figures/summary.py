@@ -167,7 +167,7 @@ def _draw_runs(
 
 
 def _beside(values: np.ndarray, reach: float) -> np.ndarray:
-    """Return how far from their row's middle the dots of (runs,) lie, so that none covers another."""
+    """Return how far from their row's middle the dots of (runs,) lie: those that are alike, apart."""
     beside = np.zeros(len(values))
     near = np.round(values / (DOT_SHARE * reach or 1.0))
     for place in np.unique(near):

@@ -163,8 +163,9 @@ def _is_damaged(path: Path) -> bool:
 def _without_password(url: str) -> str:
     """Return a URL without user, password and options, which may hold one too."""
     scheme, colon, rest = url.partition("://")
-    server, slash, path = rest.partition("/")  # an @ further on is one of a file's path
-    return f"{scheme}{colon}{server.rpartition('@')[2].partition('?')[0]}{slash}{path.partition('?')[0]}"
+    if not rest.startswith("/"):  # else it is a file, whose path may hold an @
+        rest = rest.rsplit("@", 1)[-1]
+    return f"{scheme}{colon}{rest.partition('?')[0]}"
 
 
 def _first_line(error: Exception) -> str:

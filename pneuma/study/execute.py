@@ -92,17 +92,14 @@ def prepare(
         how = _with_gpus(plan, supervision)
         told = load_executor(how.place).check(todo, how)
     store.check_writable()
-    store.save_selection(plan.study.name, {**selection_record(plan), **_looked_at(plan, recorded)})
+    store.save_selection(plan.study.name, {**selection_record(plan), **_looked_at(recorded)})
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
     return Todo(todo, kept, (*_notes(plan, statuses, todo), *([told] if told else [])))
 
 
-def _looked_at(plan: Plan, recorded: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return what a study's record says of looks at its runs, where a plan has any of them."""
-    if not recorded or "adaptive" not in recorded:
-        return {}
-    ids = {cell.run_id for cell in plan.cells}
-    return {"adaptive": recorded["adaptive"]} if any(run["run_id"] in ids for run in recorded["runs"]) else {}
+def _looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what a study's record says of looks at its runs: what was looked at once stays so."""
+    return {"adaptive": recorded["adaptive"]} if recorded and "adaptive" in recorded else {}
 
 
 def execute(

@@ -69,7 +69,7 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
 def _mode(path: Path) -> int:
     """Return who may read and write a file that is put in a place: as before, or as a new file there."""
     try:
-        return stat.S_IMODE(path.lstat().st_mode) if not path.is_symlink() else 0o666 & ~_UMASK
+        return path.lstat().st_mode & 0o777 if not path.is_symlink() else 0o666 & ~_UMASK
     except FileNotFoundError:
         return 0o666 & ~_UMASK
 

@@ -29,6 +29,8 @@ from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store
 
 CALIBRATION_SECONDS = 4.0
+COMPILED = 10.0
+"""How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 BYTES_PER_STEP = 3.0
 """Room that the records of one agent step take, compressed."""
 
@@ -174,12 +176,14 @@ def _measure(run: Run) -> Pace | None:
 
 
 def _usual_pace(moments: Sequence[tuple[float, int]]) -> float:
-    """Return the seconds a step between most moments: between some a program is compiled, once."""
-    return statistics.median(
+    """Return the seconds that a step takes, but for those that waited for a program to be compiled."""
+    paces = [
         (then - before) / (late - early)
         for (before, early), (then, late) in pairwise(moments)
         if late > early
-    )
+    ]
+    most = COMPILED * statistics.median(paces)
+    return statistics.fmean(pace for pace in paces if pace <= most)
 
 
 def _calibration_path(store: Store) -> Path:

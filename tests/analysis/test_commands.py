@@ -67,6 +67,9 @@ def test_summary_in_words_and_as_json(results: Path, capsys: pytest.CaptureFixtu
     [
         (("--fork",), "holds no configuration"),
         (("--fork", "--run", "b0b0"), "--run b0b0: is no collapsed run of study mine; there are a1a1a1a1"),
+        (("--fork", "--out", "figures"), "--out: does not go with --fork"),
+        (("--workers", "2"), "--workers: goes with --fork alone"),
+        (("--fork-seeds", "4"), "--fork-seeds: goes with --fork alone"),
         (("--fork", "--condition", "tanh"), "none of its 2 runs collapsed, so there is nothing to fork"),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import Judged, judge
+from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL, Judged, judge
 from pneuma.analysis.log_contrasts import run_to_run_deviation
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
@@ -79,6 +79,34 @@ def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     (one,) = [own for own in judge(load_claims(claims), store) if own.place == "text"]
     assert (one.verdict, one.reason) == (verdict, "")
     assert one.run_ids == (ids[:SEEDS] if "number" in case else ids)
+
+
+def test_a_refuted_claim_is_told_what_it_has_right(store: Store, tmp_path: Path) -> None:
+    """Higher in every run, by a tenth of the margin; a mean that is lower is told nothing of."""
+    for number, (gain, reason) in enumerate(((0.004, AS_CLAIMED_BUT_SMALL), (-0.004, ""))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        write_files(folder)
+        own = Store(folder / "results")
+        tight = [0.2 + 0.0001 * i for i in range(SEEDS)]
+        save_runs(own, folder, {"high": [share + gain for share in tight], "low": tight})
+        one = _one(own, folder)
+        assert (one.verdict, one.reason) == ("refuted", reason)
+
+
+def test_spread_between_runs_that_all_lie_at_the_floor_is_not_compared(store: Store, tmp_path: Path) -> None:
+    """The margin of a spread is a ratio; what lies within 0.0357 of nothing killed counts as none killed."""
+    claims = _changed(('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5"))
+    write_files(tmp_path, claims)
+    low = [0.001 * i for i in range(SEEDS)]
+    save_runs(store, tmp_path, {"high": [5 * share for share in low], "low": low})
+    one = _one(store, tmp_path, claims)
+    assert (
+        one.verdict == "untestable" and "every run has a final-share-killed within 0.036 of 0" in one.reason
+    )
+    (tmp_path / "more").mkdir()
+    save_runs(store, tmp_path, {"high": [*(5 * share for share in low[:-1]), 0.036], "low": low})
+    assert "floor" not in _one(store, tmp_path, claims).reason
 
 
 def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:

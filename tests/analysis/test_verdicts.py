@@ -1,4 +1,4 @@
-"""Holm's correction and verdicts, worked out by hand."""
+"""Corrections and verdicts, worked out by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis import two_arms
 from pneuma.analysis.contrasts import Contrast, compare
-from pneuma.analysis.corrections import holm
+from pneuma.analysis.corrections import bonferroni, holm
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.permutation import relabel
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS, found, judge_list, smallest_p, together
@@ -35,6 +35,11 @@ def test_holm_by_hand() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.9, 0.6]) == pytest.approx([1.0, 1.0])
     assert holm([]).tolist() == []
+
+
+def test_bonferroni_by_hand() -> None:
+    assert bonferroni([0.01, 0.04, 0.5]) == pytest.approx([0.03, 0.12, 1.0])
+    assert bonferroni([]).tolist() == []
 
 
 @pytest.mark.parametrize(
@@ -119,8 +124,8 @@ def test_the_list_is_corrected_as_one() -> None:
 
 
 def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
-    """60 arms alike, a margin of 4.5 standard errors: in steps, two lists of five would be wrong."""
-    generator, wrong = np.random.default_rng(6), 0
+    """60 arms alike, a margin of 4.5 standard errors: in steps, two lists of three would be wrong."""
+    generator, wrong, wrong_in_steps = np.random.default_rng(6), 0, 0
     for z in generator.normal(size=(400, 60)):
         p_greater = stats.norm.sf(z)
         p_equivalent = np.maximum(stats.norm.cdf(z - 4.5), stats.norm.sf(z + 4.5))
@@ -132,6 +137,11 @@ def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
         assert sum(verdict.word == "refuted" for verdict in verdicts) > 30
         told = {found(c) for v, (c, _) in zip(verdicts, claims, strict=True) if v.word != "inconclusive"}
         wrong += told > {"equal"}
+        in_steps = holm([own.p_any for own, _ in claims]) <= 0.05
+        wrong_in_steps += any(
+            found(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
+        )
+    assert wrong_in_steps / 400 > 0.5
     assert wrong / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -77,3 +78,16 @@ def test_a_command_goes_on_where_nobody_reads_its_words(monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "stdout", Gone())
     with pytest.raises(BrokenPipeError):
         say("what was asked for")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_folder_that_may_not_be_read_is_told_in_a_line(tmp_path: Path, capsys: Captured) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0)
+    assert main(["study", "status", "activation", "--results", str(closed / "results")]) == 2
+    assert "Permission denied" in capsys.readouterr().err
+
+
+def test_a_name_too_long_for_the_disk_is_told_in_a_line(capsys: Captured) -> None:
+    assert main(["search", "status", "x" * 300]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -156,10 +156,12 @@ def test_runs_without_the_outcome_are_left_out_and_counted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     study = load_study(STUDY)
-    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.4))
+    levels = dict.fromkeys(study.conditions, 0.9)
+    written = Written(monkeypatch, {**levels, study.baseline: 0.2})
     written.values[study.baseline][3] = np.nan
     (look,) = run_until_decided(study, Selection(), 10, Store(tmp_path), written.train)
     assert [(f.left_out, f.contrast.seeds) for f in look.findings] == [(1, (10, 9))] * 2
+    assert all(f.contrast.p_any < 1e-3 and f.decided == "" for f in look.findings)
 
 
 def test_a_stage_that_was_stopped_is_not_looked_at(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -321,6 +321,28 @@ def test_different_budgets_are_compared_where_all_were(
     assert "big (n = 1)" in legend(drawn[0])
 
 
+def test_returns_of_unlike_rewards_do_not_stand_side_by_side(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    for run in study.record["runs"]:
+        run["run"]["reward"] = ["thesis"] if run["condition"] == "tanh" else ["kills"]
+    study.draw(tmp_path, formats=("svg",))
+    study.draw(tmp_path, formats=("svg",), quantities=("return",))
+    titles = [[axes.get_title(loc="left") for axes in figure.axes] for figure in drawn]
+    assert titles == [
+        ["Monsters killed in evaluation", "Length of episodes in training"],
+        ["Return in training"],
+    ]
+    assert ["cannot be compared" in _caption(figure) for figure in drawn] == [False, True]
+
+
+def test_forks_of_one_run_are_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
+    for run in study.record["runs"]:
+        run["run"]["parent"] = "a1a1a1a1a1a1a1a1"
+    study.draw(tmp_path, formats=("svg",))
+    assert "Runs are forks of one run: bands and intervals take them for independent." in _caption(drawn[0])
+
+
 def test_engines_that_are_mixed_are_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     for place, run in enumerate(study.record["runs"]):
         run["run"]["engine"] = ("batched", "sb3")[place % 2]

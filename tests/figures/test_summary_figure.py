@@ -15,7 +15,8 @@ from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
-from pneuma.figures import paper
+from pneuma.errors import UserError
+from pneuma.figures import paper, summary
 from pneuma.figures.settings_table import settings_table
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.summary import draw_summary
@@ -183,11 +184,32 @@ def test_studies_drawn_at_once_are_drawn_as_alone(
     assert again == alone
 
 
+def test_dots_that_would_cover_each_other_lie_side_by_side() -> None:
+    beside = summary._beside(np.array([0.0, 0.5, 0.0, 1.0, 0.0]), 1.0)
+    assert sorted(beside[[0, 2, 4]].tolist()) == pytest.approx([-0.09, 0.0, 0.09])
+    assert (beside[1], beside[3]) == (0.0, 0.0)
+    assert np.ptp(summary._beside(np.zeros(50), 0.0)) <= 0.6  # however many, they stay in their row
+
+
+def test_what_was_not_run_has_no_row_and_is_named(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    data = open_study(study.store, study.record)
+    data.conditions = [*data.conditions, "leaky-relu"]
+    summary.draw_summary(data, tmp_path, ("svg",))
+    rows = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
+    assert rows == ["tanh (n = 2)", "relu (n = 2)"]
+    assert "Not run: leaky-relu." in words(drawn[0]).replace("\n", " ")
+
+
 @pytest.mark.usefixtures("no_environment")
 def test_make_figures_says_where_nothing_is_published(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "paper").mkdir()
+    with pytest.raises(UserError, match="is no folder, so nothing is drawn, and nothing removed"):
+        paper.main(tmp_path / "paper", tmp_path / "results")
+    (tmp_path / "results" / "published").mkdir(parents=True)
     paper.main(tmp_path / "paper", tmp_path / "results")
     assert "no study is published in" in capsys.readouterr().out
 

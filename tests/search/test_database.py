@@ -9,7 +9,7 @@ import optuna
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.database import Database
+from pneuma.search.database import Database, _without_password
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, Solve
@@ -102,3 +102,15 @@ def test_a_storage_that_nobody_answers_is_told_without_its_password(
         Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
     assert "secret" not in str(caught.value)
     assert str(caught.value).startswith("--storage postgresql://127.0.0.1:1/none: ")
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("postgresql://me:secret@host/db?password=more", "postgresql://host/db"),
+        ("postgresql://me:pa/ss@host/db", "postgresql://host/db"),
+        ("sqlite:////data/me@uni/results/searches/ppo.db", "sqlite:////data/me@uni/results/searches/ppo.db"),
+    ],
+)
+def test_a_url_is_shown_without_its_password_and_a_path_as_it_is(url: str, shown: str) -> None:
+    assert _without_password(url) == shown

@@ -173,3 +173,10 @@ def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Pl
     save(store, planned, [origin(XEON, MILAN)])
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     assert foresight.measured_runs(planned, statuses, store) == []
+
+
+def test_a_pace_leaves_out_what_waited_for_a_compilation_and_nothing_else() -> None:
+    """Steps of 0.001 s, an evaluation that doubles one of them, and one that waited 20 s."""
+    seconds = [0.256, 0.256, 0.512, 20.0, 0.256]
+    moments = [(sum(seconds[:i]), 256 * i) for i in range(6)]
+    assert foresight._usual_pace(moments) == pytest.approx((4 * 0.256 + 0.256) / 4 / 256)

@@ -40,7 +40,11 @@ def test_a_file_is_written_whole(tmp_path: Path) -> None:
     write_whole(path, b"second")
     assert path.read_bytes() == b"second"
     assert os.listdir(tmp_path) == ["file"]
-    assert path.stat().st_mode & 0o777 == 0o644
+    (tmp_path / "beside").touch()
+    assert path.stat().st_mode == (tmp_path / "beside").stat().st_mode
+    path.chmod(0o600)
+    write_whole(path, b"third")
+    assert path.stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace", "chmod"])
