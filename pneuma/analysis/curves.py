@@ -65,6 +65,30 @@ class Curve:
         ]
 
 
+@dataclass(frozen=True)
+class LogCurve(Curve):
+    """A curve whose mean and bands are of logarithms, for a logarithmic axis: no band reaches below zero.
+
+    What is zero or less has no logarithm, and counts as no value.
+    """
+
+    @property
+    def logs(self) -> np.ndarray:
+        """Logarithms to base 10, (seeds, points)."""
+        return np.log10(self.runs, out=np.full(self.runs.shape, np.nan), where=self.runs > 0)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Geometric mean over the runs that have a value, (points,)."""
+        return 10.0 ** mean_of(self.logs)
+
+    def band(self, name: str) -> Edges:
+        """Return both edges of a band of `BANDS`, made of logarithms."""
+        edges = BANDS[name].edges
+        low, high = edges(self.logs) if edges else (np.full(self.step.shape, np.nan),) * 2
+        return 10.0**low, 10.0**high
+
+
 def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
     """Return the training curve of a quantity of `StudyData.quantities` of every condition.
 

@@ -155,9 +155,8 @@ def _marks(
     if unlike and len(data.conditions) <= MOST_IN_A_PANEL:  # of more, each panel has its own
         words.append("Random player and scripted hunter differ between conditions, and are not drawn.")
     words = [word for word in words if word]
-    logs = [curve for name, group in curves.items() if is_log(look_of(name), group) for curve in group]
-    if any((curve.band(band)[0] <= 0).any() for curve in logs):
-        words.append("What of a band lies below zero is cut off from a logarithmic axis.")
+    if any(is_log(look_of(name), group) for name, group in curves.items()):
+        words.append("On a logarithmic axis means and bands are of logarithms.")
     shares = [curve for name, group in curves.items() for curve in group if look_of(name).percent]
     if any((curve.band(band)[0] < 0).any() for curve in shares):
         words.append("What of a band lies below 0 % is cut off.")

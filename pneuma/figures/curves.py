@@ -22,6 +22,7 @@ from pneuma.figures.captions import caption_of, headline_of, legend_title_of
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.multiples import draw_multiples
 from pneuma.figures.panel import (
+    as_drawn,
     draw_common_step,
     draw_curve,
     draw_references,
@@ -160,7 +161,7 @@ def draw_panels(
 def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], band: str) -> None:
     """Draw one quantity of all conditions, with its reference lines and title."""
     look, looks = look_of(name, data.averaged_over), condition_looks(data.conditions)
-    shade = 0.16 if len(curves) < 5 else 0.09
+    curves, shade = as_drawn(look, curves), 0.16 if len(curves) < 5 else 0.09
     for curve in curves:
         draw_curve(axes, curve, band, looks[curve.condition], label_of(data, curve), shade)
     draw_references(axes, shared_levels(data, name), highest_point(curves))

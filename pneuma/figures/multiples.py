@@ -22,6 +22,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.looks import condition_looks
 from pneuma.figures.panel import (
+    as_drawn,
     draw_common_step,
     draw_curve,
     draw_references,
@@ -125,6 +126,7 @@ def _draw_block(
     figure: Figure, data: StudyData, name: str, curves: Sequence[Curve], band: str, block: _Block, size: Size
 ) -> None:
     look, levels = look_of(name, data.averaged_over), reference_levels(data, name)
+    curves = as_drawn(look, curves)
     line, (width, height) = size.line_inches, figure.get_size_inches()
     figure.text(
         0.07 / width, (block.top - 0.3 * line) / height, look.title, weight="bold", size="large", va="top"

@@ -8,11 +8,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator
+from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullLocator
 
 from pneuma.analysis.bands import BANDS
 from pneuma.analysis.coverage import is_trusted
-from pneuma.analysis.curves import Curve
+from pneuma.analysis.curves import Curve, LogCurve
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.quantities import Look
 from pneuma.figures.style import MARKERS
@@ -56,6 +56,13 @@ def draw_curve(
     axes.plot(curve.step, curve.mean, alpha=0.35, zorder=1.5, **marks, **look)
     for step, value in curve.stops:
         axes.plot(step, value, "x", color=colour, markersize=3.4 * width, markeredgewidth=0.8 * width)
+
+
+def as_drawn(look: Look, curves: Sequence[Curve]) -> list[Curve]:
+    """Return curves as their axis has them: on a logarithmic one with means and bands of logarithms."""
+    if not is_log(look, curves):
+        return list(curves)
+    return [LogCurve(curve.condition, curve.step, curve.runs, curve.diverged) for curve in curves]
 
 
 def shows_runs(curve: Curve, band: str) -> bool:
@@ -117,6 +124,7 @@ def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> No
         axes.set_yscale("log", nonpositive="clip")
         axes.set_ylim(_positive(curves).min() / 1.5, None)
         axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+        axes.yaxis.set_minor_locator(NullLocator())
     elif look.percent:
         top = max(axes.get_ylim()[1], 0.01)
         axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from pneuma.analysis import BAND_NAMES, WINDOWS
 from pneuma.analysis.bands import BANDS
 from pneuma.analysis.curves import (
     Curve,
+    LogCurve,
     curves_table,
     evaluation_curves,
     training_curves,
@@ -302,3 +304,15 @@ def test_the_table_of_curves_has_a_row_for_each_point() -> None:
     assert len(table) == 8
     assert table.iloc[1].to_list() == ["a", "return", 2.0, 3.0, 2.0, 4.0, "minmax", 2]
     assert table["quantity"].to_list() == ["return"] * 4 + ["kills"] * 4
+
+
+def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
+    """Of 1, 10 and 100 the mean is 10, and its interval reaches as many times above as below it."""
+    runs = np.array([[1.0, 5.0], [10.0, 0.0], [100.0, 5.0]])  # what is 0 has no logarithm
+    curve = LogCurve("mine", np.array([1.0, 2.0]), runs)
+    assert curve.mean == pytest.approx([10.0, 5.0])
+    low, high = curve.band("ci")
+    half = stats.t.ppf(0.975, 2) / np.sqrt(3)  # of logarithms 0, 1 and 2, whose deviation is 1
+    assert (low[0], high[0]) == (pytest.approx(10 ** (1 - half)), pytest.approx(10 ** (1 + half)))
+    low, high = curve.band("minmax")
+    assert (low[0], high[0]) == (pytest.approx(1.0), pytest.approx(100.0))
