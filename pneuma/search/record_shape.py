@@ -25,7 +25,7 @@ def is_record(document: Mapping[str, Any]) -> bool:
             and all(_is_count(document[key]) for key in ("trials_asked", "steps"))
             and all(map(_is_count, document["seeds"]))
             and _is_identity(document["identity"])
-            and _are_trials(document["trials"], len(document["identity"]["objectives"]))
+            and _are_trials(document["trials"], document["identity"])
             and _is_best(document["best"], document["trials"], len(document["identity"]["objectives"]))
         )
     except (KeyError, TypeError, AttributeError):
@@ -44,10 +44,29 @@ def _is_identity(identity: Mapping[str, Any]) -> bool:
     )
 
 
-def _are_trials(trials: list[Mapping[str, Any]], objectives: int) -> bool:
+def are_points(document: Mapping[str, Any]) -> bool:
+    """Tell whether a document has everything that a figure of sensitivity relies on, of the right kind."""
+    try:
+        return (
+            all(isinstance(document[key], str) for key in ("search", "base", "outcome"))
+            and all(isinstance(name, str) for name in document["logarithmic"])
+            and all(
+                isinstance(point["parameter"], str)
+                and isinstance(point["condition"], str)
+                and isinstance(point["is_base"], bool)
+                and "value" in point
+                for point in document["points"]
+            )
+        )
+    except (KeyError, TypeError, AttributeError):
+        return False
+
+
+def _are_trials(trials: list[Mapping[str, Any]], identity: Mapping[str, Any]) -> bool:
+    objectives, names = len(identity["objectives"]), {own["name"] for own in identity["space"]}
     return [trial["number"] for trial in trials] == list(range(len(trials))) and all(
         trial["state"] in STATES
-        and isinstance(trial["params"], dict)
+        and trial["params"].keys() <= names
         and isinstance(trial["note"], str)
         and all(_HEXADECIMAL.fullmatch(name) for name in trial["run_ids"])
         and _are_values(trial, objectives)

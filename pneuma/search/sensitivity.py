@@ -15,6 +15,7 @@ import numpy as np
 
 from pneuma.config import Run, as_settings, make_run
 from pneuma.errors import UserError
+from pneuma.search.record_shape import are_points
 from pneuma.search.space import Parameter, Range
 from pneuma.search.trials import Task
 from pneuma.study.files import read_sealed, seal
@@ -117,7 +118,7 @@ def read_points(store: Store, search: str) -> dict[str, Any]:
         UserError: where there is none.
     """
     document = read_sealed(_path(store, search))
-    if document is None or not isinstance(document.get("points"), list):
+    if document is None or not are_points(document):
         raise UserError(
             f"search {search}: its sensitivity was not trained in {store.root}: "
             f"run `pneuma search run {search} --sensitivity` first"

@@ -197,9 +197,16 @@ def _calibrations(store: Store) -> dict[str, list[float]]:
 
 def _all_calibrations(store: Store) -> dict[str, dict[str, list[float]]]:
     """Return the calibrations of every machine that shares the results folder."""
-    document = read_sealed(_calibration_path(store)) or {}
-    paces: dict[str, dict[str, list[float]]] = document.get("paces", {})
-    return paces
+    told = (read_sealed(_calibration_path(store)) or {}).get("paces")
+    kept = (
+        {name: own for name, own in told.items() if isinstance(own, dict)} if isinstance(told, dict) else {}
+    )
+    return {name: {kind: pace for kind, pace in own.items() if _is_pace(pace)} for name, own in kept.items()}
+
+
+def _is_pace(told: object) -> bool:
+    """Tell whether a calibration, which may be a stranger's, is of a start and a step."""
+    return isinstance(told, list) and len(told) == 2 and all(type(own) in (int, float) for own in told)
 
 
 def _machine() -> str:

@@ -164,9 +164,10 @@ def test_a_figure_that_the_trials_are_too_few_for_says_what_it_needs(
     arguments = ["search", "plot", str(path), "--results", str(results), "--out", str(tmp_path)]
     assert main([*arguments, "--what", "importances", "--what", "front"]) == 0
     assert capsys.readouterr().err == (
-        "nothing to draw: importances needs 10 complete trials that differ in value; "
-        "front needs two objectives\n"
+        "not drawn: importances needs 10 complete trials that differ in value; front needs two objectives\n"
     )
+    assert main([*arguments, "--what", "history", "--what", "front"]) == 0
+    assert capsys.readouterr().err == "not drawn: front needs two objectives\n"
 
 
 def test_figures_in_a_results_folder_follow_no_link(searched: tuple[Path, Path], tmp_path: Path) -> None:

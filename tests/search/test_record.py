@@ -11,6 +11,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.search.record import read_record, save_record
+from pneuma.search.record_shape import are_points
 from pneuma.search.recorded import begun_runs, recorded_search
 from pneuma.search.trials import Task, make_trial_plan
 from pneuma.study.execute import selection_record
@@ -59,6 +60,7 @@ def test_another_search_of_the_name_takes_its_place(make_task: MakeTask, solve: 
         lambda r: r["trials"][0].update(number=7),
         lambda r: r["trials"][0].update(run_ids=[[]]),
         lambda r: r["trials"][0].pop("note"),
+        lambda r: r["trials"][0].update(params={"no such parameter": 1}),
         lambda r: r.update(best=99),
         lambda r: r.update(best=None),
         lambda r: r.update(seeds=5),
@@ -106,3 +108,20 @@ def test_a_generation_that_is_begun_is_told(make_task: MakeTask, solve: Solve, s
     store.save_selection("search-formula", selection_record(make_trial_plan(task, plans[-1].cells)))
     begun = begun_runs(store, json.loads(json.dumps(record)))
     assert (begun.searching, begun.trials, begun.runs, begun.ended) == (False, (4, 5, 6, 7), 8, 0)
+
+
+@pytest.mark.parametrize(
+    "strange", [{}, {"points": 3}, {"points": [{"parameter": "x"}]}, {"points": [], "base": 3}]
+)
+def test_points_of_another_shape_are_none(strange: dict[str, Any], store: Store) -> None:
+    whole = {
+        "search": "mine",
+        "base": "table-6-2",
+        "outcome": "final-return",
+        "logarithmic": [],
+        "points": [],
+    }
+    assert are_points(whole)
+    if strange:
+        assert not are_points({**whole, **strange})
+    assert not are_points(strange)

@@ -14,6 +14,7 @@ from pneuma.cli import main
 from pneuma.config import as_settings, make_run
 from pneuma.study import foresight
 from pneuma.study.execute import selection_record
+from pneuma.study.files import seal
 from pneuma.study.identity import run_id
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.plan import Cell, Plan, Selection, make_plan
@@ -180,3 +181,10 @@ def test_a_pace_leaves_out_what_waited_for_a_compilation_and_nothing_else() -> N
     seconds = [0.256, 0.256, 0.512, 20.0, 0.256]
     moments = [(sum(seconds[:i]), 256 * i) for i in range(6)]
     assert foresight._usual_pace(moments) == pytest.approx((4 * 0.256 + 0.256) / 4 / 256)
+
+
+@pytest.mark.parametrize("strange", [3, {"here": 3}, {"here": {"kind": 3}}, {"here": {"kind": ["a", "b"]}}])
+def test_a_strangers_calibrations_are_none(strange: object, tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.write(foresight._calibration_path(store), seal({"paces": strange}))
+    assert not any(foresight._all_calibrations(store).values())
