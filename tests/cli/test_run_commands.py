@@ -160,7 +160,7 @@ def test_show_says_what_produced_a_run(store: Store, plan: Plan, capsys: Capture
         f"run {cell.run_id}: done, 640 steps trained",
         "study activation, condition tanh, seed 7",
         "horizon = 64 (default 256)",
-        "betas = [0.9, 0.9] (default [0.9, 0.999])",
+        "betas = 0.9, 0.9 (default 0.9, 0.999)",
         "episode_steps = 50 (default 1000)",
         "seed = 7 (default 0)",
         "started 2026-01-02T03:04:05+00:00",
