@@ -33,7 +33,7 @@ def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / ".lock").touch()
     looking = os.open(tmp_path / ".lock", os.O_RDONLY)
     fcntl.flock(looking, fcntl.LOCK_SH)
-    monkeypatch.setattr(locks.time, "sleep", lambda seconds: os.close(looking))  # it has seen what it wanted
+    monkeypatch.setattr(time, "sleep", lambda seconds: os.close(looking))  # it has seen what it wanted
     with RunLock(tmp_path) as mine:
         assert mine
 
