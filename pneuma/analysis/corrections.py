@@ -16,7 +16,7 @@ def bonferroni(p_values: ArrayLike) -> np.ndarray:
     It is what holds for the lesser of the p-values of a difference and of equivalence. Holm's steps suppose
     that what was found leaves fewer hypotheses that could still be true. But a contrast found to be
     equivalent leaves the list because its effect looked small, and those that are left are the ones that
-    look large: of 170 true equivalences judged in steps, most lists would hold a false difference.
+    look large: most lists of 60 true equivalences, judged in steps, can hold a false difference.
     """
     p = np.asarray(p_values, dtype=float)
     return np.minimum(p * p.size, 1.0)

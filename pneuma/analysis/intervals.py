@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pneuma.analysis.estimates import finite
+from pneuma.analysis.estimates import finite, welch_error
 
 LEVEL = 0.95
 RESAMPLES = 2_000
@@ -64,9 +64,8 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
     first, second = finite(a), finite(b)
     if min(first.size, second.size) < 2 or np.ptp(first) + np.ptp(second) == 0:
         return no_interval(level)
-    parts = np.array([first.var(ddof=1) / first.size, second.var(ddof=1) / second.size])
-    freedom = parts.sum() ** 2 / (parts**2 / [first.size - 1, second.size - 1]).sum()
-    half = np.sqrt(parts.sum()) * special.stdtrit(freedom, (1 + level) / 2)
+    error, freedom = welch_error(first, second)
+    half = error * special.stdtrit(freedom, (1 + level) / 2)
     centre = first.mean() - second.mean()
     return Interval(float(centre - half), float(centre + half), level, "Welch t")
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from pneuma.analysis import incidence
+from pneuma.analysis.estimates import welch_error
 from pneuma.analysis.permutation import LEAST_VARIANCE, Relabelings, scaled, studentised_difference, tails
 
 OneSided = tuple[np.ndarray, np.ndarray]
@@ -71,16 +72,10 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
 
 
 def _student_tails(a: np.ndarray, b: np.ndarray) -> OneSided:
-    """Return Welch's p-values of scaled arms, each (samples,); 0 where none spreads, which bounds nothing.
-
-    Source: Welch (1947).
-    """
-    parts = [arm.var(axis=1, ddof=1) / arm.shape[1] for arm in (a, b)]
-    error = np.sqrt(parts[0] + parts[1])
+    """Return Welch's p-values of scaled arms, each (samples,); 0 where none spreads, which bounds nothing."""
+    error, freedom = welch_error(a, b)
     sure = error**2 > LEAST_VARIANCE
     t = np.divide(a.mean(axis=1) - b.mean(axis=1), error, out=np.zeros_like(error), where=sure)
-    below = parts[0] ** 2 / (a.shape[1] - 1) + parts[1] ** 2 / (b.shape[1] - 1)
-    freedom = np.divide(error**4, below, out=np.ones_like(error), where=sure)
     p_less = np.where(sure, special.stdtr(freedom, t), 0.0)
     p_greater = np.where(sure, special.stdtr(freedom, -t), 0.0)
     return p_greater, p_less

@@ -15,7 +15,7 @@ import numpy as np
 
 from pneuma.analysis.contrasts import compare
 from pneuma.analysis.corrections import holm
-from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.outcomes import HALF_A_MONSTER, outcome_values
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed
@@ -28,7 +28,7 @@ from pneuma.study.store import Store
 ENGINES = ("batched", "sb3")
 """Those that train the same algorithms."""
 
-MARGINS: Mapping[str, float] = {"final-share-killed": 0.5 / 14, "auc-share-killed": 0.5 / 14}
+MARGINS: Mapping[str, float] = {"final-share-killed": HALF_A_MONSTER, "auc-share-killed": HALF_A_MONSTER}
 """What is compared, and half a monster of the fourteen as the difference that counts as none."""
 
 

@@ -18,7 +18,6 @@ app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=
 
 RESULTS = Path("results")
 PLAYERS = ("random", "hunter")
-FILE_SETTINGS = ("level", "characters")
 
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, coast a wall, 1,000 steps",
@@ -84,7 +83,7 @@ def check(
     names = REGISTERED if all_ or name is None and not set_ else (name or ENVIRONMENTS[0],)
     if names[0] not in REGISTERED:
         raise unknown_name("environment", names[0], REGISTERED)
-    settings = _settings(set_)
+    settings = read_settings_options(set_)
     if len(names) > 1 and settings:
         vectors = MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()
         left = [each for each in names if each in (MAILMAN, *vectors)]
@@ -158,7 +157,7 @@ def render(
     check_video(out, FRAMES_PER_SECOND)
     moving = _is_moving(out, episode, player)
     settings, make_act = _player(player or "random", name, seed, results)
-    chosen = _settings(set_)
+    chosen = read_settings_options(set_)
     if not trust:
         _refuse_strangers(player, {key: value for key, value in settings.items() if key not in chosen})
     worlds = _worlds(name, {**settings, **chosen}, seed)
@@ -183,7 +182,7 @@ def play(
     """
     from pneuma.env.watch import play as play_world
 
-    worlds = _worlds(name, _settings(set_), seed)
+    worlds = _worlds(name, read_settings_options(set_), seed)
     with _blaming_rewards(worlds):
         scores = play_world(worlds, name, camera)
     for kills, steps in scores:
@@ -205,15 +204,6 @@ def _is_moving(out: Path, episode: bool, player: str | None) -> bool:
         if given:
             raise UserError(f"{option} is for videos, and {out} is a picture: name a .gif or .mp4")
     return False
-
-
-def _settings(texts: list[str] | None) -> dict[str, Any]:
-    """Read every --set; a path may begin with ~."""
-    settings = read_settings_options(texts)
-    for key in FILE_SETTINGS:
-        if isinstance(settings.get(key), str) and settings[key].startswith("~"):
-            settings[key] = str(read_path(settings[key]))
-    return settings
 
 
 def _base(name: str) -> str:

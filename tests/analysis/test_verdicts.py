@@ -141,7 +141,7 @@ def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
         wrong_in_steps += any(
             found(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
         )
-    assert wrong_in_steps / 400 > 0.5
+    assert wrong_in_steps / 400 > 0.6
     assert wrong / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
 
 
