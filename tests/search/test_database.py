@@ -108,7 +108,7 @@ def test_a_storage_that_nobody_answers_is_told_without_its_password(
     ("url", "shown"),
     [
         ("postgresql://me:secret@host/db?password=more", "postgresql://host/db"),
-        ("postgresql://me:pa/ss@host/db", "postgresql://host/db"),
+        ("postgresql://me:pa/s@s@host/db", "postgresql://host/db"),
         ("sqlite:////data/me@uni/results/searches/ppo.db", "sqlite:////data/me@uni/results/searches/ppo.db"),
     ],
 )
