@@ -111,7 +111,7 @@ def test_arms_of_unlike_spread_do_not_look_heavy_tailed() -> None:
     """Twenty normal runs, four times as far apart: pooled as they are, 99.7 % of intervals would cover."""
     generator = np.random.default_rng(7)
     found = [
-        deviation_ratio_interval(4 * generator.normal(size=20), generator.normal(size=20))
+        intervals.deviation_ratio_interval(4 * generator.normal(size=20), generator.normal(size=20))
         for _ in range(1_000)
     ]
     assert 0.93 < np.mean([own.low <= 4 <= own.high for own in found]) < 0.985
