@@ -27,6 +27,7 @@ from pneuma.values import shown_setting
 
 if TYPE_CHECKING:
     from pneuma.analysis.robustness import Map
+    from pneuma.analysis.tables import StudyData
 
 RESULTS = Path("results")
 PRIMARY = "final-share-killed"
@@ -63,7 +64,7 @@ def robustness(
     from pneuma.analysis.robustness import robustness_map
 
     found = robustness_map(data, key, better, worse, outcome)
-    figures = [] if out is None else _drawn(found, f"{data.figure}-{key}", out, formats)
+    figures = [] if out is None else _drawn(data, found, out, formats)
     if json:
         return print_json({**_document(found), "figures": list(map(str, figures))})
     _print_map(found)
@@ -83,10 +84,10 @@ def _read_contrast(text: str) -> tuple[str, Any, Any]:
     return key, next(read), next(read)
 
 
-def _drawn(found: Map, stem: str, out: Path, formats: tuple[str, ...]) -> list[Path]:
+def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> list[Path]:
     from pneuma.figures.robustness import draw_robustness
 
-    return draw_robustness(found, out, stem, formats)
+    return draw_robustness(data, [found], out, f"{data.figure}-{found.setting}", formats)
 
 
 def _document(found: Map) -> dict[str, Any]:

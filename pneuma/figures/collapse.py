@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from pneuma.analysis.run_view import Series, view
 from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.figures.captions import headline_of
+from pneuma.figures.crossed import factors_of, read_name
 from pneuma.figures.looks import condition_looks
 from pneuma.figures.panel import BELOW_ZERO, per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES
@@ -37,6 +38,9 @@ WHOLE = {"entropy": float(np.log(5)), "action": 1.0, "dead_units": 1.0}
 """What other axes reach to, so that what has no entropy from the first is not seen to fall."""
 THRESHOLDS = {"entropy": LEAST_ENTROPY, "action": MOST_OF_ONE}
 """Beyond which a policy is down to one action."""
+
+Fall = tuple[FinishedRun, np.ndarray, np.ndarray]
+"""A run that collapsed, steps from its onset, (points,), and a quantity's values there."""
 
 PANELS = {
     "entropy": "Entropy (nats)",
@@ -59,37 +63,58 @@ def draw_collapse(
 ) -> list[Path]:
     """Draw a study's collapses; return the files written.
 
-    On the left every run that collapsed, its steps counted from its onset; on the right the share of
-    each condition's runs that did, with its interval. Of many conditions those of which none did are
-    left out on the right, and the caption says so.
+    On the left every run that collapsed, its steps counted from its onset, in what is held of its curves;
+    on the right the share of each condition's runs that did, with its interval. Of many conditions those
+    of which none did are left out on the right, and the caption says so.
     """
     found, shares = diagnoses(data), incidence(data)
     shares = shares[shares["runs"] > 0]
     shown = shares if len(shares) <= MOST_ROWS else shares[shares["collapsed"] > 0]
-    words = Words(headline_of(data, _told(shares)), "", _caption(data, len(shares) - len(shown)))
+    collapsed = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
+    held = _held(data, collapsed)
+    words = Words(headline_of(data, _told(shares)), "", _caption(data, shown, len(shares) - len(shown)))
     with house_style(SIZE.type_points):
         figure = Figure(layout="constrained")
-        panels = figure.subplot_mosaic(
-            [["entropy", "action", "bars"], ["dead_units", "share_killed", "bars"]],
-            width_ratios=(1, 1, 0.9),
-        )
-        for name in list(PANELS)[1:]:
-            panels[name].sharex(panels["entropy"])
-        collapsed = {row["run_id"]: row for row in found[found["collapsed"]].to_dict("records")}
-        for name, title in PANELS.items():
-            _draw_panel(panels[name], data, collapsed, name)
-            panels[name].set_title(title)
+        mosaic = _mosaic(list(held))
+        ratios = (*[1] * (len(mosaic[0]) - 1), 0.9)
+        panels = figure.subplot_mosaic(mosaic, width_ratios=ratios)
+        first, *others = (panels[name] for name in held)
+        for axes in others:
+            axes.sharex(first)
+        for name, series in held.items():
+            _draw_panel(panels[name], data, series, name)
+            panels[name].set_title(PANELS[name])
         _draw_bars(panels["bars"], data, shown)
-        words.put(figure, SIZE, max(PANELS_INCHES, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES)), {})
+        height = PANELS_INCHES if len(mosaic) > 1 else 0.7 * PANELS_INCHES
+        words.put(figure, SIZE, max(height, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES)), {})
         return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
+
+
+def _held(data: StudyData, collapsed: Mapping[str, float]) -> dict[str, list[Fall]]:
+    """Return the panels of what is held of any run that collapsed, and its runs; all where none did."""
+    runs = [run for run in data.runs if run.run_id in collapsed]
+    held = {
+        name: [(run, *_series(data, run, name, collapsed[run.run_id])) for run in runs] for name in PANELS
+    }
+    seen = {name: falls for name, falls in held.items() if any(len(step) for _, step, _ in falls)}
+    return seen or held
+
+
+def _mosaic(names: Sequence[str]) -> list[Any]:
+    """Return where panels lie: up to two below each other, with the bars at their right."""
+    rows = min(len(names), 2)
+    columns = -(-len(names) // rows)
+    lines = [[*names[row * columns : (row + 1) * columns]] for row in range(rows)]
+    return [[*line, *["."] * (columns - len(line)), "bars"] for line in lines]
 
 
 def _told(shares: pd.DataFrame) -> str:
     return f"{shares['collapsed'].sum()} of {shares['runs'].sum()} runs collapsed"
 
 
-def _caption(data: StudyData, left_out: int) -> list[str]:
+def _caption(data: StudyData, shown: pd.DataFrame, left_out: int) -> list[str]:
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
+    rows = f"Rows: {', '.join(factors_of(list(shown['condition'])))}. " if _by_levels(shown) else ""
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
     if unseen:
         told = ", ".join(name for name in data.conditions if name in unseen)
@@ -100,36 +125,38 @@ def _caption(data: StudyData, left_out: int) -> list[str]:
         "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson).",
         f"Collapsed: down to one action (dashed: {LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
         f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations in a row. "
-        f"Hollow: no longer so at the end. {none}",
+        f"Hollow: no longer so at the end. {rows}{none}",
     ]
 
 
-def _draw_panel(axes: Axes, data: StudyData, collapsed: dict[str, Any], name: str) -> None:
+def _draw_panel(axes: Axes, data: StudyData, falls: Sequence[Fall], name: str) -> None:
     axes.axvline(0, color="#999999", linewidth=0.8)
     if name in THRESHOLDS:
         axes.axhline(THRESHOLDS[name], color="#999999", linewidth=0.8, linestyle="--")
     looks = condition_looks(data.conditions)
-    faint = 0.8 if len(collapsed) < 20 else 0.4
-    for run in data.runs:
-        if run.run_id not in collapsed:
-            continue
-        step, values = _series(data, run, name)
-        colour, onset = looks[run.condition]["color"], collapsed[run.run_id]["onset_step"]
-        axes.plot(step - onset, values, color=colour, linewidth=0.7, alpha=faint)
+    faint = 0.8 if len(falls) < 20 else 0.4
+    for run, step, values in falls:
+        axes.plot(step, values, color=looks[run.condition]["color"], linewidth=0.7, alpha=faint)
     axes.xaxis.set_major_locator(whole_ticks(4))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.yaxis.set_major_locator(whole_ticks(5))
     if name != "entropy":
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
-    highest = max(axes.dataLim.y1, LEAST_SHOWN) if collapsed else 1.0
+    highest = max(axes.dataLim.y1, LEAST_SHOWN) if falls else 1.0
     top = 1.02 * max(highest, WHOLE.get(name, 0))  # magic's two actions more have more entropy
     axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen
     axes.set_xlabel("Steps from onset")
-    if not collapsed:
+    if not falls:
         axes.text(0.5, 0.5, "no run collapsed", transform=axes.transAxes, ha="center", color="#666666")
 
 
-def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
+def _series(data: StudyData, run: FinishedRun, name: str, onset: float) -> Series:
+    """Return a quantity of a run over its steps from the onset of its collapse; none where it is not held."""
+    step, values = _held_series(data, run, name)
+    return step - onset, values
+
+
+def _held_series(data: StudyData, run: FinishedRun, name: str) -> Series:
     seen = view(data, run)
     if name == "share_killed":
         return seen.evaluations(name)
@@ -153,7 +180,7 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
             place, again, left=row["share"] - again, height=0.55, color="white", edgecolor=colour, linewidth=1
         )
         axes.plot([row["low"], row["high"]], [place, place], color="#222222", linewidth=1.1)
-    names = [_bar_label(row) for row in rows]
+    names = [_bar_label(row, by_levels=_by_levels(shares)) for row in rows]
     points = 72 * LONGEST_INCHES / max(len(rows), 1)
     axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(5.5, 0.8 * points))
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")
@@ -162,8 +189,15 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
     axes.grid(visible=False, axis="y")
 
 
-def _bar_label(row: dict[Any, Any]) -> str:
+def _by_levels(shares: pd.DataFrame) -> bool:
+    """Tell whether rows are named by their levels alone: those of crossed conditions whose names are long."""
+    names = list(shares["condition"])
+    return bool(factors_of(names)) and max(map(len, names), default=0) > LABEL_CHARACTERS
+
+
+def _bar_label(row: dict[Any, Any], by_levels: bool) -> str:
     """Return a condition, broken where it would take the panels' room, and how many of its runs collapsed."""
+    name = str(row["condition"])
     count = f"{row['collapsed']} of {row['runs']}".replace(" ", "\u00a0")
-    lines = wrap_label(str(row["condition"]), LABEL_CHARACTERS)
+    lines = wrap_label(read_name(name).short if by_levels else name, LABEL_CHARACTERS)
     return "\n".join([*lines[:-1], *wrap_label(f"{lines[-1]}: {count}", LABEL_CHARACTERS)])

@@ -40,6 +40,8 @@ USUAL_BAND = {"pneuma": "ci", "thesis": "minmax"}
 USUAL_QUANTITIES = ("share_killed", "return")
 IN_PLACE_OF_RETURN = "length"
 """Where conditions have unlike rewards."""
+MOST_CURVES = 40
+"""Conditions of which curves still fit a page; of more there is shown what they came to."""
 ALONE = 1.3
 """How much higher a panel is that stands alone."""
 THESIS_WINDOW = "trailing-100"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from pneuma.figures.crossed import read_name
 from pneuma.figures.style import condition_look
 
 MOST_IN_A_PANEL = 7
@@ -33,15 +34,9 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     Args:
         conditions: all of the study's, of which a figure may show some.
     """
-    kinds = {name: _kind(name) if len(conditions) > MOST_IN_A_PANEL else name for name in conditions}
+    kinds = {name: read_name(name).kind if len(conditions) > MOST_IN_A_PANEL else name for name in conditions}
     places = _places(list(dict.fromkeys(kinds.values())))
     return {name: condition_look(places[kind]) for name, kind in kinds.items()}
-
-
-def _kind(condition: str) -> str:
-    """Return a condition's own name, without its factors: of 'scale=unit, tanh' the last."""
-    last = condition.rpartition(", ")[2]
-    return condition if "=" in last else last
 
 
 def _places(kinds: Sequence[str]) -> dict[str, int]:

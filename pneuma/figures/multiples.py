@@ -20,6 +20,7 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
+from pneuma.figures.crossed import factors_of, read_name
 from pneuma.figures.looks import condition_looks
 from pneuma.figures.panel import (
     as_drawn,
@@ -191,9 +192,7 @@ def _characters(size: Size, columns: int) -> int:
 
 def _told_levels(conditions: Sequence[str], size: Size, columns: int) -> str:
     """Name the factors whose levels alone head the panels, where their names have no room there."""
-    factors = {
-        part.partition("=")[0]: None for name in conditions for part in name.split(", ") if "=" in part
-    }
+    factors = factors_of(conditions)
     long = any(len(wrap_label(name, _characters(size, columns))) > NAME_LINES for name in conditions)
     return f"panels: {', '.join(factors)}" if factors and long else ""
 
@@ -203,8 +202,8 @@ def _name(axes: Axes, label: str, size: Size, columns: int) -> None:
     points, characters = size.small_points, _characters(size, columns)
     lines = wrap_label(label, characters)
     if len(lines) > NAME_LINES:
-        levels = [part.rpartition("=")[2] for part in label.partition(" (")[0].split(", ")]
-        lines = wrap_label(", ".join(levels) + label[len(label.partition(" (")[0]) :], characters)
+        name, count, runs = label.partition(" (")
+        lines = wrap_label(read_name(name).short + count + runs, characters)
     axes.set_title("\n".join(lines), fontsize=points, weight="normal", pad=2, linespacing=1.05)
     axes.tick_params(labelsize=points, length=2, pad=1.5)
 

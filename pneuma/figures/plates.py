@@ -20,7 +20,7 @@ from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import USUAL_QUANTITIES, draw_study, settle
+from pneuma.figures.curves import MOST_CURVES, USUAL_QUANTITIES, draw_study, settle
 from pneuma.figures.index import index_entries
 from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.shrink import shrink
@@ -41,9 +41,6 @@ EVERY = "every condition"
 
 MORE_CURVES = {"gradient-limits": ("grad_norm",), "collapse": ("entropy",)}
 """What else a study is about, beside the share killed and the return."""
-MOST_CURVES = 40
-"""Conditions of which curves still fit a page; of more there are maps, and what they came to."""
-
 Drawn = Iterator[tuple[dict[str, Any], list[Path]]]
 """How a figure is drawn, and its files."""
 
@@ -94,9 +91,9 @@ def _figures(data: StudyData, folder: Path) -> Drawn:
     yield drawing, draw_summary(data, folder)
     if len(collapsed_shares(data)):
         yield {"figure": "collapses"}, draw_collapse(data, folder, f"{data.figure}-collapses")
-    for found in study_maps(data):
-        stem = f"{data.figure}-{found.setting.replace('_', '-')}"
-        yield {"figure": "map", "contrast": found.setting}, draw_robustness(found, folder, stem)
+    if maps := study_maps(data):
+        contrasts = [found.setting for found in maps]
+        yield {"figure": "map", "contrasts": contrasts}, draw_robustness(data, maps, folder, data.figure)
 
 
 def _draw_curves(data: StudyData, folder: Path) -> Drawn:

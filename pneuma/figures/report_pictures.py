@@ -9,14 +9,16 @@ from tempfile import TemporaryDirectory
 
 from PIL import Image
 
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.robustness import Map
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import ENDINGS, StudyTrajectories, endings
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import draw_study, settle
+from pneuma.figures.curves import MOST_CURVES, draw_study, settle
 from pneuma.figures.quantities import look_of
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness, study_maps
+from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories, share_told
 from pneuma.values import shown_setting
 
@@ -33,12 +35,15 @@ Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> tuple[Picture, ...]:
     """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps.
 
+    Of more conditions than a page has room for the curves of, it shows what their runs came to.
+
     Args:
         data: the study.
         found: its trajectories on one level, where these are published.
     """
     walked = [_trajectories(data, found)] if found is not None else []
-    return (_curves(data), *_collapses(data), *walked, *map(_map, study_maps(data)))
+    shown = _curves(data) if len(data.conditions) <= MOST_CURVES else _rows(data)
+    return (shown, *_collapses(data), *walked, *_maps(data))
 
 
 def _curves(data: StudyData) -> Picture:
@@ -47,6 +52,13 @@ def _curves(data: StudyData) -> Picture:
     alt = f"{data.title}: {shown} over {data.budget:,} environment steps, for {lines}."
     caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."
     return Picture(*_smaller(lambda folder, forms: draw_study(data, folder, formats=forms)), alt, caption)
+
+
+def _rows(data: StudyData) -> Picture:
+    shown = find_outcome(shown_outcome(data)).words
+    alt = f"{data.title}: {shown}, every run and means with intervals, of {len(data.conditions)} conditions."
+    caption = f"What the runs came to. As numbers: pneuma study summary {data.study}."
+    return Picture(*_smaller(lambda folder, forms: draw_summary(data, folder, forms)), alt, caption)
 
 
 def _collapses(data: StudyData) -> list[Picture]:
@@ -75,16 +87,23 @@ def _trajectories(data: StudyData, found: StudyTrajectories) -> Picture:
     return Picture(*drawn, alt, caption)
 
 
-def _map(found: Map) -> Picture:
-    better, worse = map(shown_setting, found.values)
+def _maps(data: StudyData) -> list[Picture]:
+    maps = study_maps(data)
+    if not maps:
+        return []
+    told = "; ".join(_contrast_told(found) for found in maps)
     alt = (
-        f"{found.title}: {found.setting} {better} against {worse} in {len(found.cells)} cells of "
-        f"{', '.join(found.factors) or 'nothing else'}, with intervals: {found.label}."
+        f"{data.title}: differences with intervals in {len(maps[0].cells)} cells of "
+        f"{', '.join(maps[0].factors) or 'nothing else'}. {told}."
     )
-    caption = f"Does {found.setting} {better} against {worse} hold elsewhere? {found.label.capitalize()}."
-    return Picture(
-        *_smaller(lambda folder, forms: draw_robustness(found, folder, "map", forms)), alt, caption
-    )
+    caption = f"Do the contrasts hold elsewhere? As numbers: pneuma study robustness {data.study}."
+    drawn = _smaller(lambda folder, forms: draw_robustness(data, maps, folder, "maps", forms))
+    return [Picture(*drawn, alt, caption)]
+
+
+def _contrast_told(found: Map) -> str:
+    better, worse = map(shown_setting, found.values)
+    return f"{found.setting} {better} against {worse}: {found.label}"
 
 
 def _smaller(draw: Draw) -> tuple[bytes, str]:

@@ -1,26 +1,31 @@
-"""The figure of a robustness map: a small panel for each combination of levels, a mark for each cell."""
+"""The figure of robustness maps: a row for each cell, a column for each contrast, a mark where they meet."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import product
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Map, robustness_map
+from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Levels, Map, robustness_map
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
+from pneuma.figures.captions import headline_of
+from pneuma.figures.panel import whole_ticks
+from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.words import Entry, Words
 from pneuma.values import shown_setting
 
-WIDTH_INCHES, ROW_INCHES, WORDS_INCHES = 7.0, 0.24, 1.15
-PANEL_INCHES = 0.55
-"""Height of a panel's own title and axis."""
+SIZE = SIZES["page"]
+ROW_INCHES, AROUND_INCHES = 0.19, 0.85
+"""Heights of a row, and of a column's title, ticks and label together."""
 
 LOOKS: dict[str, dict[str, Any]] = {
     HOLDS: {"marker": "o", "color": COLOURS[0], "markerfacecolor": COLOURS[0]},
@@ -53,72 +58,144 @@ def study_maps(data: StudyData) -> list[Map]:
 
 
 def draw_robustness(
-    found: Map, folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
+    data: StudyData, maps: Sequence[Map], folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
-    """Draw a map; return the files written.
+    """Draw maps side by side, one or more, of one outcome; return the files written.
 
-    The first factor's levels are the rows of a panel; the second's are columns of panels, and those of
-    all others are rows of panels.
+    Args:
+        data: the study.
+        maps: of it; cells that one has and another has not are rows all the same.
+        folder: where to write.
+        stem: the files' name without its end.
+        formats: of `FIGURE_FORMATS`.
     """
-    names = list(found.factors)
-    rows = found.factors[names[0]] if names else (None,)
-    columns = found.factors[names[1]] if len(names) > 1 else (None,)
-    lower = list(product(*(found.factors[name] for name in names[2:])))
-    with house_style():
-        height = WORDS_INCHES + len(lower) * (PANEL_INCHES + ROW_INCHES * len(rows))
-        figure = Figure(figsize=(WIDTH_INCHES, height), layout="constrained")
-        panels = figure.subplots(len(lower), len(columns), sharex=True, sharey=True, squeeze=False)
-        for (i, below), (j, column) in product(enumerate(lower), enumerate(columns)):
-            levels = dict(zip(names[1:], (column, *below), strict=False))
-            own = [cell for cell in found.cells if levels.items() <= dict(cell.levels).items()]
-            _draw_panel(panels[i, j], own, names[0] if names else "", rows, levels)
-        _add_words(figure, found, panels[-1])
-        return save_figure(figure, folder, stem, formats)
+    groups = _groups(maps)
+    places = _places(groups)
+    with house_style(SIZE.type_points):
+        figure = Figure(layout="constrained")
+        columns = figure.subplots(1, len(maps), sharex=True, sharey=True, squeeze=False)[0]
+        for axes, found in zip(columns, maps, strict=True):
+            _draw_map(axes, found, places)
+            axes.xaxis.set_major_locator(whole_ticks(3 if len(maps) > 1 else 8))
+        _label_rows(columns[0], groups, places)
+        lines = max(places.values(), default=0) + 1
+        words = Words(headline_of(data, _shown(maps)), "", _caption(data, maps))
+        words.put(figure, SIZE, ROW_INCHES * lines + AROUND_INCHES, _entries(maps))
+        return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
 
 
-def _draw_panel(
-    axes: Axes, cells: Sequence[Cell], factor: str, rows: Sequence[Any], levels: dict[str, Any]
-) -> None:
+# --- Rows ------------------------------------------------------------------------------------------
+
+Groups = Mapping[Levels, Sequence[Levels]]
+"""The cells of all maps, by their levels of the first factors: all but the last two."""
+IN_A_ROW = 2
+"""Factors that a row is labelled by; those before them head a group of rows."""
+
+
+def _groups(maps: Sequence[Map]) -> dict[Levels, list[Levels]]:
+    """Return every cell of any map once, ordered by the levels of the first factor, then the next."""
+    order = {level: place for found in maps for level, place in _ordered(found)}
+    cells = {cell.levels for found in maps for cell in found.cells}
+    groups: dict[Levels, list[Levels]] = {}
+    for cell in sorted(cells, key=lambda levels: [order[level] for level in levels]):
+        groups.setdefault(cell[:-IN_A_ROW], []).append(cell)
+    return groups
+
+
+def _ordered(found: Map) -> Iterator[tuple[tuple[str, Any], int]]:
+    for factor, levels in found.factors.items():
+        for place, level in enumerate(levels):
+            yield (factor, level), place
+
+
+def _places(groups: Groups) -> dict[Levels, int]:
+    """Return the line of each cell, counted from above; a group that has a heading has a line for it."""
+    places, line = {}, 0
+    for group, cells in groups.items():
+        line += bool(group)
+        for cell in cells:
+            places[cell] = line
+            line += 1
+    return places
+
+
+def _label_rows(axes: Axes, groups: Groups, places: Mapping[Levels, int]) -> None:
+    ticks = {
+        place: ", ".join(shown_setting(level) for _, level in cell[-IN_A_ROW:])
+        for cell, place in places.items()
+    }
+    headings = {places[cells[0]] - 1: _told(group) for group, cells in groups.items() if group}
+    marked = sorted({**ticks, **headings}.items())
+    axes.set_yticks([place for place, _ in marked], [label for _, label in marked])
+    axes.set_ylim(max(places.values(), default=0) + 0.6, -0.6)
+    for label, (place, _) in zip(axes.get_yticklabels(), marked, strict=True):
+        label.set_fontweight("bold" if place in headings else "normal")
+
+
+def _level_words(levels: Levels) -> str:
+    return ", ".join(shown_setting(level) for _, level in levels)
+
+
+def _told(levels: Levels) -> str:
+    return ", ".join(f"{key} {shown_setting(level)}" for key, level in levels)
+
+
+# --- Columns ---------------------------------------------------------------------------------------
+
+
+def _draw_map(axes: Axes, found: Map, places: Mapping[Levels, int]) -> None:
     axes.axvline(0, color="#333333", linewidth=0.8)
-    for cell in cells:
-        place = rows.index(dict(cell.levels).get(factor))
-        look, effect = LOOKS[cell.label], cell.contrast
-        ends = [effect.interval.low, effect.interval.high]
-        if np.isfinite(ends).all():
-            axes.plot(ends, [place, place], color=look["color"], linewidth=1.4)
-        axes.plot([effect.effect], [place], linestyle="", markersize=5, **look)
-    axes.set_title(", ".join(f"{key} {shown_setting(value)}" for key, value in levels.items()), fontsize=7.5)
-    axes.set_yticks(range(len(rows)), [shown_setting(row) for row in rows])
-    axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
-    if axes.get_subplotspec().is_first_col():  # type: ignore[union-attr]
-        axes.set_ylabel(factor, fontsize=7.5)
-
-
-def _add_words(figure: Figure, found: Map, bottom: Sequence[Axes]) -> None:
-    """Put the headline and the legend above the panels, and the caption below."""
-    height = figure.get_size_inches()[1]
-    edges = (0, 0.46 / height, 1, 1 - 1.04 / height)
-    figure.get_layout_engine().set(rect=edges)  # type: ignore[union-attr, call-arg]
+    for cell in found.cells:
+        _draw_cell(axes, cell, places[cell.levels])
     better, worse = map(shown_setting, found.values)
-    headline = f"{found.title}: {found.setting} {better} against {worse}"
-    figure.text(0.01, 1 - 0.2 / height, f"{headline}: {found.label}", fontsize=10)
-    counts = {label: sum(cell.label == label for cell in found.cells) for label in LOOKS}
-    marks = [
-        figure.axes[0].plot([], [], linestyle="", markersize=5, label=f"{label} ({counts[label]})", **look)[0]
+    axes.set_title(f"{found.setting}:\n{found.label}", fontsize=SIZE.type_points)
+    axes.set_xlabel(f"{better}\nless {worse}")
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    if find_outcome(found.outcome).bounds == (0.0, 1.0):
+        axes.xaxis.set_major_formatter(FuncFormatter(_points))
+
+
+def _draw_cell(axes: Axes, cell: Cell, place: int) -> None:
+    look, interval = LOOKS[cell.label], cell.contrast.interval
+    if np.isfinite([interval.low, interval.high]).all():
+        axes.plot([interval.low, interval.high], [place, place], color=look["color"], linewidth=1.3)
+    axes.plot([cell.contrast.effect], [place], linestyle="", markersize=4.5, **look)
+
+
+def _points(share: float, _: Any) -> str:
+    """Return a difference of shares in percentage points, with its sign."""
+    return f"{100 * share:+.3g}".replace("-", "−") if share else "0"
+
+
+# --- Words -----------------------------------------------------------------------------------------
+
+
+def _shown(maps: Sequence[Map]) -> str:
+    *first, last = [*maps[0].factors] or ["nothing else"]
+    return "over " + " and ".join(filter(None, [", ".join(first), last]))
+
+
+def _entries(maps: Sequence[Map]) -> dict[str, Entry]:
+    counts = {label: sum(cell.label == label for found in maps for cell in found.cells) for label in LOOKS}
+    return {
+        f"{label} ({counts[label]})": Line2D([], [], linestyle="", markersize=4.5, **look)
         for label, look in LOOKS.items()
-    ]
-    figure.legend(handles=marks, loc="upper left", bbox_to_anchor=(0, 1 - 0.2 / height), ncols=len(marks))
-    for axes in bottom:
-        axes.set_xlabel(f"{better} less {worse}", fontsize=7.5)
-    figure.text(0.01, 0.07 / height, _caption(found), fontsize=6.2, color="#444444", linespacing=1.4)
+    }
 
 
-def _caption(found: Map) -> str:
-    seeds = sorted({runs for cell in found.cells for runs in cell.contrast.seeds})
+def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
+    outcome = find_outcome(maps[0].outcome)
+    unit = ", in percentage points" if outcome.bounds == (0.0, 1.0) else ""
+    turned = ", turned, as less is better" if outcome.better == "lower" else ""
+    seeds = sorted({runs for found in maps for cell in found.cells for runs in cell.contrast.seeds})
     runs = str(seeds[0]) if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
-    turned = " (turned, less is better)" if find_outcome(found.outcome).better == "lower" else ""
-    return (
-        f"Marks: difference of means of {found.outcome}{turned}, {runs} runs an arm; lines: 95 % intervals, "
-        "each for itself.\nFilled marks differ from 0 by Welch's t, at 5 % over all cells (Holm)."
-    )
+    rows = list(maps[0].factors)[-IN_A_ROW:]
+    return [
+        f"{', '.join(data.environments)}. Differences of means in {outcome.words}{unit}{turned}, {runs} runs "
+        "an arm; lines: 95 % intervals, each for itself.",
+        f"Rows: {', '.join(rows)}." if rows else "",
+        "Filled: other than 0 by relabelings and by Welch's t, at 5 % over each column (Holm).",
+        "Robust: all cells hold; partial: some hold, the others are open; conditional: some hold, some are "
+        "reversed.",
+    ]

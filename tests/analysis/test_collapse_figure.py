@@ -9,6 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.figures import collapse
@@ -28,7 +30,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     return seen
 
 
-def _study(folder: Path) -> StudyData:
+def _study(folder: Path, tanh: str = "tanh", dqn: str = "dqn") -> StudyData:
     """Two runs of tanh collapse, one of them for a while; of dqn no entropy is known, and one falls."""
     store = Store(folder / "results")
     unknown = healthy()
@@ -36,11 +38,11 @@ def _study(folder: Path) -> StudyData:
     fallen = learning()
     fallen[14:] = 0.1
     runs = {
-        ("tanh", 0): (one_action(61), learning()),
-        ("tanh", 1): (one_action(*RECOVERED), learning()),
-        ("tanh", 2): (healthy(), learning()),
-        ("dqn", 0): (unknown, fallen),
-        ("dqn", 1): (unknown, learning()),
+        (tanh, 0): (one_action(61), learning()),
+        (tanh, 1): (one_action(*RECOVERED), learning()),
+        (tanh, 2): (healthy(), learning()),
+        (dqn, 0): (unknown, fallen),
+        (dqn, 1): (unknown, learning()),
     }
     ids = {key: f"{place:016x}" for place, key in enumerate(runs)}
     for key, (updates, shares) in runs.items():
@@ -60,6 +62,23 @@ def test_bars_are_shares_of_runs_and_hollow_where_they_recovered(
     (entropy,) = [axes for axes in figures[0].axes if axes.get_title(loc="left") == "Entropy (nats)"]
     drawn = [line for line in entropy.get_lines() if len(np.asarray(line.get_xdata())) > 2]
     assert len(drawn) == 2  # dqn's collapsed run has no entropy to draw
+
+
+def test_crossed_conditions_are_named_by_their_levels_and_what_is_not_held_has_no_panel(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
+    crossed = "reward=thesis, scale=raw, betas=[0.9, 0.999], tanh", "reward=kills, scale=unit, dqn"
+    full = _study(tmp_path, *crossed)
+    clone = Store(tmp_path / "clone")
+    path = published_path(clone, full.study)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode_study(full, curves=()))
+    data = open_study(clone, read_published(clone, full.study).record)
+    collapse.draw_collapse(data, tmp_path, "collapse")
+    kills, bars = figures[0].axes
+    assert kills.get_title(loc="left") == "Monsters killed"
+    labels = [label.get_text().replace("\n", " ") for label in bars.get_yticklabels()]
+    assert labels == ["thesis, raw, [0.9, 0.999], tanh: 2 of 3", "kills, unit, dqn: 1 of 2"]
 
 
 def test_what_cannot_be_seen_of_a_condition_is_said_of_it_alone(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from pneuma.analysis.robustness import Map, map_table, robustness_map
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import main
 from pneuma.errors import UserError
+from pneuma.figures import robustness
 from pneuma.figures.collapse import draw_collapse
 from pneuma.figures.robustness import draw_robustness
 from pneuma.study.store import Store
@@ -125,11 +128,33 @@ def test_figures_have_the_same_bytes_every_time(tmp_path: Path) -> None:
     fresh = open_study(Store(tmp_path / "results"), data.record)
     found = robustness_map(fresh, "activation", "tanh", "relu")
     drawn = [
-        [*draw_robustness(found, folder, "map"), *draw_collapse(fresh, folder, "collapse")]
+        [*draw_robustness(fresh, [found], folder, "map"), *draw_collapse(fresh, folder, "collapse")]
         for folder in (tmp_path / "one", tmp_path / "two")
     ]
     assert len(drawn[0]) == 4
     assert [path.read_bytes() for path in drawn[0]] == [path.read_bytes() for path in drawn[1]]
+
+
+def test_maps_stand_side_by_side_with_their_cells_in_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows go through the scales within each rate, as the settings' order has it, not as conditions come."""
+    cells = {(1e-4, "unit"): 0.2, (1e-3, "unit"): 0.1, (1e-4, "raw"): 0.0, (1e-3, "raw"): -0.2}
+    data = crossed(tmp_path, cells)
+    found = robustness_map(data, "activation", "tanh", "relu")
+    saved: list[Figure] = []
+    monkeypatch.setattr(robustness, "save_figure", lambda figure, *_: saved.append(figure))
+    draw_robustness(data, [found, replace(found, setting="again")], tmp_path, "map")
+    first, second = saved[0].axes
+    assert [axes.get_title(loc="left").split(":")[0] for axes in (first, second)] == ["activation", "again"]
+    rows = [label.get_text() for label in first.get_yticklabels()]
+    assert rows == ["0.0001, unit", "0.0001, raw", "0.001, unit", "0.001, raw"]
+    for axes in (first, second):
+        marks = [
+            np.asarray(line.get_xydata()) for line in axes.get_lines() if line.get_marker() in ("o", "s")
+        ]
+        effect, place = np.concatenate(marks).T
+        assert effect[np.argsort(place)] == pytest.approx([0.2, 0.0, 0.1, -0.2])
 
 
 def test_a_study_without_collapse_is_drawn_and_says_so(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.errors import UserError
-from pneuma.figures import paper, summary
+from pneuma.figures import paper, summary, summary_rows
 from pneuma.figures.settings_table import settings_table
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.summary import draw_summary
@@ -88,17 +88,55 @@ def test_many_conditions_are_rows_without_profiles(tmp_path: Path, drawn: list[F
     assert len(runs.get_yticklabels()) == 9
 
 
-def test_as_many_conditions_as_the_robustness_study_has_fit_a_page(
-    tmp_path: Path, drawn: list[Figure]
-) -> None:
+def test_many_rows_fit_a_page(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path)
     for number in range(90):
-        study.add(f"learning_rate=1e-4, reward=thesis, scale=raw, condition-{number}", 0)
+        study.add(f"condition-{number}", 0)
     draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
     labels = drawn[0].axes[0].get_yticklabels()
     boxes = [label.get_window_extent() for label in labels]
     assert len(labels) == 90 and drawn[0].get_size_inches()[1] < 10
     assert all(above.y0 >= below.y1 - 1 for above, below in pairwise(boxes))  # of 300 pixels an inch
+
+
+@pytest.fixture
+def crossed(tmp_path: Path) -> HandMade:
+    """As many conditions as the robustness study has; only in the last cell does anyone kill."""
+    study = HandMade(tmp_path)
+    cells = [
+        (rate, reward, scale) for rate in ("1e-4", "1e-3") for reward in "abc" for scale in ("unit", "raw")
+    ]
+    for rate, reward, scale in cells:
+        for kind in ("final", "relu", "wide-clip"):
+            share = 0.5 if (rate, reward, scale) == cells[-1] else 0.0
+            name = f"learning_rate={rate}, reward={reward}, scale={scale}, {kind}"
+            study.add(name, 0, evaluations=(0.0, share))
+    study.record["baseline"] = study.record["runs"][0]["condition"]
+    return study
+
+
+@pytest.mark.parametrize("size", ["page", "column"])
+def test_of_many_crossed_conditions_each_cell_is_a_panel(
+    crossed: HandMade, tmp_path: Path, drawn: list[Figure], size: str
+) -> None:
+    draw_summary(open_study(crossed.store, crossed.record), tmp_path, ("svg",), size=size)
+    panels = drawn[0].axes
+    titles = [axes.get_title(loc="left") for axes in panels]
+    assert titles[:3] == ["1e-4, a, unit", "1e-3, a, unit", "1e-4, a, raw"]  # a column to a learning rate
+    assert [label.get_text() for label in panels[0].get_yticklabels()] == ["final", "relu", "wide-clip"]
+    assert [_points(axes, "D") for axes in panels] == [[0, 0, 0]] * 11 + [[0.5, 0.5, 0.5]]
+    told = words(drawn[0]).replace("\n", " ")
+    assert "Panels: learning_rate, reward, scale. Runs of a row: 1." in told
+    assert "Against the baseline" not in told  # which is of one cell
+
+
+def test_a_cell_that_is_missing_leaves_its_place_to_none(
+    crossed: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    crossed.record["runs"] = crossed.record["runs"][3:]  # without the first cell
+    draw_summary(open_study(crossed.store, crossed.record), tmp_path, ("svg",))
+    shown = [axes.get_title(loc="left") for axes in drawn[0].axes if axes.axison]
+    assert len(shown) == 11 and "1e-4, a, unit" not in shown
 
 
 @pytest.fixture
@@ -185,10 +223,10 @@ def test_studies_drawn_at_once_are_drawn_as_alone(
 
 
 def test_dots_that_would_cover_each_other_lie_side_by_side() -> None:
-    beside = summary._beside(np.array([0.0, 0.5, 0.0, 1.0, 0.0]), 1.0)
+    beside = summary_rows._beside(np.array([0.0, 0.5, 0.0, 1.0, 0.0]), 1.0)
     assert sorted(beside[[0, 2, 4]].tolist()) == pytest.approx([-0.09, 0.0, 0.09])
     assert (beside[1], beside[3]) == (0.0, 0.0)
-    assert np.ptp(summary._beside(np.zeros(50), 0.0)) <= 0.6  # however many, they stay in their row
+    assert np.ptp(summary_rows._beside(np.zeros(50), 0.0)) <= 0.6  # however many, they stay in their row
 
 
 def test_what_was_not_run_has_no_row_and_is_named(

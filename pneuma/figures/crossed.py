@@ -1,0 +1,43 @@
+"""What a crossed condition is called: 'reward=thesis, scale=raw, relu' is relu in one cell of two factors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CrossedName:
+    """A condition's name, taken apart.
+
+    Attributes:
+        levels: factor and level, in the name's order; none where nothing is crossed.
+        own: what is left of the name; '' where there are levels alone.
+    """
+
+    levels: tuple[tuple[str, str], ...]
+    own: str
+
+    @property
+    def kind(self) -> str:
+        """What it is in every cell: its own name, or the whole one where it has no other."""
+        return self.own or ", ".join("=".join(level) for level in self.levels)
+
+    @property
+    def short(self) -> str:
+        """Its levels without the factors, and its own name."""
+        return ", ".join([*(level for _, level in self.levels), *filter(None, [self.own])])
+
+
+def read_name(condition: str) -> CrossedName:
+    """Take a condition's name apart."""
+    parts = re.split(r", (?![^\[]*\])", condition)  # a level may be a list: betas=[0.9, 0.999]
+    crossed = next((place for place, part in enumerate(parts) if "=" not in part), len(parts))
+    levels = (part.partition("=")[::2] for part in parts[:crossed])
+    return CrossedName(tuple(levels), ", ".join(parts[crossed:]))
+
+
+def factors_of(conditions: Sequence[str]) -> list[str]:
+    """Return the factors that any of these is crossed by, in order."""
+    return list(dict.fromkeys(factor for name in conditions for factor, _ in read_name(name).levels))

@@ -1,0 +1,95 @@
+"""What the runs of many crossed conditions came to: a panel for each cell, a row for each condition in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pneuma.analysis.tables import StudyData
+from pneuma.figures.crossed import factors_of, read_name
+from pneuma.figures.sizes import Size
+from pneuma.figures.summary_rows import (
+    ROW_LINES,
+    Values,
+    dense,
+    draw_rows,
+    label_rows,
+    reach_of,
+    row_entries,
+    set_values_axis,
+    values_label,
+)
+from pneuma.figures.words import Words
+
+ROW_INCHES, TITLE_INCHES, AXIS_INCHES = 0.16, 0.26, 0.45
+"""Heights of a condition's row, a panel's title, and the ticks and label below all."""
+MOST_COLUMNS, MOST_NARROW = 4, 2
+"""Panels side by side at most, and at most in one column of a page."""
+
+Cell = tuple[tuple[str, str], ...]
+
+
+def draw_cells(
+    data: StudyData, outcome: str, values: Values, table: pd.DataFrame, size: Size, words: Words
+) -> Figure:
+    """Draw every cell's rows in a panel of its own, all to one scale.
+
+    The first factor's levels are columns where they are few enough.
+
+    Args:
+        data: the study.
+        outcome: that the values are of.
+        values: of conditions whose names have factors.
+        table: the study's summary, of this outcome.
+        size: of the figure.
+        words: around the panels; what heads these, and how many runs there are, is added.
+    """
+    cells = _cells(values)
+    rows, columns = _grid(list(cells), MOST_NARROW if size.columns == 1 else MOST_COLUMNS)
+    kinds = list(dict.fromkeys(read_name(name).own for name in values))
+    height = TITLE_INCHES + ROW_INCHES * len(kinds)
+    figure = Figure(layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    places = panels.T.ravel()  # down the columns, as the first factor changes last
+    with dense(ROW_INCHES / (ROW_LINES * size.line_inches)):
+        for axes, (cell, own) in zip(places, cells.items(), strict=False):
+            beside = {name: kinds.index(read_name(name).own) for name in own}
+            draw_rows(axes, data, own, table, reach_of(values), beside)
+            axes.set_title(", ".join(level for _, level in cell), fontsize=size.small_points, weight="normal")
+            axes.tick_params(labelsize=size.small_points, length=0)
+            axes.grid(axis="y", visible=False)
+        label_rows(panels[0, 0], kinds)
+    for axes in places[len(cells) :]:
+        axes.set_axis_off()
+    for axes in panels[-1]:
+        axes.set_xlabel(values_label(outcome), fontsize=size.small_points)
+    set_values_axis(panels[0, 0], outcome)
+    told = Words(words.headline, words.legend_title, [*words.caption, _told(values)])
+    low, high = told.put(figure, size, rows * height + AXIS_INCHES, row_entries())
+    size.check_room(rows * len(kinds) // 3, high - low)
+    return figure
+
+
+def _cells(values: Values) -> dict[Cell, dict[str, np.ndarray]]:
+    """Return the conditions of each cell, in the study's order."""
+    cells: dict[Cell, dict[str, np.ndarray]] = {}
+    for name, runs in values.items():
+        cells.setdefault(read_name(name).levels, {})[name] = runs
+    return cells
+
+
+def _grid(cells: Sequence[Cell], most: int) -> tuple[int, int]:
+    """Return rows and columns: a column for each level of the first factor, where all are there and fit."""
+    first = dict.fromkeys(cell[:1] for cell in cells)
+    columns = len(first) if 1 < len(first) <= most and len(cells) % len(first) == 0 else most
+    return -(-len(cells) // columns), columns
+
+
+def _told(values: Values) -> str:
+    """Say what heads the panels, and how many runs a row has."""
+    counts = sorted({len(runs) for runs in values.values()})
+    runs = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return f"Panels: {', '.join(factors_of(list(values)))}. Runs of a row: {runs}."

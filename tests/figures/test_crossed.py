@@ -1,0 +1,28 @@
+"""How names of crossed conditions are taken apart."""
+
+from __future__ import annotations
+
+import pytest
+
+from pneuma.figures.crossed import factors_of, read_name
+
+
+@pytest.mark.parametrize(
+    ("name", "levels", "own", "short"),
+    [
+        ("tanh", (), "tanh", "tanh"),
+        ("scale=raw, tanh", (("scale", "raw"),), "tanh", "raw, tanh"),
+        ("order=nearest, scale=raw", (("order", "nearest"), ("scale", "raw")), "", "nearest, raw"),
+        ("betas=[0.9, 0.999], relu", (("betas", "[0.9, 0.999]"),), "relu", "[0.9, 0.999], relu"),
+    ],
+)
+def test_a_name_is_its_levels_and_what_is_left(
+    name: str, levels: tuple[tuple[str, str], ...], own: str, short: str
+) -> None:
+    found = read_name(name)
+    assert (found.levels, found.own, found.short) == (levels, own, short)
+    assert found.kind == (own or name)
+
+
+def test_factors_are_those_of_any_name_in_order() -> None:
+    assert factors_of(["a=1, b=2, x", "b=3, c=1, y", "z"]) == ["a", "b", "c"]
