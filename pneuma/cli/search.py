@@ -33,6 +33,7 @@ PLOTS = ("history", "importances", "slices", "parallel", "contour", "front")
 
 app.command()(search_run.run)
 app.command()(search_promote.promote)
+app.command()(search_promote.winners)
 
 
 @app.command("list")

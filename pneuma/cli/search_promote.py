@@ -1,4 +1,4 @@
-"""`pneuma search promote`, and the runs of `pneuma search run --sensitivity`."""
+"""`pneuma search promote` and `winners`, and the runs of `pneuma search run --sensitivity`."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from pneuma.cli.options import (
     Workers,
     print_json,
     read_count,
+    read_path,
     read_seeds_option,
     read_workers,
     say,
@@ -26,8 +27,10 @@ from pneuma.cli.options import (
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.search_run import RunSteps, SearchName, recorded
 from pneuma.cli.study_run import exit_code, train, train_cells
+from pneuma.errors import UserError
 from pneuma.study import plan, spec
 from pneuma.study.executors.base import Supervision
+from pneuma.study.files import write_whole
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -51,14 +54,9 @@ def promote(
 ) -> int:
     """Train a search's winner and its baseline on fresh seeds, and say how much of its gain was luck."""
     from pneuma.search import promote as promoting
-    from pneuma.search.recorded import recorded_search
-    from pneuma.search.spec import load_search
 
     store = Store(results)
-    record = recorded(store, name, setting)
-    search = recorded_search(
-        load_search(name if name.endswith(".toml") else _source(record, name), setting), record
-    )
+    search, record = _recorded(store, name, setting)
     chosen = promoting.winner(record, None if trial is None else _number(trial))
     fresh = read_seeds_option(seeds)
     promoting.refuse_seen_seeds(fresh, record)
@@ -86,6 +84,40 @@ def promote(
     return 0
 
 
+def winners(
+    names: Annotated[
+        list[str], typer.Argument(metavar="NAME", help="Searches that were tuned alike, or their files.")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", parser=read_path, help="The study file to write, ending in .toml."
+        ),
+    ],
+    setting: SettingName = None,
+    results: Results = Path("results"),
+) -> None:
+    """Write a study of several searches' winners, each beside what it was tuned from."""
+    from pneuma.search.promote import winner
+    from pneuma.search.winners import Winner, winners_study
+
+    if out.suffix != ".toml":
+        raise UserError(f"--out {out}: must end in .toml, as study files do")
+    if out.exists():
+        raise UserError(f"--out {out}: is there already; name another, or remove it first")
+    found = []
+    for name in dict.fromkeys(names):
+        search, record = _recorded(Store(results), name, setting)
+        if len(search.objectives) > 1:
+            raise UserError(
+                f"search {name}: has several objectives, and a front for a winner; promote a trial"
+            )
+        found.append(Winner(search, record, winner(record, None)))
+    write_whole(out, winners_study(found).encode())
+    print(f"wrote {plain(str(out))}")
+    print(f"Train it with: {command('study', 'run', out, '--results', results)}")
+
+
 def run_sensitivity(
     task: Task, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
@@ -105,12 +137,21 @@ def run_sensitivity(
     return code
 
 
+def _recorded(store: Store, name: str, setting: str | None) -> tuple[Search, dict[str, Any]]:
+    """Return a search as it was recorded, and its record."""
+    from pneuma.search.recorded import recorded_search
+    from pneuma.search.spec import load_search
+
+    record = recorded(store, name, setting)
+    source = name if name.endswith(".toml") else _source(record, name)
+    return recorded_search(load_search(source, setting), record), record
+
+
 def _source(record: Mapping[str, Any], name: str) -> str:
     """Return what to load a recorded search by: a shipped one by its name.
 
     A file that only a record names may be a stranger's; the person is to name it.
     """
-    from pneuma.errors import UserError
     from pneuma.search.spec import list_searches
     from pneuma.study.definition import split_setting
 
@@ -128,7 +169,6 @@ def _promoted_name(search: Search) -> str:
 
 
 def _number(text: str) -> int:
-    from pneuma.errors import UserError
 
     if not text.isdecimal():
         raise UserError(f"--trial {text}: must be the number of a trial")

@@ -93,29 +93,26 @@ def refuse_seen_seeds(seeds: Sequence[int], record: Mapping[str, Any]) -> None:
 
 def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str, Any]) -> str:
     """Return a study file of the winner beside the base, with the winner's lineage as comments."""
-    settings = search.space.settings(trial["params"])
-    fixed = search.space.fixed
-    own = {key: value for key, value in settings.items() if fixed.get(key, ...) != value}
     values = trial.get("values") or [trial.get("value")]
     lines = [
         f"# Trial {trial['number']} of search {search.name}, promoted.",
         "#",
-        f"# Search {record['digest']}: {len(record['trials'])} trials on seeds {_listed(record['seeds'])}, "
+        f"# Search {record['digest']}: {len(record['trials'])} trials on seeds {listed(record['seeds'])}, "
         f"{record['steps']} steps a run, {record['identity']['sampler']['name']} sampler.",
         f"# Value there: {', '.join(str(value) for value in values)}. Runs: {', '.join(trial['run_ids'])}.",
         "",
-        f"title = {_toml(f'Winner of search {search.name}')}",
-        f"section = {_toml(search.section)}",
-        f"base = {_toml(search.space.base)}",
+        f"title = {toml_value(f'Winner of search {search.name}')}",
+        f"section = {toml_value(search.section)}",
+        f"base = {toml_value(search.space.base)}",
         f'baseline = "{BASELINE}"',
         "",
         "[run]",
-        *(f"{key} = {_toml(value)}" for key, value in fixed.items()),
+        *(f"{key} = {toml_value(value)}" for key, value in search.space.fixed.items()),
         "",
         f"[conditions.{BASELINE}]",
         "",
         f"[conditions.{WINNER}]",
-        *(f"{key} = {_toml(value)}" for key, value in own.items()),
+        *(f"{key} = {toml_value(value)}" for key, value in own_settings(search, trial).items()),
         "",
         "[presets.quick]",
         "seeds = 10",
@@ -179,11 +176,20 @@ def gain(
     return Gain(*seen, *fresh, difference, (found.low, found.high), same_steps)
 
 
-def _toml(value: Any) -> str:
+def own_settings(search: Search, trial: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that a trial has beside those that its search fixes."""
+    fixed = search.space.fixed
+    settings = search.space.settings(trial["params"])
+    return {key: value for key, value in settings.items() if fixed.get(key, ...) != value}
+
+
+def toml_value(value: Any) -> str:
+    """Return a setting as a study file has it."""
     if value is None:
         return '"none"'
     return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
 
 
-def _listed(values: Sequence[int]) -> str:
+def listed(values: Sequence[int]) -> str:
+    """Return seeds in a row."""
     return ", ".join(map(str, values))

@@ -106,6 +106,25 @@ def test_luck_is_told_of_runs_of_equal_length_alone(
     assert "by how much the search's seeds had flattered it" in capsys.readouterr().out
 
 
+def test_winners_are_written_as_a_study_that_can_be_trained_and_nothing_is_overwritten(
+    searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, results = tmp_path / "tuned.toml", ["--results", str(searched[1])]
+    arguments = ["search", "winners", str(searched[0]), *results, "--out"]
+    assert main([*arguments, str(out)]) == 0
+    wrote, train = capsys.readouterr().out.splitlines()
+    assert wrote == f"wrote {out}"
+    assert train == f"Train it with: pneuma study run {out} --results {searched[1]}"
+    assert main(["study", "plan", str(out), "--seeds", "1000", *results, "--json"]) == 0
+    capsys.readouterr()
+    written = out.read_bytes()
+    assert main([*arguments, str(out)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert out.read_bytes() == written
+    assert main([*arguments, str(tmp_path / "tuned.txt")]) == 2
+    assert "must end in .toml" in capsys.readouterr().err
+
+
 def test_a_search_of_the_published_codes_world_is_promoted_there(
     searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,111 @@
+"""The winners of several searches as one study: each beside what it was tuned from, on seeds of none.
+
+Whether one optimizer beats another can be told only where both were tuned alike; that is what searches with
+the same trials, seeds and steps are for, and this study is where their winners meet.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os.path import commonprefix
+from typing import Any
+
+from pneuma.errors import UserError
+from pneuma.search.promote import listed, own_settings, toml_value
+from pneuma.search.spec import Search
+
+TUNED = "tuned"
+SEEDS = 10
+
+
+@dataclass(frozen=True)
+class Winner:
+    """A search as it was recorded, its record, and its best trial."""
+
+    search: Search
+    record: Mapping[str, Any]
+    trial: Mapping[str, Any]
+
+
+def winners_study(winners: Sequence[Winner]) -> str:
+    """Return a study file of several winners, each beside its search's base, with their lineage as comments.
+
+    A condition is called as its search, without what all their names begin with; its tuned one beside it.
+
+    Raises:
+        UserError: where searches start from different bases, or had different trials, seeds or steps.
+    """
+    _check_alike(winners)
+    shared = _shared([winner.search.space.fixed for winner in winners])
+    names = _short_names([winner.search.name for winner in winners])
+    lines = [
+        "# Winners of searches, each beside what it was tuned from.",
+        "#",
+        *(line for name, winner in zip(names, winners, strict=True) for line in _lineage(name, winner)),
+        "",
+        f"title = {toml_value('Winners of ' + ', '.join(names))}",
+        f"base = {toml_value(winners[0].search.space.base)}",
+        f"baseline = {toml_value(names[0])}",
+        "",
+        "[run]",
+        *_settings(shared),
+    ]
+    for name, winner in zip(names, winners, strict=True):
+        fixed = {key: value for key, value in winner.search.space.fixed.items() if key not in shared}
+        tuned = {**fixed, **own_settings(winner.search, winner.trial)}
+        lines += ["", _table(name), *_settings(fixed)]
+        lines += ["", _table(f"{name}-{TUNED}"), *_settings(tuned)]
+    steps = winners[0].record["steps"]
+    return "\n".join([*lines, "", "[presets.quick]", f"seeds = {SEEDS}", f"steps = {steps}"]) + "\n"
+
+
+def _check_alike(winners: Sequence[Winner]) -> None:
+    first = winners[0]
+    for winner in winners[1:]:
+        told = f"searches {first.search.name} and {winner.search.name}"
+        if winner.search.space.base != first.search.space.base:
+            bases = f"{first.search.space.base} and {winner.search.space.base}"
+            raise UserError(f"{told} start from different bases, {bases}: no study has two")
+        for what, one, other in (
+            ("trials", len(first.record["trials"]), len(winner.record["trials"])),
+            ("seeds", first.record["seeds"], winner.record["seeds"]),
+            ("steps", first.record["steps"], winner.record["steps"]),
+        ):
+            if one != other:
+                raise UserError(f"{told} are not tuned alike: {what} {one} and {other}; run both the same")
+
+
+def _shared(fixed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the settings that all searches fix alike."""
+    return {
+        key: value
+        for key, value in fixed[0].items()
+        if all(key in own and own[key] == value for own in fixed)
+    }
+
+
+def _short_names(names: Sequence[str]) -> list[str]:
+    """Return names without what all begin with, up to a hyphen."""
+    start = commonprefix(list(names)).rpartition("-")
+    cut = len(start[0]) + 1 if start[1] and len(names) > 1 else 0
+    return [name[cut:] for name in names]
+
+
+def _lineage(name: str, winner: Winner) -> list[str]:
+    record, trial = winner.record, winner.trial
+    count, seeds = len(record["trials"]), listed(record["seeds"])
+    return [
+        f"# {name}: trial {trial['number']} of search {winner.search.name} ({record['digest']}), "
+        f"which came to {trial['value']}",
+        f"# there: {count} trials on seeds {seeds}, {record['steps']} steps a run.",
+    ]
+
+
+def _table(name: str) -> str:
+    return f"[conditions.{name if re.fullmatch(r'[A-Za-z0-9_-]+', name) else toml_value(name)}]"
+
+
+def _settings(settings: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {toml_value(value)}" for key, value in settings.items()]

@@ -1,0 +1,78 @@
+"""The study of several winners: it trains what their trials trained, beside what they were tuned from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.errors import UserError
+from pneuma.search.promote import winner
+from pneuma.search.record import read_record, save_record
+from pneuma.search.winners import Winner, winners_study
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+
+from .conftest import MakeTask, Solve
+from .test_trials import flat
+
+OPTIMIZERS = {"tune-adam": '[run]\noptimizer = "adam"', "tune-sgd": '[run]\noptimizer = "sgd"\nhorizon = 512'}
+
+
+@pytest.fixture
+def winners(make_task: MakeTask, solve: Solve, tmp_path: Path) -> list[Winner]:
+    """Return two searches' winners: of Adam, and of SGD with another horizon."""
+    found = []
+    for name, fixed in OPTIMIZERS.items():
+        task = make_task(8, more=f"{fixed}\nenv = 'pneuma/Pneuma-v0'")
+        task = replace(task, search=replace(task.search, name=name))
+        told = flat(solve(task))
+        save_record(Store(tmp_path / "results"), task, told, "sqlite:///x.db", "x")
+        record = read_record(Store(tmp_path / "results"), name)
+        found.append(Winner(task.search, record, winner(record, None)))
+    return found
+
+
+def test_conditions_are_the_winners_and_what_they_were_tuned_from(
+    winners: list[Winner], tmp_path: Path
+) -> None:
+    """On the searches' own seeds their run ids are the trials': it is the very same training."""
+    path = tmp_path / "tuned.toml"
+    path.write_text(winners_study(winners))
+    plan = make_plan(load_study(str(path)), Selection(seeds=(1000, 1001), steps=2048))
+    assert list(plan.conditions) == ["adam", "adam-tuned", "sgd", "sgd-tuned"]
+    ids: dict[str, list[str]] = {}
+    for cell in plan.cells:
+        ids.setdefault(cell.condition, []).append(cell.run_id)
+    for own in winners:
+        assert ids[f"{own.search.name.removeprefix('tune-')}-tuned"] == own.trial["run_ids"]
+    runs = {cell.condition: cell.run for cell in plan.cells}
+    assert (runs["adam"].optimizer, runs["sgd"].optimizer) == ("adam", "sgd")
+    assert (runs["adam"].learning_rate, runs["sgd"].learning_rate) == (3e-4, 3e-4)
+    assert (runs["adam"].horizon, runs["sgd"].horizon) == (256, 512)
+    assert f"trial {winners[0].trial['number']} of search tune-adam" in path.read_text()
+
+
+def _changed(own: Winner, **changes: Any) -> Winner:
+    return replace(own, record={**own.record, **changes})
+
+
+def test_searches_that_were_not_tuned_alike_share_no_study(winners: list[Winner]) -> None:
+    first, second = winners
+    with pytest.raises(UserError, match=r"not tuned alike: steps 2048 and 4096"):
+        winners_study([first, _changed(second, steps=4096)])
+    with pytest.raises(UserError, match=r"not tuned alike: seeds \[1000, 1001\] and \[1000\]"):
+        winners_study([first, _changed(second, seeds=[1000])])
+    with pytest.raises(UserError, match=r"not tuned alike: trials 8 and 7"):
+        winners_study([first, _changed(second, trials=second.record["trials"][:7])])
+    space = replace(second.search.space, base="table-6-1")
+    other = replace(second, search=replace(second.search, space=space))
+    with pytest.raises(UserError, match=r"different bases, table-6-2 and table-6-1"):
+        winners_study([first, other])
+
+
+def test_one_search_keeps_its_name(winners: list[Winner]) -> None:
+    assert "[conditions.tune-adam-tuned]" in winners_study(winners[:1])
