@@ -79,22 +79,23 @@ def label_of(data: StudyData, curve: Curve) -> str:
     return f"{curve.condition} (n = {len(runs)}{fewer})"
 
 
-def draw_references(axes: Axes, levels: Mapping[str, float], top: float) -> None:
+def draw_references(axes: Axes, levels: Mapping[str, float], top: float, upright: bool = False) -> None:
     """Draw the levels of players of known skill as grey lines.
 
     One that is so far above the highest point that its line would flatten it is the caption's to tell.
+
+    Args:
+        axes: where.
+        levels: of each player.
+        top: the highest point that is drawn.
+        upright: whether levels are on the horizontal axis.
     """
     far = far_references(levels, top)
+    draw = axes.axvline if upright else axes.axhline
     for name, level in levels.items():
         if name not in far:
-            axes.axhline(
-                level,
-                color="#666666",
-                linestyle=REFERENCE_DASHES[name],
-                linewidth=0.9,
-                label=name,
-                zorder=1.2,
-            )
+            dashes = REFERENCE_DASHES[name]
+            draw(level, color="#666666", linestyle=dashes, linewidth=0.9, label=name, zorder=1.2)
 
 
 def far_references(levels: Mapping[str, float], top: float) -> dict[str, float]:

@@ -34,7 +34,9 @@ from pneuma.figures.summary_rows import (
     Values,
     dense,
     draw_interval,
+    draw_levels,
     draw_rows,
+    greatest,
     label_rows,
     reach_of,
     row_entries,
@@ -108,7 +110,7 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
     if profiled:
         _draw_profiles(places[-1], data, values, outcome)
     words = _words(data, outcome, values, table)
-    low, high = words.put(figure, size, sum(panels) if stacked else max(panels), row_entries())
+    low, high = words.put(figure, size, sum(panels) if stacked else max(panels), row_entries(places[0]))
     size.check_room(1 + len(values) // 3, high - low)
     return figure
 
@@ -124,6 +126,7 @@ def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
 
 def _draw_runs(axes: Axes, data: StudyData, values: Values, table: pd.DataFrame, outcome: str) -> None:
     draw_rows(axes, data, values, table, reach_of(values))
+    draw_levels(axes, data, outcome, greatest(values))
     label_rows(axes, [f"{name} (n = {len(runs)})" for name, runs in values.items()])
     axes.set(title="Every run", xlabel=values_label(outcome))
     set_values_axis(axes, outcome)

@@ -15,7 +15,9 @@ from pneuma.figures.summary_rows import (
     ROW_LINES,
     Values,
     dense,
+    draw_levels,
     draw_rows,
+    greatest,
     label_rows,
     reach_of,
     row_entries,
@@ -58,6 +60,7 @@ def draw_cells(
         for axes, (cell, own) in zip(places, cells.items(), strict=False):
             beside = {name: kinds.index(read_name(name).own) for name in own}
             draw_rows(axes, data, own, table, reach_of(values), beside)
+            draw_levels(axes, data, outcome, greatest(values))
             axes.set_title(", ".join(level for _, level in cell), fontsize=size.small_points, weight="normal")
             axes.tick_params(labelsize=size.small_points, length=0)
             axes.grid(axis="y", visible=False)
@@ -68,7 +71,7 @@ def draw_cells(
         axes.set_xlabel(values_label(outcome), fontsize=size.small_points)
     set_values_axis(panels[0, 0], outcome)
     told = Words(words.headline, words.legend_title, [*words.caption, _told(values)])
-    low, high = told.put(figure, size, rows * height + AXIS_INCHES, row_entries())
+    low, high = told.put(figure, size, rows * height + AXIS_INCHES, row_entries(panels[0, 0]))
     size.check_room(rows * len(kinds) // 3, high - low)
     return figure
 

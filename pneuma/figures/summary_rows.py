@@ -13,10 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.outcomes import PRIMARY, find_outcome
+from pneuma.analysis.references import shared_levels
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.looks import condition_looks
-from pneuma.figures.panel import per_cent, whole_ticks
+from pneuma.figures.panel import draw_references, per_cent, whole_ticks
 
 Values = Mapping[str, np.ndarray]
 """What the runs of each condition came to, (runs,)."""
@@ -30,14 +31,16 @@ _STATISTICS = {"mean": ("D", 0.14), "iqm": ("s", -0.14)}
 _INK = "#222222"
 
 
-def row_entries() -> dict[str, Any]:
-    """Return what the legend says of a row's marks."""
+def row_entries(axes: Axes) -> dict[str, Any]:
+    """Return what the legend says of a row's marks, and of the players' levels in a panel of rows."""
+    handles, labels = axes.get_legend_handles_labels()
     return {
         "a run": Line2D([], [], color="#777777", marker="o", linestyle="", markersize=3),
         "mean, 95 % interval (Student's t)": Line2D([], [], color=_INK, marker="D", markersize=4),
         "mean of the middle half, 95 % interval (bootstrap)": Line2D(
             [], [], color=_INK, marker="s", markersize=4, markerfacecolor="white"
         ),
+        **dict(zip(labels, handles, strict=True)),
     }
 
 
@@ -96,9 +99,27 @@ def draw_rows(
                 draw_interval(axes, one, place - beside, marker, colour if statistic == "mean" else "white")
 
 
+def draw_levels(axes: Axes, data: StudyData, outcome: str, top: float) -> None:
+    """Draw what players of known skill come to, where that is the same for all conditions, and near.
+
+    Args:
+        axes: of rows.
+        data: the study.
+        outcome: that the rows are of.
+        top: the greatest value of them.
+    """
+    if outcome == PRIMARY:
+        draw_references(axes, shared_levels(data, "share_killed"), top, upright=True)
+
+
 def reach_of(values: Values) -> float:
     """Return how far all values lie apart, with 0 among them."""
     return float(np.ptp(np.concatenate([*values.values(), [0.0]])))
+
+
+def greatest(values: Values) -> float:
+    """Return the greatest of all values, which is 0 at least."""
+    return max((float(runs.max(initial=0.0)) for runs in values.values()), default=0.0)
 
 
 def set_values_axis(axes: Axes, outcome: str) -> None:

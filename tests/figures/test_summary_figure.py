@@ -21,7 +21,7 @@ from pneuma.figures.settings_table import settings_table
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.summary import draw_summary
 
-from .hand_made import HandMade, words
+from .hand_made import HandMade, legend, words
 
 
 def _points(axes: Axes, marker: str) -> list[float]:
@@ -57,6 +57,19 @@ def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
         [1, 2 / 3, 1 / 3]
     )
     assert "a run is better than one of relu" in words(drawn[0]).replace("\n", " ")
+
+
+def test_what_a_random_player_kills_is_a_line_where_it_is_near_and_the_same_for_all(
+    three: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    three.add("sgd", 0, hunter=5.0)  # too far to be drawn, and unlike the others'
+    draw_summary(open_study(three.store, three.record), tmp_path, ("svg",))
+    assert "random player" not in legend(drawn[0])
+    three.record["runs"] = three.record["runs"][:-1]
+    draw_summary(open_study(three.store, three.record), tmp_path, ("svg",))
+    levels = [line for line in drawn[1].axes[0].get_lines() if line.get_label() == "random player"]
+    assert [np.asarray(line.get_xdata()).tolist() for line in levels] == [[0.04, 0.04]]
+    assert legend(drawn[1])[-2:] == ["random player", "scripted hunter"]  # at 0.5, among runs of up to 0.7
 
 
 def test_few_runs_have_no_interval_and_it_is_said(tmp_path: Path, drawn: list[Figure]) -> None:
