@@ -15,6 +15,7 @@ from typing import Any
 from pneuma.errors import UserError
 from pneuma.search.promote import listed, own_settings, toml_value
 from pneuma.search.spec import Search
+from pneuma.study.definition import split_setting
 
 TUNED = "tuned"
 SEEDS = 10
@@ -39,7 +40,7 @@ def winners_study(winners: Sequence[Winner]) -> str:
     """
     _check_alike(winners)
     shared = _shared([winner.search.space.fixed for winner in winners])
-    names = _short_names([winner.search.name for winner in winners])
+    names = _short_names([split_setting(winner.search.name)[0] for winner in winners])
     lines = [
         "# Winners of searches, each beside what it was tuned from.",
         "#",
