@@ -50,28 +50,30 @@ def draw_cells(
         words: around the panels; what heads these, and how many runs there are, is added.
     """
     cells = _cells(values)
-    rows, columns = _grid(list(cells), MOST_NARROW if size.columns == 1 else MOST_COLUMNS)
+    places = _grid(list(cells), MOST_NARROW if size.columns == 1 else MOST_COLUMNS)
+    rows, columns = (1 + max(place[i] for place in places.values()) for i in (0, 1))
     kinds = list(dict.fromkeys(read_name(name).own for name in values))
     height = TITLE_INCHES + ROW_INCHES * len(kinds)
     figure = Figure(layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    places = panels.T.ravel()  # down the columns, as the first factor changes last
+    some = panels[next(iter(places.values()))]
     with dense(ROW_INCHES / (ROW_LINES * size.line_inches)):
-        for axes, (cell, own) in zip(places, cells.items(), strict=False):
+        for cell, own in cells.items():
+            axes = panels[places[cell]]
             beside = {name: kinds.index(read_name(name).own) for name in own}
             draw_rows(axes, data, own, table, reach_of(values), beside)
             draw_levels(axes, data, outcome, greatest(values))
             axes.set_title(", ".join(level for _, level in cell), fontsize=size.small_points, weight="normal")
             axes.tick_params(labelsize=size.small_points, length=0)
             axes.grid(axis="y", visible=False)
-        label_rows(panels[0, 0], kinds)
-    for axes in places[len(cells) :]:
-        axes.set_axis_off()
+        label_rows(some, kinds)
+    for place in {*np.ndindex(panels.shape)} - {*places.values()}:
+        panels[place].set_axis_off()
     for axes in panels[-1]:
         axes.set_xlabel(values_label(outcome), fontsize=size.small_points)
-    set_values_axis(panels[0, 0], outcome)
+    set_values_axis(some, outcome)
     told = Words(words.headline, words.legend_title, [*words.caption, _told(values)])
-    low, high = told.put(figure, size, rows * height + AXIS_INCHES, row_entries(panels[0, 0]))
+    low, high = told.put(figure, size, rows * height + AXIS_INCHES, row_entries(some))
     size.check_room(rows * len(kinds) // 3, high - low)
     return figure
 
@@ -84,11 +86,16 @@ def _cells(values: Values) -> dict[Cell, dict[str, np.ndarray]]:
     return cells
 
 
-def _grid(cells: Sequence[Cell], most: int) -> tuple[int, int]:
-    """Return rows and columns: a column for each level of the first factor, where all are there and fit."""
-    first = dict.fromkeys(cell[:1] for cell in cells)
-    columns = len(first) if 1 < len(first) <= most and len(cells) % len(first) == 0 else most
-    return -(-len(cells) // columns), columns
+def _grid(cells: Sequence[Cell], most: int) -> dict[Cell, tuple[int, int]]:
+    """Return the row and column of each cell: a column for each level of the first factor, where these fit.
+
+    One that is missing leaves its place free. Where they do not fit, cells follow each other.
+    """
+    first = list(dict.fromkeys(cell[:1] for cell in cells))
+    others = list(dict.fromkeys(cell[1:] for cell in cells))
+    if 1 < len(first) <= most:
+        return {cell: (others.index(cell[1:]), first.index(cell[:1])) for cell in cells}
+    return {cell: divmod(place, most) for place, cell in enumerate(cells)}
 
 
 def _told(values: Values) -> str:

@@ -143,13 +143,26 @@ def test_of_many_crossed_conditions_each_cell_is_a_panel(
     assert "Against the baseline" not in told  # which is of one cell
 
 
-def test_a_cell_that_is_missing_leaves_its_place_to_none(
+def test_a_cell_that_is_missing_leaves_its_place_free(
     crossed: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     crossed.record["runs"] = crossed.record["runs"][3:]  # without the first cell
     draw_summary(open_study(crossed.store, crossed.record), tmp_path, ("svg",))
-    shown = [axes.get_title(loc="left") for axes in drawn[0].axes if axes.axison]
-    assert len(shown) == 11 and "1e-4, a, unit" not in shown
+    titles = [axes.get_title(loc="left") if axes.axison else "free" for axes in drawn[0].axes]
+    rows = [[title.split(", ", 1)[-1] for title in titles[place : place + 2]] for place in range(0, 12, 2)]
+    assert [row[0] == row[1] for row in rows] == [True] * 5 + [False]
+    assert titles[-2:] == ["free", "1e-3, a, unit"]
+    assert "random player" in legend(drawn[0])
+
+
+def test_levels_that_are_too_many_for_columns_follow_each_other(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    for rate in range(9):
+        for kind in ("tanh", "relu", "leaky-relu"):
+            study.add(f"rate={rate}, {kind}", 0)
+    draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
+    titles = [axes.get_title(loc="left") for axes in drawn[0].axes]
+    assert titles == [*map(str, range(9)), *[""] * 3]
 
 
 @pytest.fixture
