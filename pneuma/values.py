@@ -158,7 +158,7 @@ class Several:
     @property
     def allowed(self) -> str:
         """Say in words what is allowed."""
-        count = str(self.shortest) if self.shortest == self.longest else "a list"
+        count = str(self.shortest) if self.shortest == self.longest else "a list in brackets"
         return f"{count} of: {self.each.allowed}"
 
 
