@@ -41,6 +41,7 @@ EVERY = "every condition"
 
 MORE_CURVES = {"gradient-limits": ("grad_norm",), "collapse": ("entropy",)}
 """What else a study is about, beside the share killed and the return."""
+
 Drawn = Iterator[tuple[dict[str, Any], list[Path]]]
 """How a figure is drawn, and its files."""
 

@@ -120,10 +120,7 @@ def _places(groups: Groups) -> dict[Levels, int]:
 
 
 def _label_rows(axes: Axes, groups: Groups, places: Mapping[Levels, int]) -> None:
-    ticks = {
-        place: ", ".join(shown_setting(level) for _, level in cell[-IN_A_ROW:])
-        for cell, place in places.items()
-    }
+    ticks = {place: _level_words(cell[-IN_A_ROW:]) for cell, place in places.items()}
     headings = {places[cells[0]] - 1: _told(group) for group, cells in groups.items() if group}
     marked = sorted({**ticks, **headings}.items())
     axes.set_yticks([place for place, _ in marked], [label for _, label in marked])

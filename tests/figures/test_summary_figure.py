@@ -114,7 +114,7 @@ def test_many_rows_fit_a_page(tmp_path: Path, drawn: list[Figure]) -> None:
 
 @pytest.fixture
 def crossed(tmp_path: Path) -> HandMade:
-    """As many conditions as the robustness study has; only in the last cell does anyone kill."""
+    """Thirty-six conditions in twelve cells; only in the last one does anyone kill."""
     study = HandMade(tmp_path)
     cells = [
         (rate, reward, scale) for rate in ("1e-4", "1e-3") for reward in "abc" for scale in ("unit", "raw")
