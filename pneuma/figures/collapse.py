@@ -72,7 +72,9 @@ def draw_collapse(
     shown = shares if len(shares) <= MOST_ROWS else shares[shares["collapsed"] > 0]
     collapsed = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
     held = _held(data, collapsed)
-    words = Words(headline_of(data, _told(shares)), "", _caption(data, shown, len(shares) - len(shown)))
+    words = Words(
+        headline_of(data, _told(shares)), "", _caption(data, list(held), shown, len(shares) - len(shown))
+    )
     with house_style(SIZE.type_points):
         figure = Figure(layout="constrained")
         mosaic = _mosaic(list(held))
@@ -94,7 +96,7 @@ def _held(data: StudyData, collapsed: Mapping[str, float]) -> dict[str, list[Fal
     """Return the panels of what is held of any run that collapsed, and its runs; all where none did."""
     runs = [run for run in data.runs if run.run_id in collapsed]
     held = {
-        name: [(run, *_series(data, run, name, collapsed[run.run_id])) for run in runs] for name in PANELS
+        name: [_fall(run, _series(data, run, name), collapsed[run.run_id]) for run in runs] for name in PANELS
     }
     seen = {name: falls for name, falls in held.items() if any(len(step) for _, step, _ in falls)}
     return seen or held
@@ -112,7 +114,9 @@ def _told(shares: pd.DataFrame) -> str:
     return f"{shares['collapsed'].sum()} of {shares['runs'].sum()} runs collapsed"
 
 
-def _caption(data: StudyData, shown: pd.DataFrame, left_out: int) -> list[str]:
+def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out: int) -> list[str]:
+    smoothed = "means over 5 % of the budget, and " if held != ["share_killed"] else ""
+    dashed = "dashed: " if any(name in held for name in THRESHOLDS) else ""
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
     rows = f"Rows: {', '.join(factors_of(list(shown['condition'])))}. " if _by_levels(shown) else ""
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
@@ -121,9 +125,9 @@ def _caption(data: StudyData, shown: pd.DataFrame, left_out: int) -> list[str]:
         none = f"Of {told} no entropy is recorded, and only a fall is seen. {none}"
     return [
         f"{', '.join(data.environments)}. Left: each run that collapsed, in its condition's colour, by its "
-        "steps before and after the onset; means over 5 % of the budget, and single evaluations. Right: "
+        f"steps before and after the onset; {smoothed}single evaluations. Right: "
         "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson).",
-        f"Collapsed: down to one action (dashed: {LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
+        f"Collapsed: down to one action ({dashed}{LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
         f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations in a row. "
         f"Hollow: no longer so at the end. {rows}{none}",
     ]
@@ -150,13 +154,12 @@ def _draw_panel(axes: Axes, data: StudyData, falls: Sequence[Fall], name: str) -
         axes.text(0.5, 0.5, "no run collapsed", transform=axes.transAxes, ha="center", color="#666666")
 
 
-def _series(data: StudyData, run: FinishedRun, name: str, onset: float) -> Series:
-    """Return a quantity of a run over its steps from the onset of its collapse; none where it is not held."""
-    step, values = _held_series(data, run, name)
-    return step - onset, values
+def _fall(run: FinishedRun, series: Series, onset: float) -> Fall:
+    step, values = series
+    return run, step - onset, values
 
 
-def _held_series(data: StudyData, run: FinishedRun, name: str) -> Series:
+def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
     seen = view(data, run)
     if name == "share_killed":
         return seen.evaluations(name)
@@ -180,7 +183,8 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
             place, again, left=row["share"] - again, height=0.55, color="white", edgecolor=colour, linewidth=1
         )
         axes.plot([row["low"], row["high"]], [place, place], color="#222222", linewidth=1.1)
-    names = [_bar_label(row, by_levels=_by_levels(shares)) for row in rows]
+    by_levels = _by_levels(shares)
+    names = [_bar_label(row, by_levels) for row in rows]
     points = 72 * LONGEST_INCHES / max(len(rows), 1)
     axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(5.5, 0.8 * points))
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")

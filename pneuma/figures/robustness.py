@@ -20,7 +20,7 @@ from pneuma.figures.captions import headline_of
 from pneuma.figures.panel import whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, house_style, save_figure
-from pneuma.figures.words import Entry, Words
+from pneuma.figures.words import Entry, Words, counts_told
 from pneuma.values import shown_setting
 
 SIZE = SIZES["page"]
@@ -185,8 +185,7 @@ def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
     outcome = find_outcome(maps[0].outcome)
     unit = ", in percentage points" if outcome.bounds == (0.0, 1.0) else ""
     turned = ", turned, as less is better" if outcome.better == "lower" else ""
-    seeds = sorted({runs for found in maps for cell in found.cells for runs in cell.contrast.seeds})
-    runs = str(seeds[0]) if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
+    runs = counts_told(runs for found in maps for cell in found.cells for runs in cell.contrast.seeds)
     rows = list(maps[0].factors)[-IN_A_ROW:]
     return [
         f"{', '.join(data.environments)}. Differences of means in {outcome.words}{unit}{turned}, {runs} runs "

@@ -31,17 +31,12 @@ from pneuma.figures.style import house_style, save_figure
 from pneuma.figures.summary_cells import draw_cells
 from pneuma.figures.summary_rows import (
     ROW_LINES,
+    Rows,
     Values,
     dense,
     draw_interval,
-    draw_levels,
-    draw_rows,
-    greatest,
     label_rows,
-    reach_of,
     row_entries,
-    set_values_axis,
-    values_label,
 )
 from pneuma.figures.words import Words
 
@@ -83,9 +78,10 @@ def shown_outcome(data: StudyData) -> str:
 
 def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> Figure:
     values = {name: _known(data, name, outcome) for name in data.conditions if data.of_condition(name)}
+    rows = Rows(data, outcome, values, table)
     if len(values) > MOST_ROWS and factors_of(list(values)):
         words = _words(data, outcome, values, table[table["statistic"] != "improvement"])
-        return draw_cells(data, outcome, values, table, size, words)
+        return draw_cells(rows, size, words)
     figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
     pitch = min(ROW_LINES * size.line_inches, LONGEST_INCHES / len(values))
     rows_inches = pitch * len(values) + 0.75
@@ -104,11 +100,11 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
         height_ratios=panels if stacked else None,
     ).ravel()
     with dense(pitch / (ROW_LINES * size.line_inches)):
-        _draw_runs(places[0], data, values, table, outcome)
+        _draw_runs(places[0], rows)
         if len(improved):
             _draw_improvement(places[1], data, list(values), improved, labelled=stacked)
     if profiled:
-        _draw_profiles(places[-1], data, values, outcome)
+        _draw_profiles(places[-1], rows)
     words = _words(data, outcome, values, table)
     low, high = words.put(figure, size, sum(panels) if stacked else max(panels), row_entries(places[0]))
     size.check_room(1 + len(values) // 3, high - low)
@@ -124,12 +120,11 @@ def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _draw_runs(axes: Axes, data: StudyData, values: Values, table: pd.DataFrame, outcome: str) -> None:
-    draw_rows(axes, data, values, table, reach_of(values))
-    draw_levels(axes, data, outcome, greatest(values))
-    label_rows(axes, [f"{name} (n = {len(runs)})" for name, runs in values.items()])
-    axes.set(title="Every run", xlabel=values_label(outcome))
-    set_values_axis(axes, outcome)
+def _draw_runs(axes: Axes, rows: Rows) -> None:
+    rows.draw(axes, {name: place for place, name in enumerate(rows.values)})
+    label_rows(axes, [f"{name} (n = {len(runs)})" for name, runs in rows.values.items()])
+    axes.set(title="Every run", xlabel=rows.label)
+    rows.set_axis(axes)
 
 
 def _draw_improvement(
@@ -145,23 +140,22 @@ def _draw_improvement(
     label_rows(axes, shown if labelled else [""] * len(shown))
 
 
-def _draw_profiles(axes: Axes, data: StudyData, values: Values, outcome: str) -> None:
+def _draw_profiles(axes: Axes, rows: Rows) -> None:
     """Draw the share of runs above every level: whoever's line is higher is better at that level."""
-    pooled = np.concatenate(list(values.values()))
+    pooled = np.concatenate(list(rows.values.values()))
     if not len(pooled):
         return
-    shares = find_outcome(outcome).bounds == (0.0, 1.0)
-    levels = np.linspace(0 if shares else pooled.min(), pooled.max(), 201)
-    looks = condition_looks(data.conditions)
-    for condition, runs in values.items():
+    levels = np.linspace(0 if rows.are_shares else pooled.min(), pooled.max(), 201)
+    looks = condition_looks(rows.data.conditions)
+    for condition, runs in rows.values.items():
         if len(runs):
             look = {**looks[condition], "marker": ""}
             axes.step(levels, performance_profile(runs, levels), where="post", **look)
-    axes.set(title="Runs above a level", xlabel=values_label(outcome))
+    axes.set(title="Runs above a level", xlabel=rows.label)
     axes.set(ylabel="Share of runs", ylim=(0, 1.02))
     axes.xaxis.set_major_locator(whole_ticks(4))
     axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
-    if shares:
+    if rows.are_shares:
         axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
 
 

@@ -5,26 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
-from pneuma.analysis.tables import StudyData
 from pneuma.figures.crossed import factors_of, read_name
 from pneuma.figures.sizes import Size
-from pneuma.figures.summary_rows import (
-    ROW_LINES,
-    Values,
-    dense,
-    draw_levels,
-    draw_rows,
-    greatest,
-    label_rows,
-    reach_of,
-    row_entries,
-    set_values_axis,
-    values_label,
-)
-from pneuma.figures.words import Words
+from pneuma.figures.summary_rows import ROW_LINES, Rows, dense, label_rows, row_entries
+from pneuma.figures.words import Words, counts_told
 
 ROW_INCHES, TITLE_INCHES, AXIS_INCHES = 0.16, 0.26, 0.45
 """Heights of a condition's row, a panel's title, and the ticks and label below all."""
@@ -34,25 +20,22 @@ MOST_COLUMNS, MOST_NARROW = 4, 2
 Cell = tuple[tuple[str, str], ...]
 
 
-def draw_cells(
-    data: StudyData, outcome: str, values: Values, table: pd.DataFrame, size: Size, words: Words
-) -> Figure:
+def draw_cells(shown: Rows, size: Size, words: Words) -> Figure:
     """Draw every cell's rows in a panel of its own, all to one scale.
 
     The first factor's levels are columns where they are few enough.
 
     Args:
-        data: the study.
-        outcome: that the values are of.
-        values: of conditions whose names have factors.
-        table: the study's summary, of this outcome.
+        shown: rows of conditions whose names have factors.
         size: of the figure.
         words: around the panels; what heads these, and how many runs there are, is added.
     """
-    cells = _cells(values)
+    cells: dict[Cell, list[str]] = {}
+    for name in shown.values:
+        cells.setdefault(read_name(name).levels, []).append(name)
     places = _grid(list(cells), MOST_NARROW if size.columns == 1 else MOST_COLUMNS)
     rows, columns = (1 + max(place[i] for place in places.values()) for i in (0, 1))
-    kinds = list(dict.fromkeys(read_name(name).own for name in values))
+    kinds = list(dict.fromkeys(read_name(name).own for name in shown.values))
     height = TITLE_INCHES + ROW_INCHES * len(kinds)
     figure = Figure(layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -60,9 +43,7 @@ def draw_cells(
     with dense(ROW_INCHES / (ROW_LINES * size.line_inches)):
         for cell, own in cells.items():
             axes = panels[places[cell]]
-            beside = {name: kinds.index(read_name(name).own) for name in own}
-            draw_rows(axes, data, own, table, reach_of(values), beside)
-            draw_levels(axes, data, outcome, greatest(values))
+            shown.draw(axes, {name: kinds.index(read_name(name).own) for name in own})
             axes.set_title(", ".join(level for _, level in cell), fontsize=size.small_points, weight="normal")
             axes.tick_params(labelsize=size.small_points, length=0)
             axes.grid(axis="y", visible=False)
@@ -70,20 +51,12 @@ def draw_cells(
     for place in {*np.ndindex(panels.shape)} - {*places.values()}:
         panels[place].set_axis_off()
     for axes in panels[-1]:
-        axes.set_xlabel(values_label(outcome), fontsize=size.small_points)
-    set_values_axis(some, outcome)
-    told = Words(words.headline, words.legend_title, [*words.caption, _told(values)])
+        axes.set_xlabel(shown.label, fontsize=size.small_points)
+    shown.set_axis(some)
+    told = Words(words.headline, words.legend_title, [*words.caption, _told(shown)])
     low, high = told.put(figure, size, rows * height + AXIS_INCHES, row_entries(some))
     size.check_room(rows * len(kinds) // 3, high - low)
     return figure
-
-
-def _cells(values: Values) -> dict[Cell, dict[str, np.ndarray]]:
-    """Return the conditions of each cell, in the study's order."""
-    cells: dict[Cell, dict[str, np.ndarray]] = {}
-    for name, runs in values.items():
-        cells.setdefault(read_name(name).levels, {})[name] = runs
-    return cells
 
 
 def _grid(cells: Sequence[Cell], most: int) -> dict[Cell, tuple[int, int]]:
@@ -98,8 +71,7 @@ def _grid(cells: Sequence[Cell], most: int) -> dict[Cell, tuple[int, int]]:
     return {cell: divmod(place, most) for place, cell in enumerate(cells)}
 
 
-def _told(values: Values) -> str:
+def _told(shown: Rows) -> str:
     """Say what heads the panels, and how many runs a row has."""
-    counts = sorted({len(runs) for runs in values.values()})
-    runs = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    return f"Panels: {', '.join(factors_of(list(values)))}. Runs of a row: {runs}."
+    runs = counts_told(len(runs) for runs in shown.values.values())
+    return f"Panels: {', '.join(factors_of(list(shown.values)))}. Runs of a row: {runs}."

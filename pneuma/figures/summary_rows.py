@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import matplotlib as mpl
@@ -31,19 +33,6 @@ _STATISTICS = {"mean": ("D", 0.14), "iqm": ("s", -0.14)}
 _INK = "#222222"
 
 
-def row_entries(axes: Axes) -> dict[str, Any]:
-    """Return what the legend says of a row's marks, and of the players' levels in a panel of rows."""
-    handles, labels = axes.get_legend_handles_labels()
-    return {
-        "a run": Line2D([], [], color="#777777", marker="o", linestyle="", markersize=3),
-        "mean, 95 % interval (Student's t)": Line2D([], [], color=_INK, marker="D", markersize=4),
-        "mean of the middle half, 95 % interval (bootstrap)": Line2D(
-            [], [], color=_INK, marker="s", markersize=4, markerfacecolor="white"
-        ),
-        **dict(zip(labels, handles, strict=True)),
-    }
-
-
 @contextmanager
 def dense(share: float) -> Iterator[None]:
     """Draw rows that are closer than usual in smaller type and with smaller marks.
@@ -60,79 +49,92 @@ def dense(share: float) -> Iterator[None]:
         yield
 
 
-def draw_rows(
-    axes: Axes,
-    data: StudyData,
-    values: Values,
-    table: pd.DataFrame,
-    reach: float,
-    places: Mapping[str, float] | None = None,
-) -> None:
-    """Draw conditions one below the other; their labels are the caller's.
+@dataclass(frozen=True)
+class Rows:
+    """What all rows of a figure share, whichever panel they are in.
 
-    Args:
-        axes: where.
-        data: the study, of which the conditions may be some.
-        values: of the conditions to draw.
-        table: rows of the study's summary, of one outcome.
-        reach: from the least to the greatest of all values that share the axis.
-        places: of each condition, from above; where left out, one after the other.
+    Attributes:
+        data: the study.
+        outcome: that the values are of.
+        values: of every condition that has a row.
+        table: the study's summary, of this outcome.
     """
-    looks, mark = condition_looks(data.conditions), mpl.rcParams["lines.markersize"]
-    for count, (condition, runs) in enumerate(values.items()):
-        place = count if places is None else places[condition]
-        colour = looks[condition]["color"]
+
+    data: StudyData
+    outcome: str
+    values: Values
+    table: pd.DataFrame
+
+    @cached_property
+    def reach(self) -> float:
+        """How far all values lie apart, with 0 among them."""
+        return float(np.ptp(np.concatenate([*self.values.values(), [0.0]])))
+
+    @cached_property
+    def levels(self) -> Mapping[str, float]:
+        """What players of known skill come to, where that is the same for all conditions."""
+        return shared_levels(self.data, "share_killed") if self.outcome == PRIMARY else {}
+
+    @property
+    def label(self) -> str:
+        """What the axis of values is called."""
+        return "Share killed" if self.are_shares else "Return of an episode"
+
+    @property
+    def are_shares(self) -> bool:
+        """Whether values are shares, from 0 to 1."""
+        return find_outcome(self.outcome).bounds == (0.0, 1.0)
+
+    def draw(self, axes: Axes, places: Mapping[str, float]) -> None:
+        """Draw some conditions, and the players' levels that are near; labels are the caller's.
+
+        Args:
+            axes: where.
+            places: of the conditions to draw, from above.
+        """
+        looks = condition_looks(self.data.conditions)
+        for condition, place in places.items():
+            self._draw_row(axes, condition, place, looks[condition]["color"])
+        top = max((float(runs.max(initial=0.0)) for runs in self.values.values()), default=0.0)
+        draw_references(axes, self.levels, top, upright=True)
+
+    def _draw_row(self, axes: Axes, condition: str, place: float, colour: str) -> None:
+        runs = self.values[condition]
         axes.plot(
             runs,
-            place + _beside(runs, reach),
+            place + _beside(runs, self.reach),
             "o",
             color=colour,
-            markersize=0.5 * mark,
+            markersize=0.5 * mpl.rcParams["lines.markersize"],
             alpha=0.7 if len(runs) < 20 else 0.4,
             markeredgewidth=0,
             clip_on=False,  # runs that killed nothing lie on the axis: whole, and above it
             zorder=2.6,
         )
+        own = self.table[self.table["condition"] == condition]
         for statistic, (marker, beside) in _STATISTICS.items():
-            found = table[(table["condition"] == condition) & (table["statistic"] == statistic)]
-            for one in found.itertuples():
+            for one in own[own["statistic"] == statistic].itertuples():
                 draw_interval(axes, one, place - beside, marker, colour if statistic == "mean" else "white")
 
-
-def draw_levels(axes: Axes, data: StudyData, outcome: str, top: float) -> None:
-    """Draw what players of known skill come to, where that is the same for all conditions, and near.
-
-    Args:
-        axes: of rows.
-        data: the study.
-        outcome: that the rows are of.
-        top: the greatest value of them.
-    """
-    if outcome == PRIMARY:
-        draw_references(axes, shared_levels(data, "share_killed"), top, upright=True)
+    def set_axis(self, axes: Axes) -> None:
+        """Let the horizontal axis read as the outcome does: shares in per cent, from 0."""
+        axes.xaxis.set_major_locator(whole_ticks(4))
+        if self.are_shares:
+            axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
+            axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
 
 
-def reach_of(values: Values) -> float:
-    """Return how far all values lie apart, with 0 among them."""
-    return float(np.ptp(np.concatenate([*values.values(), [0.0]])))
-
-
-def greatest(values: Values) -> float:
-    """Return the greatest of all values, which is 0 at least."""
-    return max((float(runs.max(initial=0.0)) for runs in values.values()), default=0.0)
-
-
-def set_values_axis(axes: Axes, outcome: str) -> None:
-    """Let the horizontal axis read as an outcome does: shares in per cent, from 0."""
-    axes.xaxis.set_major_locator(whole_ticks(4))
-    if find_outcome(outcome).bounds == (0.0, 1.0):
-        axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
-        axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
-
-
-def values_label(outcome: str) -> str:
-    """Return what the axis of an outcome is called."""
-    return "Share killed" if find_outcome(outcome).bounds == (0.0, 1.0) else "Return of an episode"
+def row_entries(axes: Axes) -> dict[str, Any]:
+    """Return what the legend says of a row's marks, and of the players' levels in a panel of rows."""
+    handles, labels = axes.get_legend_handles_labels()
+    return {
+        "a run": Line2D([], [], color="#777777", marker="o", linestyle="", markersize=3),
+        "mean, 95 % interval (Student's t)": Line2D([], [], color=_INK, marker="D", markersize=4),
+        "mean of the middle half, 95 % interval (bootstrap)": Line2D(
+            [], [], color=_INK, marker="s", markersize=4, markerfacecolor="white"
+        ),
+        **dict(zip(labels, handles, strict=True)),
+    }
 
 
 def draw_interval(axes: Axes, row: object, place: float, marker: str, face: str) -> None:

@@ -6,7 +6,7 @@ Words take the height that they need; where a figure's height is fixed, its pane
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,6 +103,12 @@ class Words:
             borderpad=0.1,
             borderaxespad=0.3,
         )
+
+
+def counts_told(counts: Iterable[int]) -> str:
+    """Return counts as '10', or as '6 to 10' where they differ."""
+    known = sorted({*counts})
+    return str(known[0]) if len(known) == 1 else f"{known[0]} to {known[-1]}"
 
 
 def wrap_label(label: str, characters: int) -> list[str]:

@@ -63,6 +63,10 @@ def winners_study(winners: Sequence[Winner]) -> str:
 
 
 def _check_alike(winners: Sequence[Winner]) -> None:
+    names = [winner.search.name for winner in winners]
+    twice = next((name for name in names if names.count(name) > 1 or f"{name}-{TUNED}" in names), None)
+    if twice:
+        raise UserError(f"search {twice}: two conditions would have one name; name each search once")
     first = winners[0]
     for winner in winners[1:]:
         told = f"searches {first.search.name} and {winner.search.name}"

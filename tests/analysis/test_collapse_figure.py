@@ -77,6 +77,8 @@ def test_crossed_conditions_are_named_by_their_levels_and_what_is_not_held_has_n
     collapse.draw_collapse(data, tmp_path, "collapse")
     kills, bars = figures[0].axes
     assert kills.get_title(loc="left") == "Monsters killed"
+    texts = [text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text)]
+    assert not any("dashed" in text or "means over" in text for text in texts)  # of panels that are not there
     labels = [label.get_text().replace("\n", " ") for label in bars.get_yticklabels()]
     assert labels == ["thesis, raw, [0.9, 0.999], tanh: 2 of 3", "kills, unit, dqn: 1 of 2"]
 

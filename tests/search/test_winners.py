@@ -74,5 +74,10 @@ def test_searches_that_were_not_tuned_alike_share_no_study(winners: list[Winner]
         winners_study([first, other])
 
 
+def test_a_search_that_is_named_twice_is_refused(winners: list[Winner]) -> None:
+    with pytest.raises(UserError, match="search tune-adam: two conditions would have one name"):
+        winners_study([*winners, winners[0]])
+
+
 def test_one_search_keeps_its_name(winners: list[Winner]) -> None:
     assert "[conditions.tune-adam-tuned]" in winners_study(winners[:1])
