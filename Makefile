@@ -102,12 +102,16 @@ trajectories: install  ## Let policies of the reproduction play, and keep where 
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
-tuned = $(foreach name,$(1),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" && \
-$(BIN)/pneuma search promote tune-$(name) --seeds 10 --steps $(2) --results "$(RESULTS)" &&) true
+# Whatever the searches find here stands in RESULTS/winners-*.toml, each winner beside what it was tuned from. What they
+# found for the tables that are published stands in studies/tuned-*.toml, which `reproduction-rest` trains.
+tuned = $(foreach name,$(2),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" &&) \
+{ test -e "$(RESULTS)/winners-$(1).toml" || $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
+  --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)"; } && \
+$(BIN)/pneuma study run "$(RESULTS)/winners-$(1).toml" --steps $(3) --results "$(RESULTS)"
 
-tuning: install  ## Tune optimizers and algorithms alike, and train each winner on ten fresh seeds
-	$(call tuned,$(TUNED_OPTIMIZERS),1000000)
-	$(call tuned,$(TUNED_ALGORITHMS),200000)
+tuning: install  ## Tune optimizers and algorithms alike, and train the winners on fresh seeds
+	$(call tuned,optimizers,$(TUNED_OPTIMIZERS),1000000)
+	$(call tuned,algorithms,$(TUNED_ALGORITHMS),200000)
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'

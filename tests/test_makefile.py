@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import Run
+from pneuma.search.spec import list_searches, load_search
 from pneuma.study.claimed import fixed_amounts
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
@@ -23,15 +24,19 @@ pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="there is n
 
 
 @cache
-def _commands(target: str) -> list[tuple[str, str, Selection]]:
-    """Return what a target would run: study, setting and selection."""
-    told = subprocess.run(
+def _told(target: str) -> str:
+    """Return the commands of a target, which are not run."""
+    return subprocess.run(
         ["make", "--dry-run", "--assume-old=install", target],
         cwd=ROOT, capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin"},
     ).stdout  # fmt: skip
+
+
+def _commands(target: str) -> list[tuple[str, str, Selection]]:
+    """Return what a target would run: study, setting and selection."""
     return [
         (study, setting, Selection(preset, conditions=tuple(re.findall(r"--condition (\S+)", options))))
-        for study, preset, setting, options in COMMAND.findall(told)
+        for study, preset, setting, options in COMMAND.findall(_told(target))
     ]
 
 
@@ -76,3 +81,16 @@ def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
             for amounts in (paper, fixed_amounts(study)):
                 for condition, amount in amounts.items():
                     assert {*amount.seeds} <= trained[name, setting, condition]
+
+
+def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None:
+    lines = _told("tuning").splitlines()
+    searched = [re.findall(r"pneuma search run (\S+)", line) for line in lines]
+    compared = [re.findall(r"tune-\S+", line.partition("search winners")[2]) for line in lines]
+    assert searched == compared
+    assert sorted(name for names in searched for name in names) == [
+        name for name in list_searches() if name.startswith("tune-")
+    ]
+    for names in searched:
+        searches = [load_search(name) for name in names]
+        assert len({(search.space.base, search.presets["paper"]) for search in searches}) == 1
