@@ -98,21 +98,14 @@ def winners(
     results: Results = Path("results"),
 ) -> None:
     """Write a study of several searches' winners, each beside what it was tuned from."""
-    from pneuma.search.promote import winner
-    from pneuma.search.winners import Winner, winners_study
+    from pneuma.search.winners import find_winner, winners_study
 
     if out.suffix != ".toml":
         raise UserError(f"--out {out}: must end in .toml, as study files do")
     if out.exists():
         raise UserError(f"--out {out}: is there already; name another, or remove it first")
-    found = []
-    for name in dict.fromkeys(names):
-        search, record = _recorded(Store(results), name, setting)
-        if len(search.objectives) > 1:
-            raise UserError(
-                f"search {name}: has several objectives, and a front for a winner; promote a trial"
-            )
-        found.append(Winner(search, record, winner(record, None)))
+    store = Store(results)
+    found = [find_winner(*_recorded(store, name, setting)) for name in dict.fromkeys(names)]
     write_whole(out, winners_study(found).encode())
     print(f"wrote {plain(str(out))}")
     print(f"Train it with: {command('study', 'run', out, '--results', results)}")

@@ -176,29 +176,51 @@ def _search(
     def train(planned: Plan) -> None:
         train_plan(planned, store, how, retry_failed, quiet)
 
+    ended: list[Told] = []
+
     def tell(generation: list[Told], told: list[Told]) -> None:
+        ended[:] = told
         _tell_generation(task, generation, told, quiet)
 
+    code = 0
     try:
-        searched = run_search(task, store, storage, train, tell)
+        run_search(task, store, storage, train, tell)
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)
-        return 1
+        code = 1
     except KeyboardInterrupt as left:
         told = str(left) if isinstance(left, Detached) else "Stopped."
         say(f"{told} The same command goes on where the search was stopped.", aside=True)
-        return 130
-    from pneuma.search.record import best_number, trial_document
-
-    best = best_number(searched.trials, task.search)
+        code = 130
     if json:
-        trials = [trial_document(told, task.search) for told in searched.trials]
-        document = {"schema": 1, "search": task.search.name, "trials": trials, "best": best}
-        print_json({**document, "storage": searched.storage, "optuna_study": searched.optuna_study})
-        return 0
-    say(f"Look closer with: optuna-dashboard {shlex.quote(searched.storage)}", quiet=quiet)
-    say(f"Draw it with: {command('search', 'plot', task.search.name, '--results', store.root)}", quiet=quiet)
-    return 0
+        print_json(_document(task, store, ended))
+    elif not code:
+        _tell_next(task.search, store, quiet)
+    return code
+
+
+def _document(task: Task, store: Store, told: Sequence[Told]) -> dict[str, Any]:
+    """Return the trials that have ended: all, or those before the search was stopped."""
+    from pneuma.search.record import best_number, read_record, trial_document
+
+    record = read_record(store, task.search.name)
+    return {
+        "schema": 1,
+        "search": task.search.name,
+        "trials": [trial_document(trial, task.search) for trial in told],
+        "best": best_number(told, task.search),
+        "storage": record["storage"],
+        "optuna_study": record["optuna_study"],
+    }
+
+
+def _tell_next(search: Search, store: Store, quiet: bool) -> None:
+    """Say what can be done with a search that has ended."""
+    from pneuma.search.record import read_record
+
+    storage = read_record(store, search.name)["storage"]
+    say(f"Look closer with: optuna-dashboard {shlex.quote(storage)}", quiet=quiet)
+    say(f"Draw it with: {command('search', 'plot', search.name, '--results', store.root)}", quiet=quiet)
 
 
 def train_plan(planned: Plan, store: Store, how: Supervision, retry_failed: bool, quiet: bool) -> None:

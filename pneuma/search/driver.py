@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
@@ -25,18 +24,9 @@ OnGeneration = Callable[[list[Told], list[Told]], None]
 """Is handed the trials of a generation that has ended, and all trials so far."""
 
 
-@dataclass(frozen=True)
-class Searched:
-    """What a search came to, and where its Optuna storage is."""
-
-    trials: tuple[Told, ...]
-    storage: str
-    optuna_study: str
-
-
 def run_search(
     task: Task, store: Store, storage: str | None, train: Train, on_generation: OnGeneration
-) -> Searched:
+) -> None:
     """Search, training only runs that are not stored; record and storage are written as it goes.
 
     Args:
@@ -48,7 +38,7 @@ def run_search(
 
     Raises:
         UserError: before anything is trained, for a search that cannot be done here.
-        Unfinished: where a run crashed.
+        Unfinished: where a run crashed; what ended before is stored.
     """
     check_outcomes(task)
     store.check_writable()
@@ -63,7 +53,6 @@ def run_search(
             database.save(told)
             save_record(store, task, told, database.shown_url, database.name)
             on_generation(generation, told)
-        return Searched(tuple(told), database.shown_url, database.name)
 
 
 def check_outcomes(task: Task) -> None:

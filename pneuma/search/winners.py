@@ -13,6 +13,7 @@ from os.path import commonprefix
 from typing import Any
 
 from pneuma.errors import UserError
+from pneuma.search import promote
 from pneuma.search.promote import listed, own_settings, toml_value
 from pneuma.search.spec import Search
 from pneuma.study.definition import split_setting
@@ -28,6 +29,19 @@ class Winner:
     search: Search
     record: Mapping[str, Any]
     trial: Mapping[str, Any]
+
+
+def find_winner(search: Search, record: Mapping[str, Any]) -> Winner:
+    """Return a recorded search with its best trial.
+
+    Raises:
+        UserError: where there is no best one: none is complete, or there are several objectives.
+    """
+    if len(search.objectives) > 1:
+        raise UserError(
+            f"search {search.name}: has several objectives, and a front for a winner; promote a trial"
+        )
+    return Winner(search, record, promote.winner(record, None))
 
 
 def winners_study(winners: Sequence[Winner]) -> str:

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 from pneuma.cli import main
+from pneuma.search.trials import Unfinished
+from pneuma.study.plan import Plan
 from pneuma.study.store import Status, Store
 
 SEARCH = """
@@ -67,6 +69,29 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(
     best = document["trials"][document["best"]]["value"]
     assert best == max(trial["value"] for trial in document["trials"])
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
+
+
+@pytest.mark.parametrize(
+    ("stop", "code"), [(Unfinished("trial-002 seed 1000 crashed"), 1), (KeyboardInterrupt(), 130)]
+)
+def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
+    stop: BaseException,
+    code: int,
+    searched: tuple[Path, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path, results = searched
+
+    def train(planned: Plan, *_: object) -> None:
+        if "trial-002" in planned.conditions:
+            raise stop
+
+    monkeypatch.setattr("pneuma.cli.search_run.train_plan", train)
+    assert main(["search", "run", str(path), "--results", str(results), "--json"]) == code
+    document = json.loads(capsys.readouterr().out)
+    assert [trial["number"] for trial in document["trials"]] == [0, 1]
+    assert document["best"] in (0, 1)
 
 
 def test_a_search_is_exported_like_a_study(

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.promote import winner
 from pneuma.search.record import read_record, save_record
-from pneuma.search.winners import Winner, winners_study
+from pneuma.search.winners import Winner, find_winner, winners_study
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
@@ -31,8 +30,7 @@ def winners(make_task: MakeTask, solve: Solve, tmp_path: Path) -> list[Winner]:
         task = replace(task, search=replace(task.search, name=name))
         told = flat(solve(task))
         save_record(Store(tmp_path / "results"), task, told, "sqlite:///x.db", "x")
-        record = read_record(Store(tmp_path / "results"), name)
-        found.append(Winner(task.search, record, winner(record, None)))
+        found.append(find_winner(task.search, read_record(Store(tmp_path / "results"), name)))
     return found
 
 
@@ -81,3 +79,11 @@ def test_a_search_that_is_named_twice_is_refused(winners: list[Winner]) -> None:
 
 def test_one_search_keeps_its_name(winners: list[Winner]) -> None:
     assert "[conditions.tune-adam-tuned]" in winners_study(winners[:1])
+
+
+def test_a_front_has_no_one_winner(winners: list[Winner]) -> None:
+    search = winners[0].search
+    (objective,) = search.objectives
+    two = replace(search, objectives=(objective, replace(objective, name="again")))
+    with pytest.raises(UserError, match="search tune-adam: has several objectives"):
+        find_winner(two, winners[0].record)
