@@ -1,1 +1,5 @@
-"""Engines: what trains runs. `base` holds the contract, `sb3` the reference engine."""
+"""Engines: what trains runs.
+
+`base` holds the contract, and `loop` what all do between updates; `batched` is the usual engine, `sb3` the
+reference, `tabular` has tables.
+"""

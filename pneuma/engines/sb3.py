@@ -8,7 +8,7 @@ rollout and what is learned from it; of DQN, as many steps with the gradients be
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,12 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.vec_env import VecEnv
 
 from pneuma.config import Run, env_config, stream_seed
-from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.loop import begins_fork, train_run
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records
+from pneuma.engines.records import Records, Row
 from pneuma.engines.sb3_learners import Learner, make_model, seed_streams
 from pneuma.engines.sb3_listening import (
     LOSSES,
@@ -68,50 +69,68 @@ def train(
 def train_one(
     run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, env: VecEnv | None = None
 ) -> Result:
-    """Train one run, from its start or from a checkpoint.
+    """Train one run; see `pneuma.engines.loop`.
 
     `env` stands in for the run's own environment in benchmarks; then nothing is evaluated.
     """
     model = make_model(run, env or make_env(run))
     with gradient_norms(model, run) as norms:
-        evaluation = Evaluation(run) if env is None else None
-        return _train_model(model, run, norms, on_update, checkpoint, evaluation)
+        return train_run(run, Sb3Trainer(model, run, norms), on_update, checkpoint, evaluated=env is None)
 
 
-def _train_model(
-    model: Any,
-    run: Run,
-    norms: GradientNorms,
-    on_update: OnUpdate,
-    checkpoint: Checkpoint | None,
-    evaluation: Evaluation | None,
-) -> Result:
-    """Collect, learn, record and evaluate, update by update."""
-    evaluated = evaluation_updates(run) if evaluation else set()
-    records, step = Records(), 0
-    visited = Visited() if isinstance(model, DQN) else None
-    _, callback = model._setup_learn(run.steps, callback=visited or CallbackList([]))
-    if checkpoint and run.parent and checkpoint.step == run.fork_step:
-        begin_fork(model, run, checkpoint)
-        step = checkpoint.step
-    elif checkpoint:
-        restore_checkpoint(model, checkpoint)
-        records, step = checkpoint.records.copy(), checkpoint.step
-    status, policy = "done", extract_policy(model, run)
-    for update in range(step // run.steps_per_update + 1, run.updates + 1):
-        step = update * run.steps_per_update
-        told = learn_by_values(model, run, visited) if visited else learn(model, run, policy, callback)
-        records.metrics.append({"step": step, **told, **norms.take()})
+class Sb3Trainer:
+    """Trains one run by a learner of Stable-Baselines3; see `pneuma.engines.loop.Trainer`.
+
+    Args:
+        model: the learner, set up for the run.
+        run: the run.
+        norms: takes the norms of its gradients.
+    """
+
+    def __init__(self, model: Any, run: Run, norms: GradientNorms) -> None:
+        self.run = run
+        self._model, self._norms = model, norms
+        self._visited = Visited() if isinstance(model, DQN) else None
+        _, self._callback = model._setup_learn(run.steps, callback=self._visited or CallbackList([]))
+        self._policy = extract_policy(model, run)
+
+    @cached_property
+    def _evaluation(self) -> Evaluation:
+        return Evaluation(self.run)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint, or begin as the fork of a parent's."""
+        if begins_fork(self.run, checkpoint):
+            begin_fork(self._model, self.run, checkpoint)
+        else:
+            restore_checkpoint(self._model, checkpoint)
+        self._policy = extract_policy(self._model, self.run)
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        """Let the learner collect and train."""
+        model, run = self._model, self.run
+        if self._visited:
+            told = learn_by_values(model, run, self._visited)
+        else:
+            told = learn(model, run, self._policy, self._callback)
+        records.metrics.append({"step": after, **told, **self._norms.take()})
         records.episodes.extend(finished_episodes(model.env))
         if not is_finite(records.metrics[-1], model):
-            return Result(run, "diverged", step, records, None)
-        policy = extract_policy(model, run)
-        if evaluation and update in evaluated:
-            records.evaluations.append(evaluation.evaluate(policy, step))
-        if not on_update(Progress(run, step, records, partial(take_checkpoint, model, step, records))):
-            status = "done" if update == run.updates else "stopped"
-            break
-    return Result(run, status, step, records, policy)
+            return False
+        self._policy = extract_policy(model, run)
+        return True
+
+    def evaluate(self, step: int) -> Row:
+        """Let the policy play where it was not trained."""
+        return self._evaluation.evaluate(self._policy, step)
+
+    def policy(self) -> Policy:
+        """Return the policy after the last update."""
+        return self._policy
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        """Copy networks, optimizer, worlds and random generators."""
+        return take_checkpoint(self._model, step, records)
 
 
 def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[str, float]:

@@ -7,16 +7,16 @@ steps. All that a run keeps is a few numbers, so that its checkpoints are small.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from pneuma.config import ACTION_NAMES, Run, stream_seed
-from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.loop import train_run
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import METRIC_COLUMNS, Records
+from pneuma.engines.records import METRIC_COLUMNS, Records, Row
 from pneuma.engines.tabular_evaluation import TableEvaluation
 from pneuma.env.mailman import ACTIONS, PLACES, MailmanEnv
 
@@ -33,26 +33,39 @@ def train(
 
 
 def train_one(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
-    """Train one run, from its start or from a checkpoint."""
-    learner, evaluation, records, step = TableLearner(run), TableEvaluation(run), Records(), 0
-    if checkpoint:
-        learner.restore(checkpoint)
-        records, step = checkpoint.records.copy(), checkpoint.step
-    evaluated = evaluation_updates(run)
-    status = "done"
-    for update in range(step // run.steps_per_update + 1, run.updates + 1):
-        told = [learner.step(step + i) for i in range(run.horizon)]
-        step = update * run.steps_per_update
-        records.metrics.append({**_metrics(told), "step": step})
-        records.episodes.extend(learner.take_finished())
-        if not np.isfinite(learner.tables).all():
-            return Result(run, "diverged", step, records, None)
-        if update in evaluated:
-            records.evaluations.append(evaluation.evaluate(learner.tables, step))
-        if not on_update(Progress(run, step, records, partial(learner.checkpoint, step, records))):
-            status = "done" if update == run.updates else "stopped"
-            break
-    return Result(run, status, step, records, learner.policy())
+    """Train one run; see `pneuma.engines.loop`."""
+    return train_run(run, TableTrainer(run), on_update, checkpoint)
+
+
+class TableTrainer:
+    """Trains the tables of one run; see `pneuma.engines.loop.Trainer`."""
+
+    def __init__(self, run: Run) -> None:
+        self._learner = TableLearner(run)
+        self._evaluation = TableEvaluation(run)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint; runs of tables have no forks."""
+        self._learner.restore(checkpoint)
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        """Take a horizon's steps, and learn from each."""
+        told = [self._learner.step(taken) for taken in range(before, after)]
+        records.metrics.append({**_metrics(told), "step": after})
+        records.episodes.extend(self._learner.take_finished())
+        return bool(np.isfinite(self._learner.tables).all())
+
+    def evaluate(self, step: int) -> Row:
+        """Judge the tables, as played and as computed."""
+        return self._evaluation.evaluate(self._learner.tables, step)
+
+    def policy(self) -> Policy:
+        """Return the mean of the tables."""
+        return self._learner.policy()
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        """Copy tables, world and random streams."""
+        return self._learner.checkpoint(step, records)
 
 
 class TableLearner:

@@ -9,14 +9,18 @@ this way no run can depend on its neighbours.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from functools import cached_property
 
 from pneuma.config import Run
-from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.base import OnUpdate, Result
+from pneuma.engines.batched.state import begin_fork, restore_checkpoint, take_checkpoint
 from pneuma.engines.batched.training import Training, learner_rows, mean_metrics
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.evaluation import Evaluation
-from pneuma.engines.records import Records
+from pneuma.engines.loop import begins_fork, train_run
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import Records, Row
+from pneuma.engines.team import Team
 
 
 def train(
@@ -30,32 +34,42 @@ def train(
 def train_one(
     run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
 ) -> Result:
-    """Train one run, from its start or from a checkpoint; unless `evaluated`, its policy is never judged."""
-    from pneuma.engines.batched.state import begin_fork, restore_checkpoint, take_checkpoint
+    """Train one run; see `pneuma.engines.loop`."""
+    return train_run(run, BatchedTrainer(run), on_update, checkpoint, evaluated)
 
-    training = Training(run)
-    records, step = Records(), 0
-    if checkpoint and run.parent and checkpoint.step == run.fork_step:
-        begin_fork(training, checkpoint)
-        step = checkpoint.step
-    elif checkpoint:
-        restore_checkpoint(training, checkpoint)
-        records, step = checkpoint.records.copy(), checkpoint.step
-    evaluation = Evaluation(run) if evaluated else None
-    at = evaluation_updates(run) if evaluated else set()
-    status, policy = "done", training.policy()
-    for update in range(step // run.steps_per_update + 1, run.updates + 1):
-        told, episodes = training.update(step)
-        step = update * run.steps_per_update
-        records.metrics.append({"step": step, **mean_metrics(told)})
-        records.learners.extend(learner_rows(step, told))
+
+class BatchedTrainer:
+    """Trains one run by compiled programs; see `pneuma.engines.loop.Trainer`."""
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self._training = Training(run)
+
+    @cached_property
+    def _evaluation(self) -> Evaluation:
+        return Evaluation(self.run)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint, or begin as the fork of a parent's."""
+        begin = begin_fork if begins_fork(self.run, checkpoint) else restore_checkpoint
+        begin(self._training, checkpoint)
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        """Collect one horizon, and learn from it."""
+        told, episodes = self._training.update(before)
+        records.metrics.append({"step": after, **mean_metrics(told)})
+        records.learners.extend(learner_rows(after, told))
         records.episodes.extend(episodes)
-        if not training.is_finite(told):
-            return Result(run, "diverged", step, records, None)
-        policy = training.policy()
-        if evaluation and update in at:
-            records.evaluations.append(evaluation.evaluate(policy, step))
-        if not on_update(Progress(run, step, records, partial(take_checkpoint, training, step, records))):
-            status = "done" if update == run.updates else "stopped"
-            break
-    return Result(run, status, step, records, policy)
+        return self._training.is_finite(told)
+
+    def evaluate(self, step: int) -> Row:
+        """Let the policy play where it was not trained."""
+        return self._evaluation.evaluate(self.policy(), step)
+
+    def policy(self) -> Policy | Team:
+        """Return the policy, or the players'."""
+        return self._training.policy()
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        """Copy networks, optimizer, worlds and random streams."""
+        return take_checkpoint(self._training, step, records)

@@ -1,0 +1,83 @@
+"""A run from update to update: what every engine does around its own way to learn.
+
+    trainer (an engine's) → update, judge, tell → result
+
+What an engine brings is a `Trainer`. When a run ends, diverges, is evaluated or may be stopped is the same
+of all engines.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Protocol
+
+from pneuma.config import Run
+from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import Records, Row
+from pneuma.engines.team import Team
+
+
+class Trainer(Protocol):
+    """What trains one run."""
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from the run's own checkpoint; from its parent's where `begins_fork`.
+
+        Raises:
+            CheckpointError: for one that does not fit.
+        """
+        ...
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        """Take the update between two agent steps, and write down what it was.
+
+        Returns:
+            Whether everything is still finite.
+        """
+        ...
+
+    def evaluate(self, step: int) -> Row:
+        """Judge the policy as it is; return a row of evaluations."""
+        ...
+
+    def policy(self) -> Policy | Team:
+        """Return the policy, or the players' own."""
+        ...
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        """Copy all that the next update depends on."""
+        ...
+
+
+def train_run(
+    run: Run,
+    trainer: Trainer,
+    on_update: OnUpdate,
+    checkpoint: Checkpoint | None = None,
+    evaluated: bool = True,
+) -> Result:
+    """Train one run, from its start or from a checkpoint; unless `evaluated`, its policy is never judged."""
+    records, step = Records(), 0
+    if checkpoint:
+        trainer.restore(checkpoint)
+        step = checkpoint.step
+        if not begins_fork(run, checkpoint):
+            records = checkpoint.records.copy()
+    judged = evaluation_updates(run) if evaluated else set()
+    for update in range(step // run.steps_per_update + 1, run.updates + 1):
+        before, step = step, update * run.steps_per_update
+        if not trainer.update(before, step, records):
+            return Result(run, "diverged", step, records, None)
+        if update in judged:
+            records.evaluations.append(trainer.evaluate(step))
+        if not on_update(Progress(run, step, records, partial(trainer.checkpoint, step, records))):
+            status = "done" if update == run.updates else "stopped"
+            return Result(run, status, step, records, trainer.policy())
+    return Result(run, "done", step, records, trainer.policy())
+
+
+def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:
+    """Tell whether a checkpoint is a parent's, from which the run begins as a fork."""
+    return bool(run.parent) and checkpoint.step == run.fork_step

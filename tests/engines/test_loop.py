@@ -1,0 +1,120 @@
+"""A run from update to update, with a trainer that learns nothing and writes down what it was asked for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import Run, make_run
+from pneuma.engines.base import EVALUATIONS, Progress
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.loop import train_run
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import Records
+
+UPDATES = 2 * EVALUATIONS
+HORIZON = 64
+POLICY = Policy("tanh", ((np.zeros((1, 1), np.float32), np.zeros(1, np.float32)),), ())
+
+
+class Diary:
+    """Takes updates, of which one may lose its numbers."""
+
+    def __init__(self, diverges: int = 0) -> None:
+        self.restored: list[int] = []
+        self.judged: list[int] = []
+        self._diverges = diverges
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        self.restored.append(checkpoint.step)
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        records.metrics.append({"step": after, "before": before})
+        return after != self._diverges
+
+    def evaluate(self, step: int) -> dict[str, Any]:
+        self.judged.append(step)
+        return {"step": step}
+
+    def policy(self) -> Policy:
+        return POLICY
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        return Checkpoint(step, {}, {}, records.copy())
+
+
+def run_of(**settings: object) -> Run:
+    return make_run({"horizon": HORIZON, "minibatch": HORIZON, "steps": UPDATES * HORIZON, **settings})
+
+
+def until(stop: int = 0) -> tuple[list[Checkpoint], Any]:
+    """Return checkpoints to come, and what takes one after every update until it stops the run."""
+    taken: list[Checkpoint] = []
+
+    def on_update(progress: Progress) -> bool:
+        taken.append(progress.checkpoint())
+        return progress.step != stop
+
+    return taken, on_update
+
+
+def test_a_run_is_judged_evenly_and_at_its_end() -> None:
+    diary = Diary()
+    taken, on_update = until()
+    result = train_run(run_of(), diary, on_update)
+    assert (result.status, result.step, result.policy) == ("done", UPDATES * HORIZON, POLICY)
+    assert diary.judged == [2 * HORIZON * k for k in range(1, EVALUATIONS + 1)]
+    assert [row["step"] for row in result.records.evaluations] == diary.judged
+    assert [checkpoint.step for checkpoint in taken] == [HORIZON * k for k in range(1, UPDATES + 1)]
+    assert [row["before"] for row in result.records.metrics] == [HORIZON * k for k in range(UPDATES)]
+
+
+def test_unless_it_is_not_to_be_judged() -> None:
+    diary = Diary()
+    assert not train_run(run_of(), diary, until()[1], evaluated=False).records.evaluations
+    assert not diary.judged
+
+
+@pytest.mark.parametrize(("at", "status"), [(3, "stopped"), (UPDATES, "done")])
+def test_it_stops_where_it_is_asked_to(at: int, status: str) -> None:
+    result = train_run(run_of(), Diary(), until(at * HORIZON)[1])
+    assert (result.status, result.step, result.policy) == (status, at * HORIZON, POLICY)
+
+
+def test_a_run_that_lost_its_numbers_ends_there_unjudged_and_without_a_policy() -> None:
+    diary = Diary(diverges=2 * HORIZON)
+    taken, on_update = until()
+    result = train_run(run_of(), diary, on_update)
+    assert (result.status, result.step, result.policy) == ("diverged", 2 * HORIZON, None)
+    assert len(result.records.metrics) == 2 and len(taken) == 1 and not diary.judged
+
+
+def test_it_goes_on_from_its_checkpoint_with_what_was_written_before() -> None:
+    taken, on_update = until()
+    whole = train_run(run_of(), Diary(), on_update)
+    diary = Diary()
+    rest = train_run(run_of(), diary, until()[1], taken[6])
+    assert diary.restored == [7 * HORIZON] and diary.judged[0] == 8 * HORIZON
+    assert rest.records == whole.records
+    assert len(taken[6].records.metrics) == 7  # what follows does not reach it
+
+
+def test_a_fork_writes_down_its_own_part_alone() -> None:
+    parent = Checkpoint(7 * HORIZON, {}, {}, Records(metrics=[{"step": 7 * HORIZON}]))
+    fork = run_of(parent="0" * 16, fork_step=7 * HORIZON)
+    diary = Diary()
+    taken, on_update = until()
+    whole = train_run(fork, diary, on_update, parent)
+    assert diary.restored == [7 * HORIZON]
+    assert whole.records.metrics[0] == {"step": 8 * HORIZON, "before": 7 * HORIZON}
+    assert train_run(fork, Diary(), until()[1], taken[0]).records == whole.records
+
+
+def test_nothing_is_left_to_do_after_the_last_update() -> None:
+    taken, on_update = until()
+    train_run(run_of(), Diary(), on_update)
+    diary = Diary()
+    result = train_run(run_of(), diary, until()[1], taken[-1])
+    assert (result.status, result.step) == ("done", UPDATES * HORIZON) and not diary.judged
