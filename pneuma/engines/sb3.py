@@ -191,6 +191,7 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     env.state.rekey(world_seeds(run))
     if run.fork_reset == "xp":
         env.state.players["xp"] = 0.0
+        model._last_obs = env.observe().copy()
     seed_streams(model, run)
 
 

@@ -163,6 +163,10 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         if self.state.worlds["ending"][world] != rules.RUNNING:
             self._returns[slots], self._lengths[slots] = 0.0, 0
             self.state.reset(np.arange(len(self.state)) == world)
+        return self.observe()
+
+    def observe(self) -> np.ndarray:
+        """Return what all slots see of the state as it is, after it was changed by hand."""
         self.state.observe()
         self._show()
         return self.slots.observations

@@ -102,9 +102,13 @@ def test_xp_that_outlives_episodes_can_be_reset(parent: tuple[Run, dict[int, Che
     run, taken = parent
     model = begun(forked(run), taken[AT])
     model.env.state.players["xp"] = 7.0
+    model._last_obs = model.env.observe().copy()
     rich = take_checkpoint(model, AT, taken[AT].records)
-    assert begun(forked(run), rich).env.state.players["xp"][0, 0] == 7.0
-    assert begun(forked(run, fork_reset="xp"), rich).env.state.players["xp"][0, 0] == 0.0
+    kept, poor = begun(forked(run), rich), begun(forked(run, fork_reset="xp"), rich)
+    assert kept.env.state.players["xp"][0, 0] == 7.0
+    assert poor.env.state.players["xp"][0, 0] == 0.0
+    (seen,) = np.flatnonzero(kept._last_obs != poor._last_obs)  # the first action is taken without it, too
+    assert kept._last_obs[0, seen] > 0 == poor._last_obs[0, seen]
 
 
 def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
