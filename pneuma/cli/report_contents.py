@@ -125,7 +125,7 @@ def _recorded_part(
 
     from pneuma.figures.report_studies import RunRow
 
-    rows = tuple(RunRow(*_cell(run), state, _engine(run["run"])) for run, state, _ in states)
+    rows = tuple(RunRow(*_cell(state.run), state.status, _engine(state.run["run"])) for state in states)
     whole = all(state.status in FINISHED for state in states)
     part = replace(
         part,

@@ -144,24 +144,33 @@ def status(
         ids = [state.run["run_id"] for state in states]
         marks = unusual_origins(stored_origins(store, ids))
         runs = [
-            {**_identity(run), "status": status, "published": published, "trained": False}
-            for run, status, published in states
+            {
+                **_identity(state.run),
+                "status": state.status,
+                "step": state.step,
+                "published": state.published,
+                "trained": False,
+            }
+            for state in states
         ]
         own_jobs = {run_id: _job(jobs[run_id]) for run_id in ids if run_id in jobs}
         document = {"schema": 1, "study": record["study"], "runs": runs, "unlike_most": marks}
         documents.append({**document, "jobs": own_jobs})
         if not json:
-            told = [f"{status} as published" if published else status for _, status, published in states]
-            counts = ", ".join(f"{n} {state}" for state, n in Counter(told).items())
+            counts = ", ".join(f"{n} {told}" for told, n in Counter(state.told for state in states).items())
             print(f"{plain(record['study'])}: {counts}")
             if "adaptive" in record:
                 _tell_looks(record)
-            for run, state in zip((state.run for state in states), told, strict=True):
-                job = jobs.get(run["run_id"])
-                mark = f"  ({marks[run['run_id']]} than most)" if run["run_id"] in marks else ""
-                queued = f"  job {job.id} {job.state.lower()}" if job else ""
-                line = f"{plain(run['condition']):<18} seed {run['seed']:<6} {run['run_id']}  {state}"
-                print(f"  {line}{queued}{mark}")
+            for state in states:
+                run_id = state.run["run_id"]
+                job = jobs.get(run_id)
+                notes = (
+                    state.reached,
+                    f"job {job.id} {job.state.lower()}" if job else "",
+                    f"({marks[run_id]} than most)" if run_id in marks else "",
+                )
+                who = f"{plain(state.run['condition']):<18} seed {state.run['seed']:<6} {run_id}"
+                print("  ".join(["", who, state.told, *filter(None, notes)]))
     if json:
         print_json(documents[0] if name else {"schema": 1, "studies": documents})
 

@@ -10,7 +10,7 @@ from pneuma.cli.options import say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.definition import check_setting
-from pneuma.study.store import Store
+from pneuma.study.store import FINISHED, Status, Store
 from pneuma.study.trust import own_things
 
 
@@ -70,11 +70,23 @@ class RunState(NamedTuple):
         run: its entry in the record.
         status: the name of its status.
         published: whether that is told by the published table, as the run is not here.
+        step: agent steps of its records, or of its latest checkpoint.
     """
 
     run: dict[str, Any]
     status: str
     published: bool
+    step: int
+
+    @property
+    def told(self) -> str:
+        """How it stands, for people."""
+        return f"{self.status} as published" if self.published else self.status
+
+    @property
+    def reached(self) -> str:
+        """How far it is, for people; '' of one that has ended, or has kept nothing yet."""
+        return f"at step {self.step:,}" if self.step and self.status not in FINISHED else ""
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
@@ -84,23 +96,28 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
         UserError: when the published table is damaged.
     """
     here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
-    if all(status.finished for status in here.values()) or not (store.root / "published").is_dir():
-        return [RunState(run, here[run["run_id"]].name, False) for run in record["runs"]]
+    taken = {} if all(status.finished for status in here.values()) else _taken(store, record, here)
+    states = {**here, **taken}
+    return [
+        RunState(run, states[name].name, name in taken, states[name].step)
+        for run, name in ((run, run["run_id"]) for run in record["runs"])
+    ]
+
+
+def _taken(store: Store, record: Mapping[str, Any], here: Mapping[str, Status]) -> dict[str, Status]:
+    """Return how the runs stand that `open_study` takes from the published table."""
+    if not (store.root / "published").is_dir():
+        return {}
     from pneuma.analysis.published import published_path, read_published
     from pneuma.analysis.sources import beside
 
     nothing = all(status.name == "planned" for status in here.values())
     if (nothing or record.get("source") == "published") and published_path(store, record["study"]).exists():
         table = read_published(store, record["study"])
-        here = {run_id: table.status(run_id) for run_id in here}
-        taken = {run_id: status.name for run_id, status in here.items() if status.finished}
-    else:
-        found = beside(store, record, {run_id for run_id, status in here.items() if status.finished})
-        taken = {run_id: found[0].status(run_id).name for run_id in found[1]} if found else {}
-    return [
-        RunState(run, taken.get(run["run_id"], here[run["run_id"]].name), run["run_id"] in taken)
-        for run in record["runs"]
-    ]
+        told = {run_id: table.status(run_id) for run_id in here}
+        return {run_id: status for run_id, status in told.items() if status.finished}
+    found = beside(store, record, {run_id for run_id, status in here.items() if status.finished})
+    return {run_id: found[0].status(run_id) for run_id in found[1]} if found else {}
 
 
 def _record_name(name: str, setting: str | None) -> str:

@@ -189,7 +189,7 @@ def test_a_study_is_judged_and_drawn_from_its_runs_here_and_its_published_ones(
         )
     store = Store(results)
     record = study_record(store, "activation", None)
-    assert sorted((status, published) for _, status, published in run_states(store, record)) == [
+    assert sorted((state.status, state.published) for state in run_states(store, record)) == [
         *[("done", False)] * 3,
         ("done", True),
     ]
@@ -197,7 +197,7 @@ def test_a_study_is_judged_and_drawn_from_its_runs_here_and_its_published_ones(
     assert "3 done" in told and "1 done as published" in told.splitlines()[0]
     (results / "studies" / "activation.json").unlink()
     record = study_record(store, "activation", None)
-    assert [tuple(state[1:]) for state in run_states(store, record)] == [("done", True)] * 4
+    assert [(state.status, state.published) for state in run_states(store, record)] == [("done", True)] * 4
 
 
 def test_what_is_published_is_not_trained_where_that_is_asked(trained: Path, tmp_path: Path) -> None:
@@ -305,4 +305,6 @@ def test_the_states_of_runs_are_told_from_the_table(trained: Path, clone: Path) 
     for folder in (trained, clone):
         store = Store(folder)
         states = run_states(store, study_record(store, "activation", None))
-        assert [(run["seed"], status) for run, status, _ in states] == [(0, "done")] * 2 + [(1, "done")] * 2
+        seeds = [(state.run["seed"], state.status) for state in states]
+        assert seeds == [(0, "done")] * 2 + [(1, "done")] * 2
+        assert {state.step for state in states} == {states[0].run["run"]["steps"]}

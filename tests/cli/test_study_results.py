@@ -17,6 +17,7 @@ import pytest
 
 from pneuma.cli import main
 from pneuma.study import execute
+from pneuma.study.checkpoints import file_name
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
@@ -163,7 +164,7 @@ def test_status_is_of_the_latest_selection(trained: Trained) -> None:
     document = called.document
     assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
     assert [set(run) for run in document["runs"]] == [
-        {"run_id", "condition", "seed", "status", "published", "trained"}
+        {"run_id", "condition", "seed", "status", "step", "published", "trained"}
     ] * 4
     assert {(run["condition"], run["seed"], run["status"], run["trained"]) for run in document["runs"]} == {
         (condition, seed, "done", False) for condition in ("tanh", "relu") for seed in (0, 1)
@@ -183,6 +184,20 @@ def test_status_for_people_counts_and_lists(trained: Trained) -> None:
     lines = called.out.splitlines()
     assert lines[0] == "activation: 4 done"
     assert len(lines) == 5
+
+
+def test_status_tells_how_far_a_run_is_that_was_killed(trained: Trained, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained.results, tmp_path / "results"))
+    killed, nothing = sorted((results / "runs").iterdir())[:2]
+    for folder in (killed, nothing):
+        shutil.rmtree(folder)
+        (folder / "checkpoints").mkdir(parents=True)
+    (killed / "checkpoints" / file_name(1024, b"")).touch()
+    lines = _call("study", "status", "--results", results).out.splitlines()
+    ends = dict(line.split(maxsplit=3)[3].split("  ", 1) for line in lines[1:])
+    assert ends.pop(killed.name) == "partial  at step 1,024"
+    assert ends.pop(nothing.name) == "planned"
+    assert list(ends.values()) == ["done", "done"]
 
 
 # --- plot ----------------------------------------------------------------------------------------
