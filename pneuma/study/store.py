@@ -64,8 +64,8 @@ class Status:
     """Where a run stands, one of `STATUSES`, and agent steps trained.
 
     Attributes:
-        name: planned where nothing is stored; running while a process trains it, or its group; partial where only
-            checkpoints are; damaged where a file is not what was written.
+        name: planned where nothing is stored; running while a process trains it, or its group; partial where
+            only checkpoints are; damaged where a file is not what was written.
         step: agent steps of the records, or of the latest checkpoint.
         detail: the file that is damaged.
     """
