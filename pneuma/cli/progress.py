@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from types import TracebackType
@@ -16,6 +17,9 @@ from pneuma.study.store import FINISHED
 
 LINE_SECONDS = 10.0
 """How often a plain line is printed."""
+
+LEFT_SECONDS = 1.0
+"""How often the time left is judged anew beside bars, which move hundreds of times a second."""
 
 
 def duration(seconds: float) -> str:
@@ -55,6 +59,7 @@ class ProgressDisplay:
         self._show = bool(self._cells) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
+        self._next_left, self._told_left = 0.0, ""
 
     def __enter__(self) -> ProgressDisplay:
         """Start showing."""
@@ -103,20 +108,27 @@ class ProgressDisplay:
             console=Console(stderr=True),
         )
         self._tasks = {}
-        for condition in dict.fromkeys(cell.condition for cell in self._cells):
-            runs = [cell for cell in self._cells if cell.condition == condition]
-            total = sum(cell.run.steps for cell in runs)
+        self._runs_of: dict[str, list[str]] = {}
+        totals: Counter[str] = Counter()
+        for cell in self._cells:
+            self._runs_of.setdefault(cell.condition, []).append(cell.run_id)
+            totals[cell.condition] += cell.run.steps
+        for condition, runs in self._runs_of.items():
             told = f"0/{len(runs)} runs"
-            self._tasks[condition] = self._bars.add_task(condition, total=total, runs=told, left="steps")
+            self._tasks[condition] = self._bars.add_task(
+                condition, total=totals[condition], runs=told, left="steps"
+            )
         self._whole = self._bars.add_task("all", total=self._total, runs="", left="steps")
         self._bars.start()
 
     def _move_bar(self, condition: str) -> None:
-        runs = [cell.run_id for cell in self._cells if cell.condition == condition]
+        runs = self._runs_of[condition]
         ended = sum(name in self._ended for name in runs)
         done = sum(self._steps[name] for name in runs)
         self._bars.update(self._tasks[condition], completed=done, runs=f"{ended}/{len(runs)} runs")
-        self._bars.update(self._whole, completed=sum(self._steps.values()), left=f"steps{self._time_left()}")
+        if (now := time.monotonic()) >= self._next_left:
+            self._next_left, self._told_left = now + LEFT_SECONDS, self._time_left()
+        self._bars.update(self._whole, completed=sum(self._steps.values()), left=f"steps{self._told_left}")
 
     def _time_left(self) -> str:
         seconds = self._left.seconds()

@@ -264,6 +264,7 @@ class TimeLeft:
         self._first: dict[str, tuple[float, int]] = {}
         self._last: dict[str, tuple[float, int]] = {}
         self._ended: set[str] = set()
+        self._kinds: dict[str, str] = {}
 
     def update(self, progress: Progress) -> None:
         """Take one event of `execute`."""
@@ -281,7 +282,7 @@ class TimeLeft:
         paces = {name: pace for name in self._first if (pace := self._pace(name))}
         if not paces:
             return None
-        usual = statistics.fmean(paces.values())
+        usual, alike = statistics.fmean(paces.values()), self._paces_of_kinds(paces)
         earliest = next(iter(self._first))
         start = self._start(earliest, paces.get(earliest, usual))
         now = self._clock()
@@ -289,7 +290,7 @@ class TimeLeft:
         for name, run in self._runs.items():
             if name in self._ended:
                 continue
-            pace = paces.get(name, self._like(name, paces, usual))
+            pace = paces[name] if name in paces else alike.get(self._kind(name), usual)
             if name in self._last:
                 then, step = self._last[name]
                 running.append(max(0.0, (run.steps - step) * pace - (now - then)))
@@ -307,8 +308,15 @@ class TimeLeft:
         first, step = self._first[name]
         return min(max(0.0, first - self._begun - (step - self._kept.get(name, 0)) * pace), 10.0)
 
-    def _like(self, name: str, paces: Mapping[str, float], usual: float) -> float:
-        """Return the mean pace of runs of the same kind, or of all."""
-        own = kind(self._runs[name])
-        alike = [pace for other, pace in paces.items() if kind(self._runs[other]) == own]
-        return statistics.fmean(alike) if alike else usual
+    def _paces_of_kinds(self, paces: Mapping[str, float]) -> dict[str, float]:
+        """Return the mean pace of the runs of each kind."""
+        of_kinds: dict[str, list[float]] = {}
+        for name, pace in paces.items():
+            of_kinds.setdefault(self._kind(name), []).append(pace)
+        return {own: statistics.fmean(together) for own, together in of_kinds.items()}
+
+    def _kind(self, name: str) -> str:
+        """Return the kind of a run, worked out once: this is asked for thousands of runs at every report."""
+        if name not in self._kinds:
+            self._kinds[name] = kind(self._runs[name])
+        return self._kinds[name]
