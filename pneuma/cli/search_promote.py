@@ -105,7 +105,7 @@ def winners(
     if out.exists():
         raise UserError(f"--out {out}: is there already; name another, or remove it first")
     store = Store(results)
-    found = [find_winner(*_recorded(store, name, setting)) for name in dict.fromkeys(names)]
+    found = [find_winner(*_recorded(store, name, setting)) for name in names]
     write_whole(out, winners_study(found).encode())
     print(f"wrote {plain(str(out))}")
     print(f"Train it with: {command('study', 'run', out, '--results', results)}")

@@ -24,7 +24,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records
-from pneuma.env_settings import is_random_level
+from pneuma.env_settings import is_own_level, is_random_level
 from pneuma.errors import UserError
 from pneuma.study.spec import TEXT, split_setting
 from pneuma.study.store import Store
@@ -88,7 +88,7 @@ def trajectories(
     )
 
     found = _published(data, results) or _play(store, data, episodes, trust, quiet)
-    files = _drawn(data, found, out, formats) if out is not None else []
+    files = _drawn(data, found, out, formats, trust) if out is not None else []
     if publish:
         path, before = trajectories_path(results, data.study), read_trajectories(results, data.study)
         store.write(path, encode_trajectories(beside(found, before) if before else found))
@@ -229,10 +229,20 @@ def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:
             }
 
 
-def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...]) -> list[Path]:
+def _drawn(
+    data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...], trust: bool
+) -> list[Path]:
+    """Draw them on the map; that of a level of the run's own, whose file is opened, where it is trusted."""
+    from pneuma.config import make_run
+    from pneuma.engines.trajectories import unrewarded_worlds
     from pneuma.figures.trajectories import draw_trajectories
 
-    return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats)
+    worlds = None
+    if trust and is_own_level(found.level):
+        worlds = unrewarded_worlds(make_run(data.settings(data.runs[0])), 1)
+        worlds.seed([0])
+        worlds.reset()
+    return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats, worlds)
 
 
 def _print(data: StudyData, table: pd.DataFrame) -> None:

@@ -1,4 +1,4 @@
-"""Evaluation: how well a frozen policy plays, on worlds that it was never trained on.
+"""Evaluation: how well a frozen policy plays, by random streams that training never draws from.
 
 Every engine evaluates here, in the same way: 50 episodes with sampled actions, and one with the
 most probable action from each distinct start place. The primary outcome is the share of monsters

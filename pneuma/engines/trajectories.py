@@ -41,12 +41,10 @@ class Trajectories:
 def play_trajectories(run: Run, policy: Policy | Team, episodes: int) -> Trajectories:
     """Play episodes in the worlds that the run's evaluations begin with.
 
-    The reward is left out: nobody learns here, and a stranger's would have to be trusted.
-
     Raises:
         UserError: for a policy that sees something else than these worlds show: a level's file has changed.
     """
-    worlds = Worlds(episodes, replace(env_config(run), reward=REWARDS[:1] * len(run.reward)))
+    worlds = unrewarded_worlds(run, episodes)
     generator = np.random.default_rng(stream_seed(run.stream, "trajectories"))
     act = drawing(policy, worlds, generator)
     worlds.seed([stream_seed(run.stream, "evaluation", i) for i in range(episodes)])
@@ -62,6 +60,11 @@ def play_trajectories(run: Run, policy: Policy | Team, episodes: int) -> Traject
         worlds.players["kills"].sum(axis=1).astype(np.int64),
         tuple(_ending(worlds, world) for world in range(episodes)),
     )
+
+
+def unrewarded_worlds(run: Run, count: int) -> Worlds:
+    """Return worlds of a run without its reward: nobody learns in them, and a stranger's would be code."""
+    return Worlds(count, replace(env_config(run), reward=REWARDS[:1] * len(run.reward)))
 
 
 def _places(worlds: Worlds) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import have_one_return, reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
+from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.looks import MOST_IN_A_PANEL
-from pneuma.figures.panel import far_references, highest_point, is_log, shows_runs
+from pneuma.figures.panel import ABOVE_ALL, far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
 
 _WORLDS = {"text": "in the text's world", "godot": "in the published code's world"}
@@ -42,10 +44,17 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 
 
 def title_of(data: StudyData) -> str:
-    """Return a study's title and where it is played."""
+    """Return a study's title and where it is played; a level or characters of one's own are no such place."""
     plain = data.title.removesuffix(f" ({data.setting})")
-    played = any(name.startswith(_WORLD) for name in data.environments)
-    return " ".join(filter(None, [plain, _WORLDS.get(data.setting, "") if played else ""]))
+    worlds = {name.startswith(_WORLD) for name in data.environments}
+    worlds |= {_is_shipped(data.settings(run)) for run in data.runs}
+    return " ".join(filter(None, [plain, _WORLDS.get(data.setting, "") if worlds == {True} else ""]))
+
+
+def _is_shipped(settings: Mapping[str, Any]) -> bool:
+    """Tell whether a run is played on the shipped level, by shipped characters."""
+    level, characters = settings.get("level", ""), settings.get("characters", "")
+    return level in ("", *SHIPPED_LEVELS) and characters in ("", *SHIPPED_CHARACTERS)
 
 
 def _counterpart(data: StudyData) -> str:
@@ -158,9 +167,15 @@ def _marks(
     if any(is_log(look_of(name), group) for name, group in curves.items()):
         words.append("On a logarithmic axis means and bands are of logarithms.")
     shares = [curve for name, group in curves.items() for curve in group if look_of(name).percent]
-    if any((curve.band(band)[0] < 0).any() for curve in shares):
-        words.append("What of a band lies below 0 % is cut off.")
-    return words
+    return words + _cut(shares, band)
+
+
+def _cut(shares: Sequence[Curve], band: str) -> list[str]:
+    """Tell beyond which of their ends the bands of shares are not drawn."""
+    edges = [curve.band(band) for curve in shares]
+    ends = ["below 0 %"] * any((low < 0).any() for low, _ in edges)
+    ends += ["above 100 %"] * any((high > ABOVE_ALL).any() for _, high in edges)
+    return [f"What of a band lies {' or '.join(ends)} is cut off."] if ends else []
 
 
 def _above(data: StudyData, name: str, curves: Sequence[Curve]) -> str:

@@ -25,6 +25,8 @@ RUN_WIDTH, RUN_ALPHA = 0.2, 0.4
 """Of a single run's line, in widths of a mean's: there may be thirty behind one mean."""
 BELOW_ZERO = 0.02
 """How far an axis of shares reaches below 0, in parts of what it reaches above."""
+ABOVE_ALL = 1 + BELOW_ZERO
+"""How far it reaches at most: there is no more than all."""
 REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -127,7 +129,7 @@ def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> No
         axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
         axes.yaxis.set_minor_locator(NullLocator())
     elif look.percent:
-        top = max(axes.get_ylim()[1], 0.01)
+        top = min(max(axes.get_ylim()[1], 0.01), ABOVE_ALL)  # a band of two runs may reach far beyond all
         axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen
         axes.yaxis.set_major_locator(whole_ticks(6))
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))

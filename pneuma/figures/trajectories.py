@@ -15,6 +15,7 @@ from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import ENDINGS, KEPT_EPISODES, StudyTrajectories, endings
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.figures.captions import headline_of
 from pneuma.figures.sizes import SIZES
@@ -25,6 +26,8 @@ SHIPPED_LEVEL = "thesis"
 """The one whose map is known without opening files that a stranger may have named."""
 SHORE_TILES = 1.5
 """How much of the sea is shown."""
+BARE_MARGIN = 0.03
+"""What is left around lines without a map, in parts of their extent, for the marks at their ends."""
 VEIL = 0.55
 """How much of the map's colours is taken away, so that lines stand out."""
 
@@ -56,11 +59,24 @@ WORDS = {
 
 
 def draw_trajectories(
-    data: StudyData, found: StudyTrajectories, folder: Path, stem: str, formats: tuple[str, ...] = ("png",)
+    data: StudyData,
+    found: StudyTrajectories,
+    folder: Path,
+    stem: str,
+    formats: tuple[str, ...] = ("png",),
+    worlds: Worlds | None = None,
 ) -> list[Path]:
     """Draw where the policies of every condition went; return the files written.
 
     A line is an episode, coloured by how it ended, with a mark where it did.
+
+    Args:
+        data: the study.
+        found: its trajectories.
+        folder: where.
+        stem: the name of the files, without endings.
+        formats: their endings.
+        worlds: of the level, as an episode begins; needed for the map of a level that is not shipped.
 
     Raises:
         UserError: where they play on several levels, which no one map shows.
@@ -75,7 +91,7 @@ def draw_trajectories(
     with house_style(SIZE.type_points):
         figure = Figure(layout="constrained")
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        backdrop = _Backdrop(found)
+        backdrop = _Backdrop(found, worlds)
         for axes, condition in zip(panels, conditions, strict=False):
             own = found.episodes[found.episodes["condition"] == condition]
             backdrop.put(axes)
@@ -95,21 +111,22 @@ def _columns(panels: int) -> int:
 
 
 class _Backdrop:
-    """What lies behind the lines: the shipped level's map, or of another level nothing but its extent."""
+    """What lies behind the lines: the level's map, or where it is not known nothing but their extent."""
 
-    def __init__(self, found: StudyTrajectories) -> None:
+    def __init__(self, found: StudyTrajectories, worlds: Worlds | None) -> None:
         self.image: np.ndarray | None = None
-        if found.level == SHIPPED_LEVEL:
-            worlds = level_worlds()
+        worlds = worlds or (level_worlds() if found.level == SHIPPED_LEVEL else None)
+        if worlds:
             left, top, right, bottom = worlds.level.grid
             self.image = Renderer(worlds, "map", panel=False).frame(0)
             self.extent = (left, right, bottom, top)
             left, top, right, bottom = worlds.level.land
-            shore = SHORE_TILES * worlds.level.tile
-            self.edges = (left - shore, right + shore, bottom + shore, top - shore)
+            margin = SHORE_TILES * worlds.level.tile
         else:
             x, y = (np.concatenate(found.episodes[axis].tolist()) for axis in "xy")
-            self.edges = (x.min(), x.max(), y.max(), y.min())
+            left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
+            margin = BARE_MARGIN * max(right - left, bottom - top)
+        self.edges = (left - margin, right + margin, bottom + margin, top - margin)
 
     @property
     def height_by_width(self) -> float:
@@ -167,7 +184,7 @@ def _caption(found: StudyTrajectories) -> list[str]:
     counts = sorted(set(runs))
     of = f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} run{'s' * (counts[0] > 1)}"
     return [
-        f"{of} a condition, by their policies at the end of training, in worlds they were not trained on.",
+        f"{of} a condition, by their policies at the end of training, which draw their actions.",
         f"Lines: {min(KEPT_EPISODES, found.per_run)} episodes of each run; marks: where they end.",
         f"Numbers: means over runs of {found.per_run} episodes each.",
     ]
