@@ -9,6 +9,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+NEAR = 0.6
+"""How alike a name must be to be offered in place of a wrong one."""
+SHORTEST_BEGINNING = 4
+"""Letters of a word that can be told to be a name's beginning."""
+
 
 class UserError(Exception):
     """A mistake in a command or a file, told in one line that says what to mend."""
@@ -25,12 +30,26 @@ def counted(count: int, noun: str) -> str:
 
 
 def nearest_name(word: str, names: Iterable[str]) -> str:
-    """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near."""
-    close = difflib.get_close_matches(word.lower(), list(names), n=1, cutoff=0.6)
-    return f" (did you mean {close[0]}?)" if close else ""
+    """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near.
+
+    The beginning of a long name, misspelt, is near as well: `final-shre` of `final-share-killed`.
+    """
+    known = list(names)
+    likeness = {name: _likeness(word.lower(), name) for name in known}
+    best = max(known, key=likeness.__getitem__, default="")
+    return f" (did you mean {best}?)" if likeness.get(best, 0.0) >= NEAR else ""
 
 
 def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
     """Build the error for a name that is none of `names`, with the nearest right one."""
     known = list(names)
-    return UserError(f"unknown {what} {word!r}{nearest_name(word, known)}; known are {', '.join(known)}")
+    between = "; " if any("," in name for name in known) else ", "
+    return UserError(f"unknown {what} {word!r}{nearest_name(word, known)}; known are {between.join(known)}")
+
+
+def _likeness(word: str, name: str) -> float:
+    """Return how alike a word and a name are, from 0 to 1; alike beginnings count a little less."""
+    whole = difflib.SequenceMatcher(None, name, word).ratio()
+    if len(word) < SHORTEST_BEGINNING:
+        return whole
+    return max(whole, 0.9 * difflib.SequenceMatcher(None, name[: len(word) + 1], word).ratio())

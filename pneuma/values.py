@@ -158,8 +158,9 @@ class Several:
     @property
     def allowed(self) -> str:
         """Say in words what is allowed."""
-        count = str(self.shortest) if self.shortest == self.longest else "a list in brackets"
-        return f"{count} of: {self.each.allowed}"
+        if self.shortest == self.longest:
+            return f"{self.shortest} of: {self.each.allowed}"
+        return f"a list in brackets of {self.shortest} to {self.longest}, each: {self.each.allowed}"
 
 
 Reader = Number | Choice | Flag | Text | Several | Names | Matching

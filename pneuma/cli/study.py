@@ -161,6 +161,7 @@ def status(
             print(f"{plain(record['study'])}: {counts}")
             if "adaptive" in record:
                 _tell_looks(record)
+            width = max(len(plain(state.run["condition"])) for state in states)
             for state in states:
                 run_id = state.run["run_id"]
                 job = jobs.get(run_id)
@@ -169,7 +170,7 @@ def status(
                     f"job {job.id} {job.state.lower()}" if job else "",
                     f"({marks[run_id]} than most)" if run_id in marks else "",
                 )
-                who = f"{plain(state.run['condition']):<18} seed {state.run['seed']:<6} {run_id}"
+                who = f"{plain(state.run['condition']):<{width}} seed {state.run['seed']:<6} {run_id}"
                 print("  ".join(["", who, state.told, *filter(None, notes)]))
     if json:
         print_json(documents[0] if name else {"schema": 1, "studies": documents})

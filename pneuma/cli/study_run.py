@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +27,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.progress import ProgressDisplay, duration
+from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
@@ -100,13 +101,22 @@ def plan_(
         each = (f"{speed:,.0f} steps/s on {plain(on)} ({n} runs)" for on, (speed, n) in speeds.items())
         print(f"Measured of runs like {condition}: {', '.join(each)}.")
     if todo:
-        known = [own for name in todo if (own := seconds[name]) is not None]
-        told = duration(foresight.wall_seconds(known, at_once))
-        about = "about" if len(known) == len(todo) else "at least"
-        wall = f"{about} {told} with {at_once} at once, " if known else ""
-        room = sum(foresight.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
-        print(f"To train: {wall}{max(room / 1e6, 1):,.0f} MB of disk.")
+        _tell_cost(planned, todo, [own for name in todo if (own := seconds[name]) is not None], at_once)
     return None
+
+
+def _tell_cost(planned: plan.Plan, todo: Mapping[str, Run], known: Sequence[float], at_once: int) -> None:
+    """Print how long the missing runs take, as far as that is known, and how much disk."""
+    from pneuma.study import foresight
+
+    room = sum(foresight.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
+    disk = f"{max(room / 1e6, 1):,.0f} MB of disk"
+    if not known:
+        print(f"To train: {disk}; how long it takes is not known, as no run like these was timed.")
+        return
+    about = "about" if len(known) == len(todo) else "at least"
+    told = duration(foresight.wall_seconds(known, at_once))
+    print(f"To train: {about} {told} with {at_once} at once, {disk}.")
 
 
 @selects

@@ -108,7 +108,10 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
 
     def step(self, action: np.int64) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
-        index = operator.index(action)
+        try:
+            index = operator.index(action)
+        except TypeError:
+            raise TypeError(f"action {action!r} is outside {self.action_space}: no whole number") from None
         if not 0 <= index < self._action_count:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if not self._keyed:

@@ -184,6 +184,7 @@ def test_status_for_people_counts_and_lists(trained: Trained) -> None:
     lines = called.out.splitlines()
     assert lines[0] == "activation: 4 done"
     assert len(lines) == 5
+    assert len({line.index(" seed ") for line in lines[1:]}) == 1
 
 
 def test_status_tells_how_far_a_run_is_that_was_killed(trained: Trained, tmp_path: Path) -> None:
@@ -382,3 +383,5 @@ def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
     again = _call(*plan)
     assert "measuring" not in again.err  # it is kept
     assert "To train: about" in again.out and "MB of disk" in again.out
+    unknown = _call(*plan, "--set", "horizon=300", "--no-calibrate")
+    assert unknown.out.endswith("; how long it takes is not known, as no run like these was timed.\n")

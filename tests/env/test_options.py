@@ -1,4 +1,4 @@
-"""What reset may be told: slips are refused in one line, what is meant for wrappers is left alone."""
+"""What reset and step may be told: slips are refused in a line, what is meant for wrappers is left alone."""
 
 from __future__ import annotations
 
@@ -91,3 +91,11 @@ def test_of_several_worlds_some_may_be_told_where_to_start() -> None:
     env.reset()
     assert (env.state.players["x"][1::2, 0] == -918).all()
     assert len(set(env.state.players["x"][::2, 0].tolist())) > 2
+
+
+@pytest.mark.parametrize("action", [2.5, "x", None])
+def test_what_is_no_action_is_told_with_what_is_one(action: Any) -> None:
+    env = PneumaEnv()
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match=r"is outside Discrete\(5\): no whole number"):
+        env.step(action)
