@@ -94,3 +94,13 @@ def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None
     for names in searched:
         searches = [load_search(name) for name in names]
         assert len({(search.space.base, search.presets["paper"]) for search in searches}) == 1
+
+
+@pytest.mark.parametrize("target", ["trajectories", "tuning"])
+def test_a_target_that_has_no_plan_refuses_to_be_asked_for_one(target: str) -> None:
+    told = subprocess.run(
+        ["make", "--dry-run", "--assume-old=install", target, "DO=plan"],
+        cwd=ROOT, capture_output=True, text=True, env={"PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+    assert told.returncode == 2 and f"{target} takes RESULTS alone" in told.stderr
+    assert not told.stdout
