@@ -30,6 +30,7 @@ from pneuma.figures.panel import (
     highest_point,
     label_of,
     set_axes,
+    shorten_thousands,
     whole_ticks,
 )
 from pneuma.figures.quantities import look_of
@@ -47,6 +48,8 @@ MOST_OTHERS = 24
 OTHERS_COLOUR = "#C4C4C4"
 NAME_LINES = 2
 """For which there is room above a panel."""
+TITLE_PAD = 2.0
+"""Points between a panel and its name."""
 BASELINE_COLOUR = "#222222"
 
 
@@ -58,12 +61,14 @@ class _Block:
         rows, columns: of panels.
         top: where its own title begins.
         height: of it, with its title and its axis' label.
+        gap: of it, left free below for another block.
     """
 
     rows: int
     columns: int
     top: float
     height: float
+    gap: float
 
 
 def draw_multiples(
@@ -74,14 +79,14 @@ def draw_multiples(
     count = max(len(group) for group in curves.values())
     rows, columns = _grid(count, size.small_columns)
     entries = _entries(data, curves)
-    wanted = (
-        min(rows * size.small_height, LONGEST_INCHES) + 4 * size.line_inches
-    )  # the block's title, ticks and label
+    gap = size.line_inches if len(curves) > 1 else 0.0
+    around = 4 * size.line_inches + gap  # the block's title, ticks and label
+    wanted = min(rows * size.small_height, LONGEST_INCHES) + around
     low, high = words.put(figure, size, len(curves) * wanted, entries)
-    size.check_room(len(curves) * rows, high - low - 4 * size.line_inches * len(curves))
+    size.check_room(len(curves) * rows, high - low - around * len(curves))
     height = (high - low) / len(curves)
     for place, (name, group) in enumerate(curves.items()):
-        block = _Block(rows, columns, high - place * height, height)
+        block = _Block(rows, columns, high - place * height, height, gap)
         _draw_block(figure, data, name, group, band, block, size)
     return figure
 
@@ -132,31 +137,36 @@ def _draw_block(
     figure.text(
         0.07 / width, (block.top - 0.3 * line) / height, look.title, weight="bold", size="large", va="top"
     )
-    panels = _place_panels(figure, len(curves), block, size)
+    headings = [_heading(label_of(data, curve), size, block.columns) for curve in curves]
+    panels = _place_panels(figure, headings, block, size)
     looks = condition_looks(data.conditions)
-    for axes, curve in zip(panels, curves, strict=True):
+    for axes, curve, heading in zip(panels, curves, headings, strict=True):
         _draw_others(axes, curves, curve, data.record.get("baseline"))
         draw_curve(axes, curve, band, _small(looks[curve.condition]))
         draw_references(axes, levels.get(curve.condition, {}), highest_point(curves))
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
-        _name(axes, label_of(data, curve), size, block.columns)
+        axes.set_title(heading, fontsize=size.small_points, weight="normal", pad=TITLE_PAD, linespacing=1.05)
+        axes.tick_params(labelsize=size.small_points, length=2, pad=1.5)
     told = _told_levels([curve.condition for curve in curves], size, block.columns)
     place = (1 - 0.1 / width, (block.top - 0.3 * line) / height)
     figure.text(*place, told, fontsize="small", color="#666666", ha="right", va="top")
     _align(panels, block.columns, look.log)
-    bottom = (block.top - block.height) / height
+    bottom = (block.top - block.height + block.gap) / height
     figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
-    middle = (block.top - block.height / 2) / height
+    middle = (block.top - (block.height - block.gap) / 2) / height
     figure.text(0.03 / width, middle, look.label, rotation=90, va="center")
 
 
-def _place_panels(figure: Figure, count: int, block: _Block, size: Size) -> list[Axes]:
+def _place_panels(figure: Figure, headings: Sequence[str], block: _Block, size: Size) -> list[Axes]:
+    """Return a panel below each heading, with room for the longest of these."""
     line = size.line_inches
-    left, above, below = 3.6 * line, 1.5 * line, 2.3 * line  # ticks and label; title; ticks and label
+    left, above = 3.6 * line, 1.5 * line  # ticks and label; title
+    below = 2.3 * line + block.gap  # ticks and label
     width, height = figure.get_size_inches()
     cell = (width - left - 0.1) / block.columns, (block.height - above - below) / block.rows
-    gap, title = 0.14 * cell[0], 2.1 * size.small_points * 1.3 / 72
+    lines = max(heading.count("\n") for heading in headings) + 1
+    gap, title = 0.14 * cell[0], (1.25 * lines * size.small_points + 2 * TITLE_PAD) / 72
     return [
         figure.add_axes(
             (
@@ -166,7 +176,7 @@ def _place_panels(figure: Figure, count: int, block: _Block, size: Size) -> list
                 (cell[1] - title) / height,
             )
         )
-        for place in range(count)
+        for place in range(len(headings))
     ]
 
 
@@ -197,15 +207,14 @@ def _told_levels(conditions: Sequence[str], size: Size, columns: int) -> str:
     return f"panels: {', '.join(factors)}" if factors and long else ""
 
 
-def _name(axes: Axes, label: str, size: Size, columns: int) -> None:
-    """Head a panel with its condition; where that is too long, with the levels of its factors alone."""
-    points, characters = size.small_points, _characters(size, columns)
+def _heading(label: str, size: Size, columns: int) -> str:
+    """Return a panel's condition in lines; where these are too many, the levels of its factors alone."""
+    characters = _characters(size, columns)
     lines = wrap_label(label, characters)
     if len(lines) > NAME_LINES:
         name, count, runs = label.partition(" (")
         lines = wrap_label(read_name(name).short + count + runs, characters)
-    axes.set_title("\n".join(lines), fontsize=points, weight="normal", pad=2, linespacing=1.05)
-    axes.tick_params(labelsize=points, length=2, pad=1.5)
+    return "\n".join(lines)
 
 
 def _align(panels: Sequence[Axes], columns: int, log: bool) -> None:
@@ -218,6 +227,7 @@ def _align(panels: Sequence[Axes], columns: int, log: bool) -> None:
         axes.set_ylim(low, high)
         axes.xaxis.set_major_locator(FixedLocator(steps[steps <= right].tolist()))
         if not log:
+            shorten_thousands(axes)
             ticks = np.asarray(whole_ticks(4).tick_values(low, high))
             axes.yaxis.set_major_locator(FixedLocator(ticks[(ticks >= low) & (ticks <= high)].tolist()))
         axes.tick_params(labelleft=place % columns == 0, labelbottom=place + columns >= len(panels))

@@ -27,6 +27,8 @@ BELOW_ZERO = 0.02
 """How far an axis of shares reaches below 0, in parts of what it reaches above."""
 ABOVE_ALL = 1 + BELOW_ZERO
 """How far it reaches at most: there is no more than all."""
+LONG_AXIS = 5000
+"""From which length on an axis' numbers are written with a k."""
 REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -133,7 +135,13 @@ def set_axes(axes: Axes, look: Look, budget: int, curves: Sequence[Curve]) -> No
         axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen
         axes.yaxis.set_major_locator(whole_ticks(6))
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
-    elif np.ptp(axes.get_ylim()) > 5000:
+    else:
+        shorten_thousands(axes)
+
+
+def shorten_thousands(axes: Axes) -> None:
+    """Write 5k for 5000 on an upright axis that is long."""
+    if np.ptp(axes.get_ylim()) > LONG_AXIS:
         axes.yaxis.set_major_formatter(EngFormatter(sep=""))
 
 

@@ -22,8 +22,12 @@ from pneuma.figures.style import HOUSE_FONT
 
 _HANDLE, _HANDLE_GAP, _COLUMN_GAP = 3.2, 0.8, 1.4
 """Widths of a legend's entry beside its text, in sizes of type."""
+_EDGE = 0.07
+"""Inches from the figure's left edge to its words."""
 _HEADLINE, _CAPTION = 1.25, 0.78
 """Sizes of type, in that of the figure."""
+
+_UNBROKEN = "\u00a0=\u00a0"
 
 Entry = Artist | tuple[Artist, ...]
 
@@ -62,18 +66,19 @@ class Words:
         columns = legend_columns(size, list(entries))
         rows = _rows(list(entries), columns) + bool(self.legend_title and entries)
         above = line * (_HEADLINE * len(heading) + 1.02 * rows) + 0.06
-        lines = textwrap.wrap(" ".join(self.caption), size.characters(_CAPTION * points))
+        lines = _broken(" ".join(self.caption), size.characters(_CAPTION * points))
         below = len(lines) * _CAPTION * points * 1.4 / 72 + 0.1
         height = size.height or above + panels_inches + below
         figure.set_size_inches(size.width, height)
         if figure.get_layout_engine() is not None:
             rect = (0, below / height, 1, 1 - (above + below) / height)
             figure.get_layout_engine().set(rect=rect)  # type: ignore[union-attr, call-arg]
-        edge = 0.07 / size.width
+        edge = _EDGE / size.width
         top = 1 - 0.05 / height
         figure.text(edge, top, "\n".join(heading), fontsize=_HEADLINE * points, va="top")
         if entries:
-            self._legend(figure, entries, columns, 1 - _HEADLINE * line * len(heading) / height)
+            under = _HEADLINE * line * len(heading) + 0.4 * points / 72
+            self._legend(figure, entries, columns, 1 - under / height)
         figure.text(
             edge,
             0.05 / height,
@@ -92,7 +97,7 @@ class Words:
             list(entries),
             handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
             loc="upper left",
-            bbox_to_anchor=(0.0, top),
+            bbox_to_anchor=(_EDGE / figure.get_figwidth(), top),
             ncols=columns,
             title=self.legend_title or None,
             alignment="left",
@@ -100,8 +105,8 @@ class Words:
             handletextpad=_HANDLE_GAP,
             columnspacing=_COLUMN_GAP,
             labelspacing=0.3,
-            borderpad=0.1,
-            borderaxespad=0.3,
+            borderpad=0.0,
+            borderaxespad=0.0,
         )
 
 
@@ -113,8 +118,12 @@ def counts_told(counts: Iterable[int]) -> str:
 
 def wrap_label(label: str, characters: int) -> list[str]:
     """Break a condition's label into lines; "n = 3" and "non-stationary" stay whole."""
-    unbroken = label.replace(" = ", "\u00a0=\u00a0")
-    lines = textwrap.wrap(unbroken, characters, break_on_hyphens=False)
+    return _broken(label.replace(" = ", _UNBROKEN), characters, break_on_hyphens=False)
+
+
+def _broken(text: str, characters: int, break_on_hyphens: bool = True) -> list[str]:
+    """Break a text into lines, but not between a number and its per cent."""
+    lines = textwrap.wrap(text.replace(" %", "\u00a0%"), characters, break_on_hyphens=break_on_hyphens)
     return [line.replace("\u00a0", " ") for line in lines]
 
 
