@@ -63,9 +63,9 @@ def draw_collapse(
 ) -> list[Path]:
     """Draw a study's collapses; return the files written.
 
-    On the left every run that collapsed, its steps counted from its onset, in what is held of its curves;
-    on the right the share of each condition's runs that did, with its interval. Of many conditions those
-    of which none did are left out on the right, and the caption says so.
+    On the left, where any run collapsed, every one that did, its steps counted from its onset, in what is
+    held of its curves; on the right the share of each condition's runs that did, with its interval. Of many
+    conditions those of which none did are left out on the right, and the caption says so.
     """
     found, shares = diagnoses(data), incidence(data)
     shares = shares[shares["runs"] > 0]
@@ -80,10 +80,8 @@ def draw_collapse(
         mosaic = _mosaic(list(held))
         ratios = (*[1] * (len(mosaic[0]) - 1), 0.9)
         panels = figure.subplot_mosaic(mosaic, width_ratios=ratios)
-        first, *others = (panels[name] for name in held)
-        for axes in others:
-            axes.sharex(first)
         for name, series in held.items():
+            panels[name].sharex(panels[next(iter(held))])
             _draw_panel(panels[name], data, series, name)
             panels[name].set_title(PANELS[name])
         _draw_bars(panels["bars"], data, shown)
@@ -93,17 +91,18 @@ def draw_collapse(
 
 
 def _held(data: StudyData, collapsed: Mapping[str, float]) -> dict[str, list[Fall]]:
-    """Return the panels of what is held of any run that collapsed, and its runs; all where none did."""
+    """Return the panels of what is held of any run that collapsed, and its runs."""
     runs = [run for run in data.runs if run.run_id in collapsed]
     held = {
         name: [_fall(run, _series(data, run, name), collapsed[run.run_id]) for run in runs] for name in PANELS
     }
-    seen = {name: falls for name, falls in held.items() if any(len(step) for _, step, _ in falls)}
-    return seen or held
+    return {name: falls for name, falls in held.items() if any(len(step) for _, step, _ in falls)}
 
 
 def _mosaic(names: Sequence[str]) -> list[Any]:
     """Return where panels lie: up to two below each other, with the bars at their right."""
+    if not names:
+        return [["bars"]]
     rows = min(len(names), 2)
     columns = -(-len(names) // rows)
     lines = [[*names[row * columns : (row + 1) * columns]] for row in range(rows)]
@@ -115,22 +114,33 @@ def _told(shares: pd.DataFrame) -> str:
 
 
 def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out: int) -> list[str]:
-    smoothed = "means over 5 % of the budget, and " if held != ["share_killed"] else ""
+    left, bars = _left(held), "share of each condition's runs that collapsed"
     dashed = "dashed: " if any(name in held for name in THRESHOLDS) else ""
+    hollow = "Hollow: no longer so at the end. " * bool(shown["recovered"].any())
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
-    rows = f"Rows: {', '.join(factors_of(list(shown['condition'])))}. " if _by_levels(shown) else ""
+    rows = f"Rows: {', '.join(factors_of(list(shown['condition'])))} and condition. " * _by_levels(shown)
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
     if unseen:
         told = ", ".join(name for name in data.conditions if name in unseen)
         none = f"Of {told} no entropy is recorded, and only a fall is seen. {none}"
     return [
-        f"{', '.join(data.environments)}. Left: each run that collapsed, in its condition's colour, by its "
-        f"steps before and after the onset; {smoothed}single evaluations. Right: "
-        "share of each condition's runs that collapsed; lines: 95 % intervals (Clopper and Pearson).",
+        f"{', '.join(data.environments)}. {left}{bars if left else bars.capitalize()}; "
+        "lines: 95 % intervals (Clopper and Pearson).",
         f"Collapsed: down to one action ({dashed}{LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
         f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations in a row. "
-        f"Hollow: no longer so at the end. {rows}{none}",
+        f"{hollow}{rows}{none}",
     ]
+
+
+def _left(held: Sequence[str]) -> str:
+    """Say what the panels on the left are; '' where there is none."""
+    if not held:
+        return ""
+    smoothed = "means over 5 % of the budget, and " if list(held) != ["share_killed"] else ""
+    return (
+        "Left: each run that collapsed, in its condition's colour, by its steps before and after the onset; "
+        f"{smoothed}single evaluations. Right: "
+    )
 
 
 def _draw_panel(axes: Axes, data: StudyData, falls: Sequence[Fall], name: str) -> None:
@@ -146,12 +156,10 @@ def _draw_panel(axes: Axes, data: StudyData, falls: Sequence[Fall], name: str) -
     axes.yaxis.set_major_locator(whole_ticks(5))
     if name != "entropy":
         axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
-    highest = max(axes.dataLim.y1, LEAST_SHOWN) if falls else 1.0
+    highest = max(axes.dataLim.y1, LEAST_SHOWN)
     top = 1.02 * max(highest, WHOLE.get(name, 0))  # magic's two actions more have more entropy
     axes.set_ylim(-BELOW_ZERO * top, top)  # what is 0 throughout is still seen
     axes.set_xlabel("Steps from onset")
-    if not falls:
-        axes.text(0.5, 0.5, "no run collapsed", transform=axes.transAxes, ha="center", color="#666666")
 
 
 def _fall(run: FinishedRun, series: Series, onset: float) -> Fall:
@@ -183,6 +191,8 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
             place, again, left=row["share"] - again, height=0.55, color="white", edgecolor=colour, linewidth=1
         )
         axes.plot([row["low"], row["high"]], [place, place], color="#222222", linewidth=1.1)
+        if not row["collapsed"]:
+            axes.plot(0, place, marker="o", markersize=3, color=colour, clip_on=False, zorder=4)
     by_levels = _by_levels(shares)
     names = [_bar_label(row, by_levels) for row in rows]
     points = 72 * LONGEST_INCHES / max(len(rows), 1)

@@ -79,7 +79,7 @@ def draw_robustness(
             axes.xaxis.set_major_locator(whole_ticks(3 if len(maps) > 1 else 8))
         _label_rows(columns[0], groups, places)
         lines = max(places.values(), default=0) + 1
-        words = Words(headline_of(data, _shown(maps)), "", _caption(data, maps))
+        words = Words(headline_of(data, _factors_told(maps)), "", _caption(data, maps))
         words.put(figure, SIZE, ROW_INCHES * lines + AROUND_INCHES, _entries(maps))
         return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
 
@@ -130,11 +130,17 @@ def _label_rows(axes: Axes, groups: Groups, places: Mapping[Levels, int]) -> Non
 
 
 def _level_words(levels: Levels) -> str:
-    return ", ".join(shown_setting(level) for _, level in levels)
+    return ", ".join(_shown(level) for _, level in levels)
 
 
 def _told(levels: Levels) -> str:
-    return ", ".join(f"{key} {shown_setting(level)}" for key, level in levels)
+    return ", ".join(f"{key} {_shown(level)}" for key, level in levels)
+
+
+def _shown(level: Any) -> str:
+    """Return a level; a list in brackets, as others stand beside it."""
+    shown = shown_setting(level)
+    return f"[{shown}]" if "," in shown else shown
 
 
 # --- Columns ---------------------------------------------------------------------------------------
@@ -168,7 +174,7 @@ def _points(share: float, _: Any) -> str:
 # --- Words -----------------------------------------------------------------------------------------
 
 
-def _shown(maps: Sequence[Map]) -> str:
+def _factors_told(maps: Sequence[Map]) -> str:
     *first, last = [*maps[0].factors] or ["nothing else"]
     return "over " + " and ".join(filter(None, [", ".join(first), last]))
 

@@ -16,10 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, NullLocator, PercentFormatter
+from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, NullLocator
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import counted
+from pneuma.figures.panel import per_cent
 from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
 from pneuma.search.importance import LEAST_TRIALS, importances
 from pneuma.search.record import trial_values
@@ -63,7 +64,7 @@ class _Seen:
     def numbers(self, place: int = 0) -> Formatter:
         """Return how an objective's values are written: a share in per cent."""
         if find_outcome(self.objectives[place]["outcome"]).unit == "share":
-            return PercentFormatter(xmax=1)
+            return FuncFormatter(per_cent)
         return FuncFormatter(lambda value, _: f"{value:g}")
 
     def label(self, place: int = 0) -> str:
@@ -135,7 +136,7 @@ def _importances(seen: _Seen) -> Figure | None:
     figure, axes = _panel(1.2 + 0.26 * len(names))
     axes.barh(names, [seen.weights[name] for name in names], color=COLOURS[0], height=0.6)
     axes.set(title="Importance of each hyperparameter (PED-ANOVA)", xlim=(0, None))
-    axes.xaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
+    axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
     axes.grid(visible=False, axis="y")
     return figure
 
@@ -161,7 +162,8 @@ def _slices(seen: _Seen) -> Figure:
 
 def _parallel(seen: _Seen) -> Figure:
     """Each trial a line over the parameters, coloured by its value."""
-    parameters = [p for p in seen.parameters if all(p.name in t["params"] for t in seen.complete)][:MOST_AXES]
+    of_all = [p for p in seen.parameters if all(p.name in trial["params"] for trial in seen.complete)]
+    parameters = of_all[:MOST_AXES]
     figure, axes = _panel(3.8)
     values = seen.values()
     low, high = values.min(), values.max()
@@ -176,8 +178,9 @@ def _parallel(seen: _Seen) -> Figure:
             axes.text(place, share, f" {text}", fontsize=6, va="center", bbox=_BEHIND)
     axes.set_xticks(places, [parameter.name.replace("_", "\n") for parameter in parameters])
     few = "most important" if seen.weights else "first"
-    which = f"{len(parameters)} {few} " if len(parameters) < len(seen.parameters) else ""
-    axes.set(title=f"Trials over the {which}hyperparameters", yticks=[], ylim=(-0.06, 1.06))
+    which = f"{len(parameters)} {few} " if len(parameters) < len(of_all) else ""
+    whose = " that all trials have" if len(of_all) < len(seen.parameters) else ""
+    axes.set(title=f"Trials over the {which}hyperparameters{whose}", yticks=[], ylim=(-0.06, 1.06))
     axes.grid(visible=False)
     figure.colorbar(colours, ax=axes, label=seen.label(), format=seen.numbers())
     return figure

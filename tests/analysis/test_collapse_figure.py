@@ -83,6 +83,17 @@ def test_crossed_conditions_are_named_by_their_levels_and_what_is_not_held_has_n
     assert labels == ["thesis, raw, [0.9, 0.999], tanh: 2 of 3", "kills, unit, dqn: 1 of 2"]
 
 
+def test_where_no_run_collapsed_there_are_bars_alone(tmp_path: Path, figures: list[Figure]) -> None:
+    store, key = Store(tmp_path / "results"), ("tanh", 0)
+    save_run(store, "0" * 16, healthy(), learning())
+    collapse.draw_collapse(open_study(store, study_record({key: "0" * 16})), tmp_path, "collapse")
+    (bars,) = figures[0].axes
+    (lone,) = [line for line in bars.get_lines() if len(np.asarray(line.get_xdata())) == 1]
+    assert (lone.get_xdata(), lone.get_ydata()) == ([0], [0])
+    texts = [text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text)]
+    assert not any("Left" in text or "Hollow" in text for text in texts)
+
+
 def test_what_cannot_be_seen_of_a_condition_is_said_of_it_alone(
     tmp_path: Path, figures: list[Figure]
 ) -> None:
