@@ -151,11 +151,16 @@ class PublishedRuns:
         table = self._table.select([*NAMING, *columns]).take(pa.array(places, pa.int64()))
         return table.replace_schema_metadata()
 
-    def quantities(self, run: FinishedRun) -> tuple[str, ...]:
-        """Return what the table has columns for."""
+    @property
+    def curve_names(self) -> tuple[str, ...]:
+        """The quantities whose curves the table has columns for."""
         names = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
         held = self._table.column_names
         return tuple(name for name in names if {name, f"{name} {self.windows[0]}"} & {*held})
+
+    def quantities(self, run: FinishedRun) -> tuple[str, ...]:
+        """Return what is held of a run: of each the same."""
+        return self.curve_names
 
     def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
         """Return a run's evaluations, the one table that is kept; made once."""

@@ -113,7 +113,11 @@ def publish(
         bool, typer.Option("--round", help="Keep curves to a thousandth of their range: a third of the size.")
     ] = False,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Let published runs leave the table that are not selected.")
+        bool,
+        typer.Option(
+            "--replace",
+            help="Let published runs leave the table that are not selected, and curves that are not named.",
+        ),
     ] = False,
     results: Results = RESULTS,
     json: Json = False,
@@ -146,6 +150,12 @@ def publish(
         raise UserError(
             f"study {data.study}: {len(leaving)} published runs are not in this selection; select them too "
             "(--preset, --condition, --seeds), or let them leave the table by --replace"
+        )
+    dropped = [name for name in own.curve_names if name not in kept] if own and kept is not None else []
+    if dropped and not replace:
+        raise UserError(
+            f"study {data.study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
+            "out; name them too, or let them leave the table by --replace"
         )
     encoded = encode_study(data, kept, rounding, before)
     store.write(path, encoded)

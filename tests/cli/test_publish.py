@@ -102,6 +102,20 @@ def test_what_was_published_and_is_gone_here_stays(trained: Path, tmp_path: Path
     assert called.code == 2 and "publish the runs that are here alone in its place by --replace" in called.err
 
 
+def test_published_curves_leave_the_table_only_where_that_is_asked_for(trained: Path, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    publish = ("study", "publish", "activation", "--results", results, "--curves")
+    assert _call(*publish, "return,entropy").code == 0
+    path = results / "published" / "activation.parquet"
+    whole = path.read_bytes()
+    called = _call(*publish, "length,return")
+    assert called.code == 2 and "curves of entropy are published, and --curves leaves them out" in called.err
+    assert path.read_bytes() == whole
+    assert _call(*publish, "length,return,entropy").code == 0
+    assert _call(*publish, "none", "--replace").code == 0
+    assert len(path.read_bytes()) < len(whole)
+
+
 def test_a_table_that_cannot_be_read_is_written_over_only_where_that_is_asked_for(
     trained: Path, tmp_path: Path
 ) -> None:
