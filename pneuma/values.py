@@ -19,6 +19,12 @@ def shown_setting(value: object) -> str:
     return "none" if value in (None, "") else str(value)
 
 
+def shown_level(value: object) -> str:
+    """Return a setting's value where others stand beside it, between commas: a list in brackets."""
+    shown = shown_setting(value)
+    return f"[{shown}]" if "," in shown else shown
+
+
 @dataclass(frozen=True)
 class Number:
     """A number within bounds; `whole` for integers, `optional` where "none" switches it off."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pneuma.values import shown_setting
+from pneuma.values import shown_level, shown_setting
 
 
 @pytest.mark.parametrize(
@@ -17,3 +17,7 @@ from pneuma.values import shown_setting
 )  # fmt: skip
 def test_a_setting_is_shown_without_brackets_and_nothing_as_none(value: object, shown: str) -> None:
     assert shown_setting(value) == shown
+
+
+def test_a_list_beside_other_levels_is_told_from_them() -> None:
+    assert ", ".join(map(shown_level, (3e-4, (0.9, 0.999), "raw", [64]))) == "0.0003, [0.9, 0.999], raw, 64"

@@ -23,7 +23,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records
 from pneuma.errors import UserError
 from pneuma.study.store import Store
-from pneuma.values import shown_setting
+from pneuma.values import shown_level, shown_setting
 
 if TYPE_CHECKING:
     from pneuma.analysis.robustness import Map
@@ -109,7 +109,7 @@ def _print_map(found: Map) -> None:
     better, worse = map(shown_setting, found.values)
     print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {found.outcome}: {found.label}")
     for cell in found.cells:
-        levels = ", ".join(f"{key} {shown_setting(level)}" for key, level in cell.levels) or cell.better
+        levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels) or cell.better
         interval = cell.contrast.interval
         effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
         print(f"  {plain(levels):<48} {effect:<28} p {cell.p:.3f}  {cell.label}")

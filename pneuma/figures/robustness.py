@@ -21,7 +21,7 @@ from pneuma.figures.panel import whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.figures.words import Entry, Words, counts_told
-from pneuma.values import shown_setting
+from pneuma.values import shown_level, shown_setting
 
 SIZE = SIZES["page"]
 ROW_INCHES, AROUND_INCHES = 0.19, 0.85
@@ -130,17 +130,11 @@ def _label_rows(axes: Axes, groups: Groups, places: Mapping[Levels, int]) -> Non
 
 
 def _level_words(levels: Levels) -> str:
-    return ", ".join(_shown(level) for _, level in levels)
+    return ", ".join(shown_level(level) for _, level in levels)
 
 
 def _told(levels: Levels) -> str:
-    return ", ".join(f"{key} {_shown(level)}" for key, level in levels)
-
-
-def _shown(level: Any) -> str:
-    """Return a level; a list in brackets, as others stand beside it."""
-    shown = shown_setting(level)
-    return f"[{shown}]" if "," in shown else shown
+    return ", ".join(f"{key} {shown_level(level)}" for key, level in levels)
 
 
 # --- Columns ---------------------------------------------------------------------------------------
