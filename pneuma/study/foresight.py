@@ -29,6 +29,8 @@ from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store
 
 CALIBRATION_SECONDS = 4.0
+COLD_SECONDS = 20.0
+"""A start that takes longer has compiled programs, which runs to come find compiled."""
 COMPILED = 10.0
 """How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 BYTES_PER_STEP = 3.0
@@ -139,6 +141,9 @@ def calibrate(
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
         pace = _measure(run)
+        if pace and pace.start > COLD_SECONDS:
+            say("it had to compile first; measuring once more …")
+            pace = _measure(run) or pace
         if pace:
             measured[name] = pace
     if measured:

@@ -169,6 +169,19 @@ def test_what_other_machines_measured_is_kept(
     assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
 
 
+def test_a_start_that_compiled_is_measured_again(
+    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every run of a plan would otherwise be told to take a compilation longer than it does."""
+    paces = iter([foresight.Pace(60.0, 0.5), foresight.Pace(2.0, 0.5)])
+    monkeypatch.setattr(foresight, "_measure", lambda run: next(paces))
+    told: list[str] = []
+    run = planned.cells[0].run
+    found = foresight.calibrate([run], Store(tmp_path), {}, told.append)
+    assert found == {foresight.kind(run): foresight.Pace(2.0, 0.5)}
+    assert told[1:] == ["it had to compile first; measuring once more …"]
+
+
 def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Plan) -> None:
     store = Store(tmp_path)
     save(store, planned, [origin(XEON, MILAN)])
