@@ -45,12 +45,14 @@ SETTINGS_tabular = text
 SETTINGS_magic = text
 SETTINGS_classes = text
 SETTINGS_independent = text
+SETTINGS_tuned-optimizers = text
 
 PRESET = paper+claims
 PRESET_perception = paper
 PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
+PRESET_tuned-optimizers = paper
 
 # What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
 CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
@@ -81,8 +83,8 @@ reproduction: CONDITIONS_actor-size = --condition smallest --condition small --c
 reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, both settings
 	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)
 
-reproduction-rest: install  ## Train chapters 3 to 5, and the 50 seeds of claims on spread and incidence
-	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer)
+reproduction-rest: install  ## Train chapters 3 to 5, the 50 seeds of claims on spread and incidence, and tuned optimizers
+	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer tuned-optimizers)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)
