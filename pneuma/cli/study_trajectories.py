@@ -235,14 +235,16 @@ def _drawn(
     """Draw them on the map; that of a level of the run's own, whose file is opened, where it is trusted."""
     from pneuma.config import make_run
     from pneuma.engines.trajectories import unrewarded_worlds
+    from pneuma.env.render import Renderer
     from pneuma.figures.trajectories import draw_trajectories
 
-    worlds = None
+    drawer = None
     if trust and is_own_level(found.level):
         worlds = unrewarded_worlds(make_run(data.settings(data.runs[0])), 1)
         worlds.seed([0])
         worlds.reset()
-    return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats, worlds)
+        drawer = Renderer(worlds, "map", panel=False)
+    return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats, drawer)
 
 
 def _print(data: StudyData, table: pd.DataFrame) -> None:

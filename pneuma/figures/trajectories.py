@@ -15,7 +15,6 @@ from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import ENDINGS, KEPT_EPISODES, StudyTrajectories, endings
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
-from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.figures.captions import headline_of
 from pneuma.figures.sizes import SIZES
@@ -64,7 +63,7 @@ def draw_trajectories(
     folder: Path,
     stem: str,
     formats: tuple[str, ...] = ("png",),
-    worlds: Worlds | None = None,
+    drawer: Renderer | None = None,
 ) -> list[Path]:
     """Draw where the policies of every condition went; return the files written.
 
@@ -76,7 +75,7 @@ def draw_trajectories(
         folder: where.
         stem: the name of the files, without endings.
         formats: their endings.
-        worlds: of the level, as an episode begins; needed for the map of a level that is not shipped.
+        drawer: of the level's map, as an episode begins; needed of a level that is not shipped.
 
     Raises:
         UserError: where they play on several levels, which no one map shows.
@@ -91,7 +90,7 @@ def draw_trajectories(
     with house_style(SIZE.type_points):
         figure = Figure(layout="constrained")
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        backdrop = _Backdrop(found, worlds)
+        backdrop = _Backdrop(found, drawer)
         for axes, condition in zip(panels, conditions, strict=False):
             own = found.episodes[found.episodes["condition"] == condition]
             backdrop.put(axes)
@@ -113,15 +112,17 @@ def _columns(panels: int) -> int:
 class _Backdrop:
     """What lies behind the lines: the level's map, or where it is not known nothing but their extent."""
 
-    def __init__(self, found: StudyTrajectories, worlds: Worlds | None) -> None:
+    def __init__(self, found: StudyTrajectories, drawer: Renderer | None) -> None:
         self.image: np.ndarray | None = None
-        worlds = worlds or (level_worlds() if found.level == SHIPPED_LEVEL else None)
-        if worlds:
-            left, top, right, bottom = worlds.level.grid
-            self.image = Renderer(worlds, "map", panel=False).frame(0)
+        if drawer is None and found.level == SHIPPED_LEVEL:
+            drawer = Renderer(level_worlds(), "map", panel=False)
+        if drawer:
+            level = drawer.worlds.level
+            left, top, right, bottom = level.grid
+            self.image = drawer.frame(0)
             self.extent = (left, right, bottom, top)
-            left, top, right, bottom = worlds.level.land
-            margin = SHORE_TILES * worlds.level.tile
+            left, top, right, bottom = level.land
+            margin = SHORE_TILES * level.tile
         else:
             x, y = (np.concatenate(found.episodes[axis].tolist()) for axis in "xy")
             left, top, right, bottom = x.min(), y.min(), x.max(), y.max()

@@ -15,6 +15,7 @@ from pneuma.analysis.trajectories import encode_trajectories, gathered
 from pneuma.cli import main
 from pneuma.cli.study_summary import open_data
 from pneuma.env.level import LEVELS
+from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
 from pneuma.figures.trajectories import draw_trajectories
 from pneuma.study.store import Status, Store
@@ -133,8 +134,9 @@ def test_the_map_of_a_level_of_ones_own_is_drawn_too_where_its_file_may_be_opene
     found = gathered("thesis", [{**row, "kills": 0, "ending": "killed", "places": way}])
     own = replace(found, level="mine.tmx")
     drawn = {}
-    for name, ways, worlds in (("shipped", found, None), ("own", own, level_worlds()), ("bare", own, None)):
-        (path,) = draw_trajectories(data, ways, tmp_path, name, worlds=worlds)
+    drawer = Renderer(level_worlds(), "map", panel=False)
+    for name, ways, ground in (("shipped", found, None), ("own", own, drawer), ("bare", own, None)):
+        (path,) = draw_trajectories(data, ways, tmp_path, name, drawer=ground)
         drawn[name] = path.read_bytes()
     assert drawn["own"] == drawn["shipped"] != drawn["bare"]
 
