@@ -109,11 +109,11 @@ trajectories: install  ## Let policies of the reproduction play, and keep where 
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
-# Whatever the searches find here stands in RESULTS/winners-*.toml, each winner beside what it was tuned from. What they
-# found for the tables that are published stands in studies/tuned-*.toml, which `reproduction-rest` trains.
+# Whatever the searches find here stands in RESULTS/winners-*.toml, each winner beside its search's base. What they found
+# for the table that is published stands in studies/tuned-optimizers.toml, which `reproduction-rest` trains.
 tuned = $(foreach name,$(2),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" &&) \
-{ test -e "$(RESULTS)/winners-$(1).toml" || $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
-  --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)"; } && \
+rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
+  --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)" && \
 $(BIN)/pneuma study run "$(RESULTS)/winners-$(1).toml" --steps $(3) --results "$(RESULTS)"
 
 tuning: install  ## Tune optimizers and algorithms alike, and train the winners on fresh seeds

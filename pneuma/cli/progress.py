@@ -90,7 +90,7 @@ class ProgressDisplay:
         over = progress.status in FINISHED
         self._steps[name] = progress.cell.run.steps if over else max(self._steps[name], progress.step)
         if self._live:
-            self._move_bar(progress.cell.condition)
+            self._move_bar(progress.cell.condition, ended=bool(progress.status))
         elif self._show:
             self._print_line(progress)
 
@@ -121,12 +121,12 @@ class ProgressDisplay:
         self._whole = self._bars.add_task("all", total=self._total, runs="", left="steps")
         self._bars.start()
 
-    def _move_bar(self, condition: str) -> None:
+    def _move_bar(self, condition: str, ended: bool) -> None:
         runs = self._runs_of[condition]
-        ended = sum(name in self._ended for name in runs)
+        over = sum(name in self._ended for name in runs)
         done = sum(self._steps[name] for name in runs)
-        self._bars.update(self._tasks[condition], completed=done, runs=f"{ended}/{len(runs)} runs")
-        if (now := time.monotonic()) >= self._next_left:
+        self._bars.update(self._tasks[condition], completed=done, runs=f"{over}/{len(runs)} runs")
+        if (now := time.monotonic()) >= self._next_left or ended:
             self._next_left, self._told_left = now + LEFT_SECONDS, self._time_left()
         self._bars.update(self._whole, completed=sum(self._steps.values()), left=f"steps{self._told_left}")
 

@@ -193,14 +193,14 @@ def _search(
         say(f"{told} The same command goes on where the search was stopped.", aside=True)
         code = 130
     if json:
-        print_json(_document(task, store, ended))
+        print_json(_stopped_document(task, store) if code else _document(task, store, ended))
     elif not code:
         _tell_next(task.search, store, quiet)
     return code
 
 
 def _document(task: Task, store: Store, told: Sequence[Told]) -> dict[str, Any]:
-    """Return the trials that have ended: all, or those before the search was stopped."""
+    """Return all trials of a search that has ended."""
     from pneuma.search.record import best_number, read_record, trial_document
 
     record = read_record(store, task.search.name)
@@ -212,6 +212,18 @@ def _document(task: Task, store: Store, told: Sequence[Told]) -> dict[str, Any]:
         "storage": record["storage"],
         "optuna_study": record["optuna_study"],
     }
+
+
+def _stopped_document(task: Task, store: Store) -> dict[str, Any]:
+    """Return the trials of the generations that had ended before a search was stopped, if any."""
+    from pneuma.search.record import read_record
+
+    document = {"schema": 1, "search": task.search.name, "trials": [], "best": None}
+    try:
+        record = read_record(store, task.search.name)
+    except UserError:  # it was stopped before it wrote anything
+        return document
+    return {**document, **{key: record[key] for key in ("trials", "best", "storage", "optuna_study")}}
 
 
 def _tell_next(search: Search, store: Store, quiet: bool) -> None:

@@ -161,7 +161,7 @@ def status(
             print(f"{plain(record['study'])}: {counts}")
             if "adaptive" in record:
                 _tell_looks(record)
-            width = max(len(plain(state.run["condition"])) for state in states)
+            width = max((len(plain(state.run["condition"])) for state in states), default=0)
             for state in states:
                 run_id = state.run["run_id"]
                 job = jobs.get(run_id)

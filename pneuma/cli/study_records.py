@@ -97,11 +97,11 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     """
     here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     taken = {} if all(status.finished for status in here.values()) else _taken(store, record, here)
-    states = {**here, **taken}
-    return [
-        RunState(run, states[name].name, name in taken, states[name].step)
-        for run, name in ((run, run["run_id"]) for run in record["runs"])
-    ]
+    states = []
+    for run in record["runs"]:
+        status = taken.get(run["run_id"], here[run["run_id"]])
+        states.append(RunState(run, status.name, run["run_id"] in taken, status.step))
+    return states
 
 
 def _taken(store: Store, record: Mapping[str, Any], here: Mapping[str, Status]) -> dict[str, Status]:

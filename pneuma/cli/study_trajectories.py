@@ -232,14 +232,15 @@ def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:
 def _drawn(
     data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...], trust: bool
 ) -> list[Path]:
-    """Draw them on the map; that of a level of the run's own, whose file is opened, where it is trusted."""
+    """Draw them on the map; on that of a level of the runs' own where these have just played on it."""
+    from pneuma.analysis.published import PublishedRuns
     from pneuma.config import make_run
     from pneuma.engines.trajectories import unrewarded_worlds
     from pneuma.env.render import Renderer
     from pneuma.figures.trajectories import draw_trajectories
 
     drawer = None
-    if trust and is_own_level(found.level):
+    if trust and is_own_level(found.level) and not isinstance(data.source, PublishedRuns):
         worlds = unrewarded_worlds(make_run(data.settings(data.runs[0])), 1)
         worlds.seed([0])
         worlds.reset()

@@ -80,8 +80,9 @@ def draw_collapse(
         mosaic = _mosaic(list(held))
         ratios = (*[1] * (len(mosaic[0]) - 1), 0.9)
         panels = figure.subplot_mosaic(mosaic, width_ratios=ratios)
-        for name, series in held.items():
+        for name in list(held)[1:]:
             panels[name].sharex(panels[next(iter(held))])
+        for name, series in held.items():
             _draw_panel(panels[name], data, series, name)
             panels[name].set_title(PANELS[name])
         _draw_bars(panels["bars"], data, shown)
@@ -118,7 +119,8 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
     dashed = "dashed: " if any(name in held for name in THRESHOLDS) else ""
     hollow = "Hollow: no longer so at the end. " * bool(shown["recovered"].any())
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
-    rows = f"Rows: {', '.join(factors_of(list(shown['condition'])))} and condition. " * _by_levels(shown)
+    parts = [*factors_of(names := list(shown["condition"])), *["condition"] * any(map(_own_name, names))]
+    rows = f"Rows: {', '.join(parts)}. " * _by_levels(shown)
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
     if unseen:
         told = ", ".join(name for name in data.conditions if name in unseen)
@@ -130,6 +132,10 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
         f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations in a row. "
         f"{hollow}{rows}{none}",
     ]
+
+
+def _own_name(condition: str) -> str:
+    return read_name(condition).own
 
 
 def _left(held: Sequence[str]) -> str:

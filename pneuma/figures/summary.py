@@ -188,7 +188,7 @@ def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame)
         words.append("What of an interval lies below 0 % is cut off.")
     counts = [len(known) for known in values.values()]
     if any(0 < count < 3 for count in counts):
-        words.append("Of fewer than three runs there is no bootstrap interval either, of one none at all.")
+        words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
     if any(count >= 3 and not is_trusted("bootstrap", count) for count in counts):
         words.append("Of so few runs bootstrap intervals cover less often than they say.")
     return words

@@ -27,7 +27,8 @@ _EDGE = 0.07
 _HEADLINE, _CAPTION = 1.25, 0.78
 """Sizes of type, in that of the figure."""
 
-_UNBROKEN = "\u00a0=\u00a0"
+_EQUALS = "\u00a0=\u00a0"
+"""An equals sign at which no line ends."""
 
 Entry = Artist | tuple[Artist, ...]
 
@@ -118,7 +119,7 @@ def counts_told(counts: Iterable[int]) -> str:
 
 def wrap_label(label: str, characters: int) -> list[str]:
     """Break a condition's label into lines; "n = 3" and "non-stationary" stay whole."""
-    return _broken(label.replace(" = ", _UNBROKEN), characters, break_on_hyphens=False)
+    return _broken(label.replace(" = ", _EQUALS), characters, break_on_hyphens=False)
 
 
 def _broken(text: str, characters: int, break_on_hyphens: bool = True) -> list[str]:

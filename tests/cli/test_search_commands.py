@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -78,10 +79,12 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
     stop: BaseException,
     code: int,
     searched: tuple[Path, Path],
+    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    path, results = searched
+    path, results = searched[0], tmp_path / "results"
+    shutil.copytree(searched[1] / "runs", results / "runs")
 
     def train(planned: Plan, *_: object) -> None:
         if "trial-002" in planned.conditions:
@@ -92,6 +95,21 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
     document = json.loads(capsys.readouterr().out)
     assert [trial["number"] for trial in document["trials"]] == [0, 1]
     assert document["best"] in (0, 1)
+
+
+def test_a_search_that_is_stopped_before_it_began_has_no_trials(
+    searched: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pneuma.search.driver.run_search", stop)
+    assert main(["search", "run", str(searched[0]), "--results", str(tmp_path), "--json"]) == 130
+    document = json.loads(capsys.readouterr().out)
+    assert (document["trials"], document["best"]) == ([], None)
 
 
 def test_a_search_is_exported_like_a_study(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pneuma.analysis.trajectories import encode_trajectories, gathered
 from pneuma.cli import main
@@ -121,6 +122,8 @@ def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path, capsys:
         "fig-6-5-trajectories.png",
         "fig-6-5-trajectories.svg",
     ]
+    drawn = np.asarray(Image.open(document["files"][0]).convert("RGB"))
+    assert (drawn == 255).all(axis=2).mean() < 0.5  # most of it is the map
     assert "name a folder for the figure by --out DIR" in refusal(capsys, *told, "--format", "svg")
 
 

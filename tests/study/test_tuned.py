@@ -43,6 +43,8 @@ def test_a_tuned_optimizer_has_what_its_search_varies_from_the_space_it_was_soug
             assert parameter.domain.low <= value <= parameter.domain.high
         else:
             assert isinstance(parameter.domain, Choices)
+            chosen = [dict(own)[parameter.name] for own in parameter.domain.settings_of.values()]
+            assert value in chosen
 
 
 @pytest.mark.parametrize(("name", "untuned"), OPTIMIZERS.items())
