@@ -93,13 +93,13 @@ reproduction-slow: install  ## Train the mid and big networks, and the reference
 	$(call each,architecture actor-size algorithms)
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
-whole = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\
+takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\
 $(error $@ takes RESULTS alone; DO, SEEDS, STEPS, STUDIES, UNPUBLISHED and RETRY go with the reproduction))
 
 trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --quiet --results "$(RESULTS)"
 
 trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
-	$(whole)
+	$(takes_results_alone)
 	$(call trajectories,sigmoid)
 	$(call trajectories,sigmoid --setting godot)
 	$(call trajectories,algorithms --condition a2c --condition a2c-no-baseline)
@@ -117,7 +117,7 @@ rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search winners $(addprefix
 $(BIN)/pneuma study run "$(RESULTS)/winners-$(1).toml" --steps $(3) --results "$(RESULTS)"
 
 tuning: install  ## Tune optimizers and algorithms alike, and train the winners on fresh seeds
-	$(whole)
+	$(takes_results_alone)
 	$(call tuned,optimizers,$(TUNED_OPTIMIZERS),1000000)
 	$(call tuned,algorithms,$(TUNED_ALGORITHMS),200000)
 

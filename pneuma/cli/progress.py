@@ -19,7 +19,7 @@ LINE_SECONDS = 10.0
 """How often a plain line is printed."""
 
 LEFT_SECONDS = 1.0
-"""How often the time left is judged anew beside bars, which move hundreds of times a second."""
+"""How often the time left is judged anew beside bars, which move with every update of any run."""
 
 
 def duration(seconds: float) -> str:

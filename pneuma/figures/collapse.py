@@ -119,8 +119,7 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
     dashed = "dashed: " if any(name in held for name in THRESHOLDS) else ""
     hollow = "Hollow: no longer so at the end. " * bool(shown["recovered"].any())
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
-    parts = [*factors_of(names := list(shown["condition"])), *["condition"] * any(map(_own_name, names))]
-    rows = f"Rows: {', '.join(parts)}. " * _by_levels(shown)
+    rows = f"Rows: {', '.join(_parts(list(shown['condition'])))}. " if _by_levels(shown) else ""
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
     if unseen:
         told = ", ".join(name for name in data.conditions if name in unseen)
@@ -134,8 +133,10 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
     ]
 
 
-def _own_name(condition: str) -> str:
-    return read_name(condition).own
+def _parts(conditions: Sequence[str]) -> list[str]:
+    """Return what the names of crossed conditions consist of."""
+    named = any(read_name(name).own for name in conditions)
+    return [*factors_of(conditions), "condition"] if named else factors_of(conditions)
 
 
 def _left(held: Sequence[str]) -> str:

@@ -30,6 +30,11 @@ class _Clock:
         return self.now
 
 
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
     clock = _Clock()
@@ -84,11 +89,7 @@ def test_nothing_is_shown_when_asked_for_quiet_or_when_nothing_is_trained(
 
 
 def test_a_terminal_gets_a_bar_for_each_condition(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    screen = Terminal()
+    screen = _Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
@@ -100,6 +101,26 @@ def test_a_terminal_gets_a_bar_for_each_condition(plan: Plan, monkeypatch: pytes
     text = "\n".join(last[-4:])
     assert "tanh" in text and "1/1 runs" in text and "2560/2560" in text
     assert "relu" in text and "0/1 runs" in text and "1280/2560" in text
+
+
+def test_beside_bars_the_time_left_is_judged_once_a_second_and_at_every_end(
+    plan: Plan, clock: _Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[float] = []
+
+    def seconds(_: TimeLeft) -> float:
+        judged.append(clock.now)
+        return 60.0
+
+    monkeypatch.setattr(TimeLeft, "seconds", seconds)
+    monkeypatch.setattr(sys, "stderr", _Terminal())
+    tanh, relu = plan.cells
+    with ProgressDisplay(plan, _runs(plan), 1, quiet=False) as display:
+        for step in range(1, 11):
+            clock.now += 0.3
+            display.update(Progress(tanh, 256 * step))
+        display.update(Progress(relu, 2560, "done"))
+    assert judged == pytest.approx([0.3, 1.5, 2.7, 3.0])
 
 
 # --- Time left -----------------------------------------------------------------------------------
@@ -162,7 +183,7 @@ def test_the_time_left_follows_from_the_pace_of_the_steps(plan: Plan) -> None:
 
 
 def test_what_kind_a_run_is_of_is_worked_out_once(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It takes a fifth of a millisecond, and is asked for every run at every report."""
+    """It digests all settings, and is asked for every run at every report."""
     asked: list[Run] = []
 
     def counted(run: Run) -> str:
