@@ -94,12 +94,12 @@ reproduction-slow: install  ## Train the mid and big networks, and the reference
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\
-$(error $@ takes RESULTS alone; DO, SEEDS, STEPS, STUDIES, UNPUBLISHED and RETRY go with the reproduction))
+$(error $@ takes $(or $(1),RESULTS) alone; DO, SEEDS, STEPS, STUDIES, UNPUBLISHED and RETRY go with the reproduction))
 
 trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --quiet --results "$(RESULTS)"
 
 trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
-	$(takes_results_alone)
+	$(call takes_results_alone)
 	$(call trajectories,sigmoid)
 	$(call trajectories,sigmoid --setting godot)
 	$(call trajectories,algorithms --condition a2c --condition a2c-no-baseline)
@@ -109,17 +109,19 @@ trajectories: install  ## Let policies of the reproduction play, and keep where 
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
+RIVALS ?= optimizers algorithms
 # Whatever the searches find here stands in RESULTS/winners-*.toml, each winner beside its search's base. What they found
-# for the table that is published stands in studies/tuned-optimizers.toml, which `reproduction-rest` trains.
+# for the tables that are published stands in studies/tuned-*.toml, which `reproduction-rest` and `reproduction-slow` train.
 tuned = $(foreach name,$(2),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" &&) \
 rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
   --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)" && \
 $(BIN)/pneuma study run "$(RESULTS)/winners-$(1).toml" --steps $(3) --results "$(RESULTS)"
 
-tuning: install  ## Tune optimizers and algorithms alike, and train the winners on fresh seeds
-	$(takes_results_alone)
-	$(call tuned,optimizers,$(TUNED_OPTIMIZERS),1000000)
-	$(call tuned,algorithms,$(TUNED_ALGORITHMS),200000)
+tuning: install  ## Tune optimizers and algorithms alike (RIVALS: which), and train the winners on fresh seeds
+	$(call takes_results_alone,RESULTS and RIVALS)
+	$(if $(filter-out optimizers algorithms,$(RIVALS)),$(error RIVALS=$(RIVALS): must be optimizers, algorithms or both))
+	$(if $(filter optimizers,$(RIVALS)),$(call tuned,optimizers,$(TUNED_OPTIMIZERS),1000000))
+	$(if $(filter algorithms,$(RIVALS)),$(call tuned,algorithms,$(TUNED_ALGORITHMS),200000))
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'

@@ -26,7 +26,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_setting, stream_seed
 from pneuma.errors import UserError
-from pneuma.values import shown_setting
+from pneuma.values import shown_level, shown_setting
 
 LEVEL = 0.05
 """Error rate over all cells of a map."""
@@ -110,6 +110,7 @@ def robustness_map(
         raise UserError(
             f"study {data.study}: no two conditions differ in {setting} alone, "
             f"{shown_setting(values[0])} in one and {shown_setting(values[1])} in the other"
+            + _told_differences(data)
         )
     factors = _factors([settings for _, _, settings in pairs])
     at_step = common_step(data)
@@ -191,6 +192,14 @@ def _factors(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]
     """Return every setting in which cells differ, with its levels in the study's order."""
     levels = {key: tuple(dict.fromkeys(own.get(key) for own in settings)) for key in settings[0]}
     return {key: values for key, values in levels.items() if len(values) > 1}
+
+
+def _told_differences(data: StudyData) -> str:
+    """Say in which settings a study's conditions do differ, and in what values."""
+    own = [_settings(data, name) for name in data.conditions if data.of_condition(name)]
+    levels = _factors(own) if own else {}
+    told = [f"{key} ({', '.join(map(shown_level, values))})" for key, values in levels.items()]
+    return f"; they differ in {', '.join(told)}" if levels else ""
 
 
 def _values(data: StudyData, condition: str, outcome: str, at_step: float | None) -> np.ndarray:

@@ -34,6 +34,7 @@ PLOTS = ("history", "importances", "slices", "parallel", "contour", "front")
 app.command()(search_run.run)
 app.command()(search_promote.promote)
 app.command()(search_promote.winners)
+app.command()(search_promote.publish)
 
 
 @app.command("list")
@@ -88,6 +89,7 @@ def status(
     """Show how far a search is, and the best that it has found."""
     from dataclasses import asdict
 
+    from pneuma.search.record import is_published
     from pneuma.search.recorded import begun_runs
 
     store = Store(results)
@@ -103,7 +105,10 @@ def status(
         print(f"  {_told_trial(trial, record['best'])}")
     _tell_begun(begun)
     _tell_best(record, name, setting, store.root)
-    print(f"Look closer with: optuna-dashboard {plain(record['storage'])}")
+    if is_published(record):
+        print("This is the published record: the search was not run in this folder.")
+    else:
+        print(f"Look closer with: optuna-dashboard {plain(record['storage'])}")
     return None
 
 

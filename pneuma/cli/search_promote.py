@@ -1,4 +1,4 @@
-"""`pneuma search promote` and `winners`, and the runs of `pneuma search run --sensitivity`."""
+"""`pneuma search promote`, `winners` and `publish`, and the runs of `pneuma search run --sensitivity`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pneuma.cli.options import (
     say,
 )
 from pneuma.cli.plain_text import command, plain
-from pneuma.cli.search_run import RunSteps, SearchName, recorded
+from pneuma.cli.search_run import RunSteps, SearchName, called_by_file, record_name, recorded
 from pneuma.cli.study_run import exit_code, train, train_cells
 from pneuma.errors import UserError
 from pneuma.study import plan, spec
@@ -96,6 +96,7 @@ def winners(
     ],
     setting: SettingName = None,
     results: Results = Path("results"),
+    json: Json = False,
 ) -> None:
     """Write a study of several searches' winners, each beside what it was tuned from."""
     from pneuma.search.winners import find_winner, winners_study
@@ -107,8 +108,37 @@ def winners(
     store = Store(results)
     found = [find_winner(*_recorded(store, name, setting)) for name in names]
     write_whole(out, winners_study(found).encode())
+    if json:
+        trials = {winner.search.name: winner.trial["number"] for winner in found}
+        return print_json({"schema": 1, "study": str(out), "trials": trials})
     print(f"wrote {plain(str(out))}")
     print(f"Train it with: {command('study', 'run', out, '--results', results)}")
+    return None
+
+
+def publish(
+    names: Annotated[
+        list[str], typer.Argument(metavar="NAME", help="Searches that have ended, or their files.")
+    ],
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Put them in the place of other trials of the same name.")
+    ] = False,
+    setting: SettingName = None,
+    results: Results = Path("results"),
+    json: Json = False,
+) -> None:
+    """Write what searches tried and found into RESULTS/published, for version control."""
+    from pneuma.search.record import publish_record
+
+    store, paths = Store(results), []
+    for name in names:
+        called = called_by_file(name, setting)
+        paths.append(publish_record(store, record_name(name, setting), called=called, replace=replace))
+    if json:
+        return print_json({"schema": 1, "published": [str(path) for path in paths]})
+    for path in paths:
+        print(f"wrote {plain(str(path))}")
+    return None
 
 
 def run_sensitivity(

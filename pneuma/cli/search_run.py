@@ -137,8 +137,13 @@ def recorded(store: Store, name: str, setting: str | None) -> dict[str, Any]:
     """Return the record of the search that a person names."""
     from pneuma.search.record import read_record
 
+    return read_record(store, record_name(name, setting), called_by_file(name, setting))
+
+
+def called_by_file(name: str, setting: str | None) -> str:
+    """Return how a command names a search that is a person's own file; empty for a shipped one."""
     own_file = f"{name} --setting {setting}" if setting else name
-    return read_record(store, record_name(name, setting), own_file if name.endswith(".toml") else "")
+    return own_file if name.endswith(".toml") else ""
 
 
 def read_search_seeds_option(text: str) -> tuple[int, ...]:

@@ -41,7 +41,8 @@ def robustness(
         typer.Option(
             "--contrast",
             metavar="KEY=A:B",
-            help="A setting, its value that is said to do better, and the other: activation=tanh:relu.",
+            help="A setting that conditions differ in, its value that is said to do better, and the other: "
+            "activation=tanh:relu.",
         ),
     ],
     outcome: Annotated[str, typer.Option("--outcome", metavar="NAME", help="What to compare.")] = PRIMARY,
@@ -108,9 +109,13 @@ def _print_map(found: Map) -> None:
 
     better, worse = map(shown_setting, found.values)
     print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {found.outcome}: {found.label}")
+    rows = []
     for cell in found.cells:
         levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels) or cell.better
         interval = cell.contrast.interval
         effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
-        print(f"  {plain(levels):<48} {effect:<28} p {cell.p:.3f}  {cell.label}")
+        rows.append((plain(levels), effect, f"p {cell.p:.3f}  {cell.label}"))
+    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    for levels, effect, told in rows:
+        print(f"  {levels:<{widths[0]}}  {effect:<{widths[1]}}  {told}")
     print("Intervals are each for itself; p and the label are Holm-corrected over the map.")

@@ -1,4 +1,8 @@
-"""A search's record in the results folder: results/searches/NAME.json, rewritten after every generation."""
+"""A search's record in the results folder: results/searches/NAME.json, rewritten after every generation.
+
+A published one, results/published/searches/NAME.json, is for version control: it says what was tried and
+what it came to, without what is true of one machine alone. It is read wherever the search was not run.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,9 @@ from pneuma.search.trials import Task, Told
 from pneuma.study.definition import split_setting
 from pneuma.study.files import read_sealed, seal, to_json
 from pneuma.study.store import Store
+
+PUBLISHED = Path("published", "searches")
+"""Where published records are, in a results folder."""
 
 
 def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, optuna_study: str) -> None:
@@ -31,7 +38,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, op
     """
     search, budget = task.search, task.budget
     trials = [trial_document(trial, search) for trial in told]
-    held = _held(store, search.name)
+    held = _held(_path(store, search.name), search.name)
     if held and held["digest"] == task.digest and _goes_on(held["trials"], trials):
         asked = max(budget.trials, len(held["trials"]))
         store.write(
@@ -58,7 +65,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, op
 
 
 def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:
-    """Return a search's record.
+    """Return a search's record: of its run here, else the published one.
 
     Args:
         store: the results folder.
@@ -66,16 +73,18 @@ def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:
         called: what a person called the search, where that is the path of its file.
 
     Raises:
-        UserError: where it was never run here, or its record is damaged.
+        UserError: where it was never run here nor published, or its record is damaged.
     """
     path = _path(store, name)
-    document = _held(store, name)
+    document = _held(path, name) or (None if path.exists() else _held(published_path(store, name), name))
     if document:
         return document
     if path.exists() or path.is_symlink():
         raise UserError(
             f"{path}: damaged; `pneuma search run {called or name}` writes it anew and trains nothing twice"
         )
+    if published_path(store, name).exists():
+        raise UserError(f"{published_path(store, name)}: damaged; take it from version control again")
     if not called and split_setting(name)[0] not in list_searches():
         raise unknown_name("search", name, sorted({*list_searches(), *known_searches(store)}))
     raise UserError(
@@ -85,9 +94,42 @@ def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:
 
 
 def known_searches(store: Store) -> list[str]:
-    """Return the names of the searches that were run here."""
-    names = (path.stem for path in (store.root / "searches").glob("*.json"))
+    """Return the names of the searches that were run here, or published."""
+    folders = (store.root / "searches", store.root / PUBLISHED)
+    names = {path.stem for folder in folders for path in folder.glob("*.json")}
     return sorted(name for name in names if not name.startswith("sensitivity-"))
+
+
+def publish_record(store: Store, name: str, *, called: str = "", replace: bool = False) -> Path:
+    """Write the record of a search that has ended here where version control keeps it; return the path.
+
+    Args:
+        store: the results folder.
+        name: what the record is called.
+        called: what a person called the search, where that is the path of its file.
+        replace: whether other trials that were published before may be lost.
+
+    Raises:
+        UserError: where it was not run here, not to its end, or what was published would be lost.
+    """
+    record, path = read_record(store, name, called), published_path(store, name)
+    if is_published(record):
+        raise UserError(f"search {name}: is published, and was not run in {store.root}")
+    if len(record["trials"]) < record["trials_asked"]:
+        told = f"{len(record['trials'])} of {record['trials_asked']} trials"
+        raise UserError(f"search {name}: has {told}; `pneuma search run` it to its end first")
+    document = {**record, "path": Path(record["path"]).name, "storage": "", "optuna_study": ""}
+    before = _held(path, name)
+    goes_on = before and before["digest"] == record["digest"] and _goes_on(record["trials"], before["trials"])
+    if path.exists() and not goes_on and not replace:
+        raise UserError(f"{path}: holds other trials, or is damaged; --replace puts these in their place")
+    store.write(path, seal(document))
+    return path
+
+
+def is_published(record: Mapping[str, Any]) -> bool:
+    """Tell whether a record is a published one, of a search that may never have run here."""
+    return not record["storage"]
 
 
 def check_folder(store: Store) -> None:
@@ -146,13 +188,17 @@ def _beats(other: Sequence[float], own: Sequence[float]) -> bool:
     return all(o >= v for o, v in pairs) and any(o > v for o, v in pairs)
 
 
+def published_path(store: Store, name: str) -> Path:
+    """Return where the published record of a search is, or would be."""
+    return store.root / PUBLISHED / f"{name}.json"
+
+
 def _path(store: Store, name: str) -> Path:
     return store.root / "searches" / f"{name}.json"
 
 
-def _held(store: Store, name: str) -> dict[str, Any] | None:
-    """Return the record that is there; None where there is none, or not as `save_record` writes it."""
-    path = _path(store, name)
+def _held(path: Path, name: str) -> dict[str, Any] | None:
+    """Return the record of a search that a path has; None where there is none, or not as it was written."""
     document = None if path.is_symlink() or path.parent.is_symlink() else read_sealed(path)
     return document if document and document.get("search") == name and is_record(document) else None
 

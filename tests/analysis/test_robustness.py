@@ -89,8 +89,13 @@ def test_p_is_corrected_over_the_map(tmp_path: Path) -> None:
 
 def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
     data = crossed(tmp_path, gains(0, 0, 0, 0), seeds=2)
-    with pytest.raises(UserError, match="no two conditions differ in activation alone, tanh in one"):
+    with pytest.raises(
+        UserError, match="no two conditions differ in activation alone, tanh in one"
+    ) as caught:
         robustness_map(data, "activation", "tanh", "leaky-relu")
+    assert str(caught.value).endswith(
+        "they differ in learning_rate (0.0001, 0.001), scale (unit, raw), activation (tanh, relu)"
+    )
     with pytest.raises(UserError, match="activation: tanh against itself is no contrast"):
         robustness_map(data, "activation", "tanh", "tanh")
     with pytest.raises(UserError, match="neither better high nor better low"):

@@ -168,6 +168,30 @@ def test_winners_are_written_as_a_study_that_can_be_trained_and_nothing_is_overw
     assert "must end in .toml" in capsys.readouterr().err
 
 
+def test_a_published_search_is_told_drawn_and_promoted_in_a_clone(
+    searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, own = searched
+    assert main(["search", "publish", str(path), "--results", str(own), "--json"]) == 0
+    (published,) = json.loads(capsys.readouterr().out)["published"]
+    there = ["--results", str(tmp_path / "clone")]
+    shutil.copytree(Path(published).parent, tmp_path / "clone" / "published" / "searches")
+    assert main(["search", "status", str(path), *there]) == 0
+    told = capsys.readouterr().out
+    assert "4 of 4 trials, 2 seeds each" in told and "Best (*): trial" in told
+    assert (
+        "the published record: the search was not run in this folder" in told
+        and "optuna-dashboard" not in told
+    )
+    assert main(["search", "winners", str(path), *there, "--out", str(tmp_path / "w.toml"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["study"] == str(tmp_path / "w.toml")
+    assert main(["search", "plot", str(path), *there, "--what", "history", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["figures"]) == 2
+    assert main(["search", "promote", str(path), *there, "--seeds", "1", "--json", "--quiet"]) == 0
+    gained = json.loads(capsys.readouterr().out)["objectives"]["killed"]
+    assert gained["seen"] == pytest.approx(gained["fresh"] + gained["luck"])
+
+
 def test_a_search_of_the_published_codes_world_is_promoted_there(
     searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.record import read_record, save_record
+from pneuma.search.record import known_searches, publish_record, read_record, save_record
 from pneuma.search.record_shape import are_points
 from pneuma.search.recorded import begun_runs, recorded_search
 from pneuma.search.trials import Task, make_trial_plan
@@ -81,6 +81,56 @@ def test_a_record_of_another_shape_is_damaged(
     store.write(store.root / "searches" / "formula.json", seal(record))
     with pytest.raises(UserError, match="damaged; `pneuma search run formula` writes it anew"):
         read_record(store, "formula")
+
+
+def test_a_published_record_is_read_where_the_search_was_not_run(
+    make_task: MakeTask, solve: Solve, store: Store, tmp_path: Path
+) -> None:
+    record = save(store, make_task(8), flat(solve(make_task(8))))
+    path = publish_record(store, "formula")
+    assert str(tmp_path) not in path.read_text()
+    clone = Store(tmp_path / "clone")
+    clone.check_writable()
+    clone.write(clone.root / "published" / "searches" / path.name, path.read_bytes())
+    own = {"path": Path(record["path"]).name, "storage": "", "optuna_study": ""}
+    assert read_record(clone, "formula") == {**record, **own}
+    assert known_searches(clone) == ["formula"]
+    with pytest.raises(UserError, match="is published, and was not run in"):
+        publish_record(clone, "formula")
+    (clone.root / "published" / "searches" / path.name).write_text(path.read_text().replace("tpe", "cma"))
+    with pytest.raises(UserError, match="formula.json: damaged; take it from version control again"):
+        read_record(clone, "formula")
+
+
+def test_what_was_run_here_goes_before_what_is_published(
+    make_task: MakeTask, solve: Solve, store: Store
+) -> None:
+    save(store, make_task(8), flat(solve(make_task(8))))
+    publish_record(store, "formula")
+    longer = save(store, make_task(12), flat(solve(make_task(12))))
+    assert read_record(store, "formula") == longer
+    store.write(store.root / "searches" / "formula.json", b"{}")
+    with pytest.raises(UserError, match="searches/formula.json: damaged; `pneuma search run"):
+        read_record(store, "formula")
+
+
+def test_published_trials_are_gone_on_from_but_not_lost_unasked(
+    make_task: MakeTask, solve: Solve, store: Store
+) -> None:
+    save(store, make_task(8), flat(solve(make_task(8)))[:4])
+    with pytest.raises(UserError, match="has 4 of 8 trials; `pneuma search run` it to its end first"):
+        publish_record(store, "formula")
+    save(store, make_task(8), flat(solve(make_task(8))))
+    path = publish_record(store, "formula")
+    save(store, make_task(12), flat(solve(make_task(12))))
+    publish_record(store, "formula")
+    other = make_task(8, '[sampler]\nname = "random"')
+    save(store, other, flat(solve(other)))
+    longer = path.read_bytes()
+    with pytest.raises(UserError, match="holds other trials, or is damaged; --replace"):
+        publish_record(store, "formula")
+    assert path.read_bytes() == longer
+    assert publish_record(store, "formula", replace=True).read_bytes() != longer
 
 
 def test_a_file_that_changed_is_not_promoted(make_task: MakeTask, solve: Solve, store: Store) -> None:
