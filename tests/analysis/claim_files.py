@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from pneuma.analysis.claims import load_claims
+from pneuma.analysis.judgement import Judged, judge
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -66,6 +68,12 @@ margin = 0.04
 settings = ["text"]
 """
 
+LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
+HIGH = [share + 0.5 for share in LOW]
+NEAR = [share + 0.001 for share in LOW]
+WIDE = [0.05, 0.90, 0.10, 0.85, 0.15, 0.80, 0.45, 0.55]
+"""Shares killed by eight runs an arm."""
+
 
 def write_files(folder: Path, claims: str = CLAIMS, study: str = STUDY) -> Path:
     """Write study and claims into a folder; return the path of the claims."""
@@ -114,3 +122,23 @@ def save_run(
     files = {f"{name}.parquet": data for name, data in tables.items()}
     files["provenance.json"] = to_json({"wall_seconds": 1 + share, "cpu": "a", "threads": 1, **provenance})
     store.save_run(run_id, Status("done", steps), files)
+
+
+def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Judged]:
+    """Write study and claims into a folder, and judge these by the runs of a store."""
+    return judge(load_claims(write_files(folder, claims)), store)
+
+
+def judge_one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Judged:
+    """Judge the one claim that there is in one place."""
+    (one,) = [own for own in judge_claims(store, folder, claims) if own.place == place]
+    return one
+
+
+def changed(*pairs: tuple[str, str]) -> str:
+    """Return the claim with each text, which stands there once, replaced."""
+    text = CLAIMS
+    for old, new in pairs:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text

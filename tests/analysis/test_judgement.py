@@ -1,4 +1,4 @@
-"""Verdicts on hand-made runs: every verdict, every reason for which there is none, and what is never done."""
+"""Verdicts on hand-made runs: every verdict, what is never done, and of how many contrasts a claim speaks."""
 
 from __future__ import annotations
 
@@ -19,35 +19,19 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .claim_files import CLAIMS, SEEDS, save_runs, write_files
-
-LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
-HIGH = [share + 0.5 for share in LOW]
-NEAR = [share + 0.001 for share in LOW]
-WIDE = [0.05, 0.90, 0.10, 0.85, 0.15, 0.80, 0.45, 0.55]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "results")
-
-
-def _judge(store: Store, folder: Path, claims: str = CLAIMS) -> list[Judged]:
-    return judge(load_claims(write_files(folder, claims)), store)
-
-
-def _one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Judged:
-    (one,) = [own for own in _judge(store, folder, claims) if own.place == place]
-    return one
-
-
-def _changed(*pairs: tuple[str, str]) -> str:
-    text = CLAIMS
-    for old, new in pairs:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return text
-
+from .claim_files import (
+    CLAIMS,
+    HIGH,
+    LOW,
+    NEAR,
+    SEEDS,
+    WIDE,
+    changed,
+    judge_claims,
+    judge_one,
+    save_runs,
+    write_files,
+)
 
 # --- Verdicts --------------------------------------------------------------------------------------
 
@@ -74,7 +58,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     changes, high, verdict = CASES[case]
-    claims = write_files(tmp_path, _changed(*changes))
+    claims = write_files(tmp_path, changed(*changes))
     ids = save_runs(store, tmp_path, {"high": high, "low": LOW})
     (one,) = [own for own in judge(load_claims(claims), store) if own.place == "text"]
     assert (one.verdict, one.reason) == (verdict, "")
@@ -90,29 +74,29 @@ def test_a_refuted_claim_is_told_what_it_has_right(store: Store, tmp_path: Path)
         own = Store(folder / "results")
         tight = [0.2 + 0.0001 * i for i in range(SEEDS)]
         save_runs(own, folder, {"high": [share + gain for share in tight], "low": tight})
-        one = _one(own, folder)
+        one = judge_one(own, folder)
         assert (one.verdict, one.reason) == ("refuted", reason)
 
 
 def test_spread_between_runs_that_all_lie_at_the_floor_is_not_compared(store: Store, tmp_path: Path) -> None:
     """The margin of a spread is a ratio; what lies within 0.0357 of nothing killed counts as none killed."""
-    claims = _changed(('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5"))
+    claims = changed(('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5"))
     write_files(tmp_path, claims)
     low = [0.001 * i for i in range(SEEDS)]
     save_runs(store, tmp_path, {"high": [5 * share for share in low], "low": low})
-    one = _one(store, tmp_path, claims)
+    one = judge_one(store, tmp_path, claims)
     assert (
         one.verdict == "untestable" and "every run has a final-share-killed within 0.036 of 0" in one.reason
     )
     (tmp_path / "more").mkdir()
     save_runs(store, tmp_path, {"high": [*(5 * share for share in low[:-1]), 0.036], "low": low})
-    assert "floor" not in _one(store, tmp_path, claims).reason
+    assert "floor" not in judge_one(store, tmp_path, claims).reason
 
 
 def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    told = _one(store, tmp_path).told
+    told = judge_one(store, tmp_path).told
     assert told is not None
     assert told.contrast.effect == pytest.approx(np.mean(HIGH) - np.mean(LOW), abs=1e-12)
     assert told.contrast.seeds == (SEEDS, SEEDS)
@@ -121,14 +105,14 @@ def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
 
 def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: Path) -> None:
     """What `high` gained after `low` had ended counts nowhere."""
-    claims = _changed(
+    claims = changed(
         ("steps = 1024\n\n[logs]", "\n[logs]"),
         ('direction = "greater"', 'direction = "greater"\nsteps = { high = 1024, low = 512 }'),
     )
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": [[near, high] for near, high in zip(NEAR, HIGH, strict=True)]})
     save_runs(store, tmp_path, {"low": LOW}, steps=512)
-    one = _one(store, tmp_path, claims)
+    one = judge_one(store, tmp_path, claims)
     assert one.told is not None
     assert one.told.contrast.effect == pytest.approx(np.mean(NEAR) - np.mean(LOW), abs=1e-12)
     assert one.verdict == "refuted"  # it is not greater: within the margin
@@ -137,7 +121,7 @@ def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: 
 def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})
-    one = _one(store, tmp_path)
+    one = judge_one(store, tmp_path)
     assert one.verdict == "inconclusive"
     assert one.seeds_needed is not None and one.seeds_needed > SEEDS
 
@@ -145,33 +129,33 @@ def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path
 def test_a_claim_that_one_contrast_has_refuted_needs_no_seeds_for_its_open_ones(
     store: Store, tmp_path: Path
 ) -> None:
-    claims = _changed(('b = "low"', 'b = ["low", "middle"]'))
+    claims = changed(('b = "low"', 'b = ["low", "middle"]'))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})
     save_runs(store, tmp_path, {"middle": [share + 5 for share in HIGH]})
-    one = _one(store, tmp_path, claims)
+    one = judge_one(store, tmp_path, claims)
     assert [pair.verdict for pair in one.pairs] == ["inconclusive", "refuted"]
     assert one.pairs[0].seeds_needed
     assert (one.verdict, one.seeds_needed) == ("refuted", None)
 
 
 def test_a_claim_on_several_arms_must_hold_for_each(store: Store, tmp_path: Path) -> None:
-    claims = _changed(('b = "low"', 'b = ["low", "middle"]'))
+    claims = changed(('b = "low"', 'b = ["low", "middle"]'))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": LOW[::-1]})
-    assert _one(store, tmp_path, claims).verdict == "supported"
+    assert judge_one(store, tmp_path, claims).verdict == "supported"
     save_runs(store, tmp_path, {"middle": [0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97]})
-    one = _one(store, tmp_path, claims)
+    one = judge_one(store, tmp_path, claims)
     assert one.verdict == "refuted"
     assert one.told is not None and one.told.b == "middle"
 
 
 def test_the_settings_are_judged_side_by_side(store: Store, tmp_path: Path) -> None:
-    claims = _changed(('settings = ["text"]\n', ""))
+    claims = changed(('settings = ["text"]\n', ""))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, setting="godot")
-    verdicts = {one.place: one.verdict for one in _judge(store, tmp_path, claims)}
+    verdicts = {one.place: one.verdict for one in judge_claims(store, tmp_path, claims)}
     assert verdicts == {"text": "supported", "godot": "refuted"}
 
 
@@ -185,10 +169,10 @@ def test_published_tables_give_the_same_verdicts_as_runs(store: Store, tmp_path:
     path = published_path(clone, "mine")
     path.parent.mkdir(parents=True)
     path.write_bytes(encode_study(open_study(store, record)))
-    assert _one(clone, tmp_path) == _one(store, tmp_path)
+    assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(UserError, match="damaged"):
-        _one(clone, tmp_path)
+        judge_one(clone, tmp_path)
 
 
 # --- Published logs --------------------------------------------------------------------------------
@@ -196,8 +180,8 @@ def test_published_tables_give_the_same_verdicts_as_runs(store: Store, tmp_path:
 
 def test_single_runs_are_set_against_how_far_apart_equal_ones_lie(store: Store, tmp_path: Path) -> None:
     """Both pairs differ by 2, so the deviation is sqrt(2) and the error of a difference is 2; t(2) = 495."""
-    claims = _changed(("margin = 0.04", 'margin = 0.04\nlogs = [{ a = "q", b = "p", figure = "end" }]'))
-    one = _one(store, tmp_path, claims, place="logs")
+    claims = changed(("margin = 0.04", 'margin = 0.04\nlogs = [{ a = "q", b = "p", figure = "end" }]'))
+    one = judge_one(store, tmp_path, claims, place="logs")
     assert run_to_run_deviation(load_claims(tmp_path / "claims.toml").logs, "end") == pytest.approx(2**0.5)
     assert one.verdict == "supported"
     assert one.told is not None
@@ -217,150 +201,10 @@ def test_single_runs_are_set_against_how_far_apart_equal_ones_lie(store: Store, 
 def test_single_runs_cannot_say_everything(
     pair: str, kind: str, reason: str, store: Store, tmp_path: Path
 ) -> None:
-    claims = _changed(("margin = 0.04", f"margin = 1.5\nlogs = [{pair}]"), ('"mean"', f'"{kind}"'))
-    one = _one(store, tmp_path, claims, place="logs")
+    claims = changed(("margin = 0.04", f"margin = 1.5\nlogs = [{pair}]"), ('"mean"', f'"{kind}"'))
+    one = judge_one(store, tmp_path, claims, place="logs")
     assert one.verdict == "untestable"
     assert reason in one.reason
-
-
-# --- What cannot be tested -------------------------------------------------------------------------
-
-
-def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
-    one = _one(store, folder, _changed(*changes))
-    assert one.verdict == "untestable"
-    return one.reason
-
-
-def test_no_runs(store: Store, tmp_path: Path) -> None:
-    assert _untestable(store, tmp_path) == (
-        "no runs: high, 8 seeds of 1,024 steps; no runs: low, 8 seeds of 1,024 steps; "
-        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
-    )
-
-
-def test_conditions_that_are_the_same(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"low": LOW})
-    reason = _untestable(store, tmp_path, ('a = "high"', 'a = "low-too"'))
-    assert reason == "A/A: low-too and low resolve to the same configuration"
-
-
-def test_engines_that_are_mixed(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"reference": HIGH, "low": LOW})
-    reason = _untestable(store, tmp_path, ('a = "high"', 'a = "reference"'))
-    assert reason == "engines are mixed: reference by sb3, low by batched"
-
-
-def test_seeds_that_are_missing(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH[:5], "low": LOW})
-    assert "too few seeds: high has 5 of the 8 fixed ones" in _untestable(store, tmp_path)
-
-
-def test_seeds_that_are_too_few_for_any_verdict(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH[:3], "low": LOW[:3]})
-    assert "too few seeds: the smallest p possible is 0.1" in _untestable(
-        store, tmp_path, ("seeds = 8", "seeds = 3")
-    )
-
-
-def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW}, steps=512)
-    study = load_study(str(tmp_path / "mine.toml"))
-    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
-    store.save_selection("mine", selection_record(plan))
-    reason = _untestable(store, tmp_path)
-    assert "budget not reached: high has runs of 512 steps, not of 1,024 steps" in reason
-
-
-def test_runs_that_were_never_trained_reach_no_budget(store: Store, tmp_path: Path) -> None:
-    """A selection is recorded before its first run is."""
-    write_files(tmp_path)
-    study = load_study(str(tmp_path / "mine.toml"))
-    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
-    store.save_selection("mine", selection_record(plan))
-    reason = _untestable(store, tmp_path)
-    assert "no runs: high, 8 seeds of 1,024 steps" in reason and "budget" not in reason
-
-
-@pytest.mark.parametrize(("share", "end"), [(0.0, "floor"), (1.0, "ceiling")])
-def test_arms_at_the_floor_or_ceiling(share: float, end: str, store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    near = [abs(share - k / 1000) for k in range(8)]
-    save_runs(store, tmp_path, {"high": near, "low": [share] * 8})
-    assert f"both arms are at the {end}" in _untestable(store, tmp_path, ('"greater"', '"equal"'))
-
-
-def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: Path) -> None:
-    """Those that learn go up and down; of the flat ones half rise above the random player, then one more."""
-    write_files(tmp_path)
-    changes = ('"final-share-killed"', '"curve-roughness"'), ('"greater"', '"less"')
-    rough = [[0.2, 0.6, share] for share in LOW]
-    flat = [[0.0, 0.0, 0.0]] * 4
-    save_runs(store, tmp_path, {"high": [*flat, *[[0.1, 0.2, 0.3]] * 4], "low": rough})
-    reason = _untestable(store, tmp_path, *changes)
-    assert reason == "arm at floor: half the runs of high or more never score above 0.1"
-    risen = Store(tmp_path / "risen")
-    save_runs(risen, tmp_path, {"high": [*flat[1:], *[[0.1, 0.2, 0.3]] * 5], "low": rough})
-    assert _one(risen, tmp_path, _changed(*changes)).verdict == "supported"
-
-
-def test_what_a_claim_says_that_no_run_can_tell(store: Store, tmp_path: Path) -> None:
-    """However clear the runs are; and it keeps its place in the list."""
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    reason = "confounded: two things differ"
-    assert (
-        _untestable(store, tmp_path, ("margin = 0.04", f'margin = 0.04\nuntestable = "{reason}"')) == reason
-    )
-
-
-def test_runs_without_a_value(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": [*HIGH[:7], float("nan")], "low": LOW})
-    assert "high seed 7: " in _untestable(store, tmp_path)
-
-
-def test_runs_of_which_none_counts(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    reason = _untestable(store, tmp_path, ('b = "low"', 'value = 0.1\nonly = "final-died"'))
-    assert reason == "no run of high counts: final-died is 0 in all"
-
-
-def test_spread_where_there_is_none(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": [0.5] * 8, "low": LOW})
-    reason = _untestable(store, tmp_path, ('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5"))
-    assert "are equal: there is no spread to compare" in reason
-
-
-def test_a_setting_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
-    assert "setting not defined" in _one(store, tmp_path, place="godot").reason
-
-
-def test_times_of_different_machines(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH}, cpu="another")
-    save_runs(store, tmp_path, {"low": LOW})
-    reason = _untestable(store, tmp_path, ('"final-share-killed"', '"wall-seconds"'))
-    assert reason == "timed on different machines"
-
-
-@pytest.mark.parametrize(
-    ("share", "reason"), [(0.71, "timed beside other work: on 71% of a core"), (0.97, "")]
-)
-def test_times_on_a_busy_machine(store: Store, tmp_path: Path, share: float, reason: str) -> None:
-    """Also where only the published times are left; runs of before it was noted are believed."""
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH}, processor_share=share)
-    save_runs(store, tmp_path, {"low": LOW})
-    timed = _changed(('"final-share-killed"', '"wall-seconds"'))
-    assert _one(store, tmp_path, timed).reason == reason
 
 
 # --- What is never done ----------------------------------------------------------------------------
@@ -369,9 +213,9 @@ def test_times_on_a_busy_machine(store: Store, tmp_path: Path, share: float, rea
 def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    before = _one(store, tmp_path)
+    before = judge_one(store, tmp_path)
     save_runs(store, tmp_path, {"high": [*HIGH, *[0.0] * 20], "low": [*LOW, *[1.0] * 20]})
-    assert _one(store, tmp_path) == before
+    assert judge_one(store, tmp_path) == before
 
 
 FIVE = CLAIMS.replace("seeds = 8", "seeds = 5")
@@ -382,7 +226,7 @@ MORE = FIVE[FIVE.index("[claims.better]") :].replace('a = "high"', 'a = "middle"
 def _judge_among(count: int, store: Store, folder: Path) -> Judged:
     """Judge the claim of five seeds in a list of so many, of which the others have no runs."""
     more = "".join(MORE.replace("better", f"more-{k}") for k in range(count - 1))
-    return _judge(store, folder, FIVE + more)[0]
+    return judge_claims(store, folder, FIVE + more)[0]
 
 
 def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> None:
@@ -407,13 +251,13 @@ def test_seeds_may_be_too_few_for_a_list_alone(store: Store, tmp_path: Path) -> 
 def test_seeds_may_be_too_few_in_the_claimed_direction_alone(store: Store, tmp_path: Path) -> None:
     """No event in 8 runs against a tenth: 2 (0.9^8) = 0.86; 8 of 8 would have been 2 (0.1^8)."""
     changes = ('"mean"', '"incidence"\nabove = 0.6'), ("margin = 0.04\n", "")
-    counted = _changed(('b = "low"', "value = 0.1"), *changes)
+    counted = changed(('b = "low"', "value = 0.1"), *changes)
     write_files(tmp_path, counted)
     save_runs(store, tmp_path, {"high": LOW})
-    one = _one(store, tmp_path, counted.replace('"greater"', '"less"'))
+    one = judge_one(store, tmp_path, counted.replace('"greater"', '"less"'))
     assert one.verdict == "untestable"
     assert one.reason == "too few seeds: the smallest p possible of less is 0.86, and the list has 1 contrast"
-    assert _one(store, tmp_path, counted).verdict == "inconclusive"
+    assert judge_one(store, tmp_path, counted).verdict == "inconclusive"
 
 
 # --- Of how many contrasts a claim speaks ------------------------------------------------------------
@@ -433,22 +277,22 @@ HOW_MANY = {
 @pytest.mark.parametrize("case", HOW_MANY)
 def test_a_claim_speaks_of_all_its_contrasts_or_of_any(case: str, store: Store, tmp_path: Path) -> None:
     need, middle, verdict = HOW_MANY[case]
-    claims = _changed(('b = "low"', f'b = ["low", "middle"]\nneed = "{need}"'))
+    claims = changed(('b = "low"', f'b = ["low", "middle"]\nneed = "{need}"'))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": middle})
-    assert _one(store, tmp_path, claims).verdict == verdict
+    assert judge_one(store, tmp_path, claims).verdict == verdict
 
 
 def test_a_claim_of_any_is_refuted_by_all_alone(store: Store, tmp_path: Path) -> None:
-    claims = _changed(('b = "low"', 'b = ["low", "middle"]\nneed = "any"'), ('"greater"', '"different"'))
+    claims = changed(('b = "low"', 'b = ["low", "middle"]\nneed = "any"'), ('"greater"', '"different"'))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
-    assert _one(store, tmp_path, claims).verdict == "untestable"  # middle has no runs
+    assert judge_one(store, tmp_path, claims).verdict == "untestable"  # middle has no runs
     save_runs(store, tmp_path, {"middle": WIDE})
-    assert _one(store, tmp_path, claims).verdict == "inconclusive"
+    assert judge_one(store, tmp_path, claims).verdict == "inconclusive"
     equal = Store(tmp_path / "equal")
     save_runs(equal, tmp_path, {"high": NEAR, "low": LOW, "middle": LOW[::-1]})
-    assert _one(equal, tmp_path, claims).verdict == "refuted"
+    assert judge_one(equal, tmp_path, claims).verdict == "refuted"
 
 
 def test_the_contrast_that_is_told_is_the_one_that_decides(store: Store, tmp_path: Path) -> None:
@@ -457,5 +301,5 @@ def test_the_contrast_that_is_told_is_the_one_that_decides(store: Store, tmp_pat
     write_files(tmp_path)
     overlapping = [share - 0.03 for share in HIGH]
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": overlapping})
-    one = _one(store, tmp_path, _changed(text))
+    one = judge_one(store, tmp_path, changed(text))
     assert one.verdict == "supported" and one.told is not None and one.told.b == "low"

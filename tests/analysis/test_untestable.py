@@ -1,0 +1,151 @@
+"""What cannot be tested, on hand-made runs: every reason for which there is no verdict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pneuma.study.execute import selection_record
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+
+from .claim_files import HIGH, LOW, changed, judge_one, save_runs, write_files
+
+
+def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
+    one = judge_one(store, folder, changed(*changes))
+    assert one.verdict == "untestable"
+    return one.reason
+
+
+def test_no_runs(store: Store, tmp_path: Path) -> None:
+    assert _untestable(store, tmp_path) == (
+        "no runs: high, 8 seeds of 1,024 steps; no runs: low, 8 seeds of 1,024 steps; "
+        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
+    )
+
+
+def test_conditions_that_are_the_same(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"low": LOW})
+    reason = _untestable(store, tmp_path, ('a = "high"', 'a = "low-too"'))
+    assert reason == "A/A: low-too and low resolve to the same configuration"
+
+
+def test_engines_that_are_mixed(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"reference": HIGH, "low": LOW})
+    reason = _untestable(store, tmp_path, ('a = "high"', 'a = "reference"'))
+    assert reason == "engines are mixed: reference by sb3, low by batched"
+
+
+def test_seeds_that_are_missing(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH[:5], "low": LOW})
+    assert "too few seeds: high has 5 of the 8 fixed ones" in _untestable(store, tmp_path)
+
+
+def test_seeds_that_are_too_few_for_any_verdict(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH[:3], "low": LOW[:3]})
+    assert "too few seeds: the smallest p possible is 0.1" in _untestable(
+        store, tmp_path, ("seeds = 8", "seeds = 3")
+    )
+
+
+def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW}, steps=512)
+    study = load_study(str(tmp_path / "mine.toml"))
+    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
+    store.save_selection("mine", selection_record(plan))
+    reason = _untestable(store, tmp_path)
+    assert "budget not reached: high has runs of 512 steps, not of 1,024 steps" in reason
+
+
+def test_runs_that_were_never_trained_reach_no_budget(store: Store, tmp_path: Path) -> None:
+    """A selection is recorded before its first run is."""
+    write_files(tmp_path)
+    study = load_study(str(tmp_path / "mine.toml"))
+    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
+    store.save_selection("mine", selection_record(plan))
+    reason = _untestable(store, tmp_path)
+    assert "no runs: high, 8 seeds of 1,024 steps" in reason and "budget" not in reason
+
+
+@pytest.mark.parametrize(("share", "end"), [(0.0, "floor"), (1.0, "ceiling")])
+def test_arms_at_the_floor_or_ceiling(share: float, end: str, store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    near = [abs(share - k / 1000) for k in range(8)]
+    save_runs(store, tmp_path, {"high": near, "low": [share] * 8})
+    assert f"both arms are at the {end}" in _untestable(store, tmp_path, ('"greater"', '"equal"'))
+
+
+def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: Path) -> None:
+    """Those that learn go up and down; of the flat ones half rise above the random player, then one more."""
+    write_files(tmp_path)
+    changes = ('"final-share-killed"', '"curve-roughness"'), ('"greater"', '"less"')
+    rough = [[0.2, 0.6, share] for share in LOW]
+    flat = [[0.0, 0.0, 0.0]] * 4
+    save_runs(store, tmp_path, {"high": [*flat, *[[0.1, 0.2, 0.3]] * 4], "low": rough})
+    reason = _untestable(store, tmp_path, *changes)
+    assert reason == "arm at floor: half the runs of high or more never score above 0.1"
+    risen = Store(tmp_path / "risen")
+    save_runs(risen, tmp_path, {"high": [*flat[1:], *[[0.1, 0.2, 0.3]] * 5], "low": rough})
+    assert judge_one(risen, tmp_path, changed(*changes)).verdict == "supported"
+
+
+def test_what_a_claim_says_that_no_run_can_tell(store: Store, tmp_path: Path) -> None:
+    """However clear the runs are; and it keeps its place in the list."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    reason = "confounded: two things differ"
+    assert (
+        _untestable(store, tmp_path, ("margin = 0.04", f'margin = 0.04\nuntestable = "{reason}"')) == reason
+    )
+
+
+def test_runs_without_a_value(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": [*HIGH[:7], float("nan")], "low": LOW})
+    assert "high seed 7: " in _untestable(store, tmp_path)
+
+
+def test_runs_of_which_none_counts(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    reason = _untestable(store, tmp_path, ('b = "low"', 'value = 0.1\nonly = "final-died"'))
+    assert reason == "no run of high counts: final-died is 0 in all"
+
+
+def test_spread_where_there_is_none(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": [0.5] * 8, "low": LOW})
+    reason = _untestable(store, tmp_path, ('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5"))
+    assert "are equal: there is no spread to compare" in reason
+
+
+def test_a_setting_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
+    assert "setting not defined" in judge_one(store, tmp_path, place="godot").reason
+
+
+def test_times_of_different_machines(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH}, cpu="another")
+    save_runs(store, tmp_path, {"low": LOW})
+    reason = _untestable(store, tmp_path, ('"final-share-killed"', '"wall-seconds"'))
+    assert reason == "timed on different machines"
+
+
+@pytest.mark.parametrize(
+    ("share", "reason"), [(0.71, "timed beside other work: on 71% of a core"), (0.97, "")]
+)
+def test_times_on_a_busy_machine(store: Store, tmp_path: Path, share: float, reason: str) -> None:
+    """Also where only the published times are left; runs of before it was noted are believed."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH}, processor_share=share)
+    save_runs(store, tmp_path, {"low": LOW})
+    timed = changed(('"final-share-killed"', '"wall-seconds"'))
+    assert judge_one(store, tmp_path, timed).reason == reason
