@@ -46,6 +46,7 @@ SETTINGS_magic = text
 SETTINGS_classes = text
 SETTINGS_independent = text
 SETTINGS_tuned-optimizers = text
+SETTINGS_tuned-algorithms = text
 
 PRESET = paper+claims
 PRESET_perception = paper
@@ -53,6 +54,7 @@ PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
 PRESET_tuned-optimizers = paper
+PRESET_tuned-algorithms = paper
 
 # What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
 CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
@@ -90,7 +92,7 @@ reproduction-collapse: install  ## Train the crossed studies: collapse and robus
 	$(call each,collapse robustness)
 
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
-	$(call each,architecture actor-size algorithms)
+	$(call each,architecture actor-size algorithms tuned-algorithms)
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\

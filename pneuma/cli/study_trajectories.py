@@ -88,7 +88,7 @@ def trajectories(
     )
 
     found = _published(data, results) or _play(store, data, episodes, trust, quiet)
-    files = _drawn(data, found, out, formats, trust) if out is not None else []
+    files = _drawn(data, found, out, formats) if out is not None else []
     if publish:
         path, before = trajectories_path(results, data.study), read_trajectories(results, data.study)
         store.write(path, encode_trajectories(beside(found, before) if before else found))
@@ -229,10 +229,8 @@ def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:
             }
 
 
-def _drawn(
-    data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...], trust: bool
-) -> list[Path]:
-    """Draw them on the map; on that of a level of the runs' own where these have just played on it."""
+def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...]) -> list[Path]:
+    """Draw them on the map; on that of a level of their own where runs have just played, trusted."""
     from pneuma.analysis.published import PublishedRuns
     from pneuma.config import make_run
     from pneuma.engines.trajectories import unrewarded_worlds
@@ -240,7 +238,7 @@ def _drawn(
     from pneuma.figures.trajectories import draw_trajectories
 
     drawer = None
-    if trust and is_own_level(found.level) and not isinstance(data.source, PublishedRuns):
+    if is_own_level(found.level) and not isinstance(data.source, PublishedRuns):
         worlds = unrewarded_worlds(make_run(data.settings(data.runs[0])), 1)
         worlds.seed([0])
         worlds.reset()

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 
 from pneuma.config import Run, make_run
+from pneuma.search.promote import winner
+from pneuma.search.record import read_record
+from pneuma.search.recorded import recorded_search
 from pneuma.search.space import Choices, Range
 from pneuma.search.spec import load_search
 from pneuma.study.definition import join_settings
 from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+
+PUBLISHED = Path(__file__).parents[2] / "results"
 
 OPTIMIZERS = {
     "adam": "non-stationary", "l2": "l2", "upgd": "upgd", "sgd": "sgd", "momentum": "momentum",
     "rmsprop": "rmsprop",
 }  # fmt: skip
 """What each is called in the study `optimizer`, where none is tuned."""
+ALGORITHMS = ("ppo", "trpo", "a2c", "dqn", "double-dqn")
+
+UNTUNED = {
+    **{("tuned-optimizers", name): ("optimizer", untuned) for name, untuned in OPTIMIZERS.items()},
+    **{("tuned-algorithms", name): ("algorithms", name) for name in ALGORITHMS},
+}
+"""The studies and conditions in which each stands untuned, by those in which it is tuned."""
 
 
 def run_of(study: str, condition: str) -> Run:
@@ -29,9 +43,11 @@ def changes(run: Run, other: Run) -> set[str]:
     return {key for key in own if own[key] != others[key]}
 
 
-@pytest.mark.parametrize("name", OPTIMIZERS)
-def test_a_tuned_optimizer_has_what_its_search_varies_from_the_space_it_was_sought_in(name: str) -> None:
-    tuned = run_of("tuned-optimizers", f"{name}-tuned")
+@pytest.mark.parametrize(("study", "name"), UNTUNED)
+def test_what_is_tuned_has_what_its_search_varies_from_the_space_it_was_sought_in(
+    study: str, name: str
+) -> None:
+    tuned = run_of(study, f"{name}-tuned")
     search = load_search(f"tune-{name}")
     fixed = make_run(join_settings(search.space.base, search.space.fixed))
     searched = {parameter.name for parameter in search.space.parameters}
@@ -47,7 +63,19 @@ def test_a_tuned_optimizer_has_what_its_search_varies_from_the_space_it_was_soug
             assert value in chosen
 
 
-@pytest.mark.parametrize(("name", "untuned"), OPTIMIZERS.items())
-def test_beside_it_stands_what_the_study_of_optimizers_has(name: str, untuned: str) -> None:
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_tuned_algorithm_is_the_best_trial_of_its_published_search(name: str) -> None:
+    record = read_record(Store(PUBLISHED), f"tune-{name}")
+    search = recorded_search(load_search(f"tune-{name}"), record)
+    budget = search.presets["paper"]
+    assert (len(record["trials"]), tuple(record["seeds"]), record["steps"]) == (
+        budget.trials, budget.seeds, budget.steps,
+    )  # fmt: skip
+    found = search.space.settings(winner(record, None)["params"])
+    assert run_of("tuned-algorithms", f"{name}-tuned") == make_run(join_settings(search.space.base, found))
+
+
+@pytest.mark.parametrize(("tuned", "untuned"), UNTUNED.items())
+def test_beside_it_stands_what_it_is_untuned(tuned: tuple[str, str], untuned: tuple[str, str]) -> None:
     """So that they are the same runs, and trained once."""
-    assert run_of("tuned-optimizers", name) == run_of("optimizer", untuned)
+    assert run_of(*tuned) == run_of(*untuned)
