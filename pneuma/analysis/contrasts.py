@@ -93,7 +93,7 @@ def compare(
     fewest = 1 if kind == "incidence" else 2
     seeds = (first.size, second.size)
     if min(seeds) < fewest:
-        return _undecided(kind, _effect(kind, first, second), seeds, _too_few(seeds, fewest))
+        return undecided(kind, _too_few(seeds, fewest), seeds, _effect(kind, first, second))
     if kind == "paired":
         return _one_sample(first - second, margin, generator, "paired", seeds)
     if kind == "incidence":
@@ -123,7 +123,7 @@ def compare_with(
         return _incidence_with(runs, value, margin)
     if runs.size < 2:
         effect = float(runs[0] - value) if runs.size else float("nan")
-        return _undecided(kind, effect, seeds, _too_few(seeds[:1], 2))
+        return undecided(kind, _too_few(seeds[:1], 2), seeds, effect)
     return _one_sample(runs - value, margin, generator, "mean", seeds)
 
 
@@ -146,7 +146,7 @@ def _spread(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.ra
     equal = [name for name, arm in (("a", a), ("b", b)) if np.ptp(arm) == 0]
     if equal:
         reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
-        return _undecided("spread", effect, seeds, reason)
+        return undecided("spread", reason, seeds, effect)
     labels = permutation.relabel(a.size, b.size, generator)
     found = two_arms.spread_p_values(a[None], b[None], margin, labels)
     interval = intervals.deviation_ratio_interval(a, b)
@@ -183,7 +183,7 @@ def _one_sample(
 
 def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Contrast:
     if not runs.size:
-        return _undecided("incidence", float("nan"), (0, 0), _too_few((0,), 1))
+        return undecided("incidence", _too_few((0,), 1))
     count, above, below = _count(runs), incidence.p_share_above, incidence.p_share_below
     own = intervals.incidence_interval(count, runs.size)
     interval = Interval(own.low - value, own.high - value, own.level, own.method)
@@ -234,7 +234,10 @@ def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
     return over / under
 
 
-def _undecided(kind: str, effect: float, seeds: tuple[int, int], reason: str) -> Contrast:
+def undecided(
+    kind: str, reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")
+) -> Contrast:
+    """Return a comparison that tells nothing, for a reason."""
     return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
 
 

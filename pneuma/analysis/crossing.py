@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from math import prod
+from typing import Any
 
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
@@ -43,7 +44,7 @@ def find_crossing(data: StudyData) -> Crossing:
         UserError: where engines are mixed, fewer than two factors are crossed, or a combination is missing.
     """
     _check_engines(data)
-    settings = _settings(data)
+    settings = _shown_settings(data)
     groups = _groups(list(settings.values()))
     names = [" + ".join(group) for group in groups]
     levels = {condition: tuple(_level(own, group) for group in groups) for condition, own in settings.items()}
@@ -72,14 +73,21 @@ def _check_engines(data: StudyData) -> None:
         )
 
 
-def _settings(data: StudyData) -> dict[str, dict[str, str]]:
-    """Return every condition's settings that may be factors, as people read them."""
-    found: dict[str, dict[str, str]] = {}
+def condition_settings(data: StudyData) -> dict[str, dict[str, Any]]:
+    """Return the settings of every condition, of those without a finished run too; lists as tuples."""
+    found: dict[str, dict[str, Any]] = {}
     for run in data.record["runs"]:
         own = {key: tuple(value) if isinstance(value, list) else value for key, value in run["run"].items()}
-        shown = {key: shown_setting(value) for key, value in own.items() if key not in _NO_FACTORS}
-        found.setdefault(run["condition"], shown)
+        found.setdefault(run["condition"], own)
     return found
+
+
+def _shown_settings(data: StudyData) -> dict[str, dict[str, str]]:
+    """Return every condition's settings that may be factors, as people read them."""
+    return {
+        condition: {key: shown_setting(value) for key, value in own.items() if key not in _NO_FACTORS}
+        for condition, own in condition_settings(data).items()
+    }
 
 
 def _groups(settings: Sequence[Mapping[str, str]]) -> list[Group]:

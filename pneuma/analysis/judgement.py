@@ -17,8 +17,7 @@ import numpy as np
 
 from pneuma.analysis.claim_runs import MEND, Arm, ClaimRuns
 from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_with
-from pneuma.analysis.intervals import no_interval
+from pneuma.analysis.contrasts import Contrast, compare, compare_with, undecided
 from pneuma.analysis.log_contrasts import compare_logs
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.power import seeds_needed
@@ -156,13 +155,13 @@ def _pair(claim: Claim, setting: str, runs: ClaimRuns, a: str, b: str | None) ->
     told = f"{claim.value:g}" if b is None else b
     reason = claim.untestable or runs.hindrance(claim, setting, a, b)
     if reason:
-        return Pair(a, told, _none(claim, reason), runs.known_ids(claim, setting, a, b))
+        return Pair(a, told, undecided(claim.kind, reason), runs.known_ids(claim, setting, a, b))
     arms = [runs.arm(claim, setting, name) for name in (a, b) if name is not None]
     run_ids = tuple(run_id for arm in arms for run_id in arm.run_ids)
     reason = _first(arm.blank or arm.idle for arm in arms) or _at_an_end(claim, arms)
     if reason:
         seeds = arms[0].values.size, arms[1].values.size if len(arms) > 1 else 0
-        return Pair(a, told, replace(_none(claim, reason), seeds=seeds), run_ids)
+        return Pair(a, told, undecided(claim.kind, reason, seeds), run_ids)
     generator = np.random.default_rng(stream_seed(f"{claim.name}/{setting}", f"{a}/{told}"))
     first = _counted(claim, arms[0].values)
     if b is None:
@@ -202,10 +201,6 @@ def _at_an_end(claim: Claim, arms: Sequence[Arm]) -> str:
                 f"both arms are at the {end}: every run has a {claim.outcome} within {near:.2g} of {bound:g}"
             )
     return ""
-
-
-def _none(claim: Claim, reason: str) -> Contrast:
-    return Contrast(claim.kind, float("nan"), no_interval(), 1.0, 1.0, 1.0, (0, 0), reason, 1.0, 1.0)
 
 
 # --- Verdicts ------------------------------------------------------------------------------------

@@ -12,10 +12,12 @@ import numpy as np
 from scipy import special
 
 from pneuma.analysis.claims import Claim, LogContrast, PublishedLogs
-from pneuma.analysis.contrasts import Contrast
-from pneuma.analysis.intervals import Interval, no_interval
+from pneuma.analysis.contrasts import Contrast, undecided
+from pneuma.analysis.intervals import Interval
 
 LEVEL = 0.95
+SINGLE = (1, 1)
+"""Runs of either arm."""
 
 
 def run_to_run_deviation(logs: PublishedLogs, figure: str) -> float:
@@ -28,12 +30,12 @@ def compare_logs(logs: PublishedLogs, claim: Claim, own: LogContrast) -> Contras
     """Compare two published runs by Student's t with the deviation that equal pairs have."""
     pairs = _differences(logs, own.figure).size
     if (own.a, own.b) in logs.same or (own.b, own.a) in logs.same:
-        return _nothing(claim, "A/A: both published runs stand for one configuration")
+        return undecided(claim.kind, "A/A: both published runs stand for one configuration", SINGLE)
     if claim.kind != "mean":
-        return _nothing(claim, f"one published run each: they have no {claim.kind} to compare")
+        return undecided(claim.kind, f"one published run each: they have no {claim.kind} to compare", SINGLE)
     deviation = run_to_run_deviation(logs, own.figure)
     if not pairs or not deviation > 0:
-        return _nothing(claim, "no published runs tell how far apart equal ones lie")
+        return undecided(claim.kind, "no published runs tell how far apart equal ones lie", SINGLE)
     effect = logs.runs[own.a][own.figure] - logs.runs[own.b][own.figure]
     error = deviation * np.sqrt(2)
     half = float(special.stdtrit(pairs, (1 + LEVEL) / 2)) * error
@@ -44,7 +46,7 @@ def compare_logs(logs: PublishedLogs, claim: Claim, own: LogContrast) -> Contras
         p_greater=float(special.stdtr(pairs, -effect / error)),
         p_less=float(special.stdtr(pairs, effect / error)),
         p_equivalent=1.0,
-        seeds=(1, 1),
+        seeds=SINGLE,
     )
 
 
@@ -56,7 +58,3 @@ def _differences(logs: PublishedLogs, figure: str) -> np.ndarray:
             if figure in logs.runs[a] and figure in logs.runs[b]
         ]
     )
-
-
-def _nothing(claim: Claim, reason: str) -> Contrast:
-    return Contrast(claim.kind, float("nan"), no_interval(), 1.0, 1.0, 1.0, (1, 1), reason, 1.0)

@@ -3,10 +3,11 @@
     a study of crossed factors, a setting and two values of it → a cell for each combination → a label
 
 A cell is a pair of conditions that differ in that setting alone, as they resolved. What the cells differ
-in are the map's factors; nobody has to name them. Each cell is tested by itself, Holm-corrected over
-the map. The map is *robust* where every cell holds, *conditional* where some hold and some are reversed,
-*partial* where some hold and the others are open, for few seeds show no condition; *reversed* where some
-are reversed and none holds, and *undecided* where no cell can be told from no difference.
+in are the map's factors; nobody has to name them. Each cell is tested by itself, Holm-corrected over the
+map; one that lacks an arm's runs, or the value of some, is open. The map is *robust* where every cell
+holds, *conditional* where some hold and some are reversed, *partial* where some hold and the others are
+open, for few seeds show no condition; *reversed* where some are reversed and none holds, and *undecided*
+where no cell can be told from no difference.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.contrasts import Contrast, compare
+from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.corrections import holm
+from pneuma.analysis.crossing import condition_settings
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_setting, stream_seed
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.values import shown_level, shown_setting
 
 LEVEL = 0.05
@@ -151,6 +153,7 @@ def map_table(found: Map) -> pd.DataFrame:
                 "p": cell.p,
                 "runs": f"{contrast.seeds[0]} and {contrast.seeds[1]}",
                 "label": cell.label,
+                "reason": contrast.reason,
             }
         )
     return pd.DataFrame(rows)
@@ -165,7 +168,7 @@ def _pairs(
     data: StudyData, setting: str, better: object, worse: object
 ) -> list[tuple[str, str, dict[str, Any]]]:
     """Return the conditions of every cell, and the settings that both have."""
-    settings = {name: _settings(data, name) for name in data.conditions if data.of_condition(name)}
+    settings = _settings(data)
     arms: dict[object, dict[str, list[str]]] = {better: {}, worse: {}}
     for name, own in settings.items():
         value = own.pop(setting, None)
@@ -179,9 +182,11 @@ def _pairs(
     ]
 
 
-def _settings(data: StudyData, condition: str) -> dict[str, Any]:
-    own = data.settings(data.of_condition(condition)[0])
-    return {key: _comparable(value) for key, value in own.items() if key not in _NOT_COMPARED}
+def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
+    return {
+        condition: {key: value for key, value in own.items() if key not in _NOT_COMPARED}
+        for condition, own in condition_settings(data).items()
+    }
 
 
 def _comparable(value: Any) -> Any:
@@ -196,14 +201,13 @@ def _factors(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]
 
 def _told_differences(data: StudyData) -> str:
     """Say in which settings a study's conditions do differ, and in what values."""
-    own = [_settings(data, name) for name in data.conditions if data.of_condition(name)]
-    levels = _factors(own) if own else {}
+    levels = _factors([*_settings(data).values()])
     told = [f"{key} ({', '.join(map(shown_level, values))})" for key, values in levels.items()]
     return f"; they differ in {', '.join(told)}" if levels else ""
 
 
 def _values(data: StudyData, condition: str, outcome: str, at_step: float | None) -> np.ndarray:
-    """Return the values of the runs that have one, (runs,).
+    """Return the values of a condition's finished runs, (runs,), NaN of a run that has none.
 
     Raises:
         UserError: where a run's is endless: without it the others would look too good.
@@ -213,10 +217,14 @@ def _values(data: StudyData, condition: str, outcome: str, at_step: float | None
         raise UserError(
             f"outcome {outcome}: some runs of {condition} never get there; compare another outcome"
         )
-    return values[~np.isnan(values)]
+    return values
 
 
 def _contrast(better: np.ndarray, worse: np.ndarray, name: str) -> Contrast:
+    """Compare two arms; a run without a value leaves it open, for without it the others may look too good."""
+    blank = int(np.isnan(better).sum() + np.isnan(worse).sum())
+    if blank:
+        return undecided("mean", f"{counted(blank, 'run')} without a value", (better.size, worse.size))
     generator = np.random.default_rng(stream_seed("robustness", name))
     return compare("mean", better, worse, None, generator)
 

@@ -34,15 +34,16 @@ def update_signs(
         step: (updates,) rising.
         columns: (updates,) each: entropy, dead_units, action_0 …; a NaN is no sign, and one that is NaN
             throughout, as entropy is where values of actions are learned, tells nothing.
-        actions: how many actions have a column.
+        actions: how many actions have a column; those that have none count as one together.
     """
     columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
     held: dict[str, np.ndarray] = {}
     if "entropy" in columns:
         held[NO_ENTROPY] = columns["entropy"] < LEAST_ENTROPY
     if "action_0" in columns:
-        most = np.max([columns[f"action_{i}"] for i in range(actions)], axis=0)  # (updates,)
-        held[ONE_ACTION] = most >= MOST_OF_ONE
+        shares = np.array([columns[f"action_{i}"] for i in range(actions)])  # (actions, updates)
+        others = 1 - shares.sum(axis=0)  # of the two spells, which have no columns, together
+        held[ONE_ACTION] = np.maximum(shares.max(axis=0), others) >= MOST_OF_ONE
     if "dead_units" in columns:
         held[DEAD_UNITS] = columns["dead_units"] >= MOST_DEAD
     return {sign: stretches(step, holds) for sign, holds in held.items()}

@@ -221,12 +221,14 @@ def _document(task: Task, store: Store, told: Sequence[Told]) -> dict[str, Any]:
 
 def _stopped_document(task: Task, store: Store) -> dict[str, Any]:
     """Return the trials of the generations that had ended before a search was stopped, if any."""
-    from pneuma.search.record import read_record
+    from pneuma.search.record import is_published, read_record
 
     document = {"schema": 1, "search": task.search.name, "trials": [], "best": None}
     try:
         record = read_record(store, task.search.name)
     except UserError:  # it was stopped before it wrote anything
+        return document
+    if is_published(record):
         return document
     return {**document, **{key: record[key] for key in ("trials", "best", "storage", "optuna_study")}}
 

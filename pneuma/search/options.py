@@ -40,12 +40,12 @@ def read_options(file: TomlFile, kind: str, known: Mapping[str, Options], usual:
     """Return the name and every option of a sampler or pruner that a file asks for."""
     table = file.table((kind,))
     name = table.pop("name", usual)
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         problem = unknown_name(kind, str(name), [each for each in known if each])
         raise file.mistake((kind,), str(problem), "name")
     options = known[name]
     file.refuse_unknown((kind,), table, ("name", *options))
-    read = {"name": name}
+    read: dict[str, Any] = {"name": name}
     for key, (default, reader) in options.items():
         value = table.get(key, default)
         try:

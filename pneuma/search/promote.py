@@ -7,7 +7,8 @@ by. Seeds that the search never saw judge it fairly.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +21,8 @@ from pneuma.search.driver import Outcomes
 from pneuma.search.record import trial_values
 from pneuma.search.spec import Budget, Search
 from pneuma.search.trials import Task, objective_value
+from pneuma.study.conditions import unread_settings
+from pneuma.study.definition import join_settings
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
@@ -35,8 +38,8 @@ class Gain:
         seen: winner's value in the search.
         seen_baseline: the baseline's there; NaN where it was no trial.
         fresh, fresh_baseline: the same over the fresh seeds.
-        difference: of the means over the fresh seeds.
-        interval: of that difference, 95 %; NaN where the seeds are too few.
+        difference: of the means over the fresh seeds; NaN where some run has no finite value.
+        interval: of that difference, 95 %; NaN there, and where the seeds are too few.
         same_steps: whether fresh runs were trained for as long as those of the search.
     """
 
@@ -94,6 +97,8 @@ def refuse_seen_seeds(seeds: Sequence[int], record: Mapping[str, Any]) -> None:
 def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str, Any]) -> str:
     """Return a study file of the winner beside the base, with the winner's lineage as comments."""
     values = trial.get("values") or [trial.get("value")]
+    fixed, own = search.space.fixed, own_settings(search, trial)
+    arms = [_run(search, fixed), _run(search, {**fixed, **own})]
     lines = [
         f"# Trial {trial['number']} of search {search.name}, promoted.",
         "#",
@@ -107,12 +112,12 @@ def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str
         f'baseline = "{BASELINE}"',
         "",
         "[run]",
-        *(f"{key} = {toml_value(value)}" for key, value in search.space.fixed.items()),
+        *settings_lines(without(fixed, unread_settings(arms, fixed))),
         "",
         f"[conditions.{BASELINE}]",
         "",
         f"[conditions.{WINNER}]",
-        *(f"{key} = {toml_value(value)}" for key, value in own_settings(search, trial).items()),
+        *settings_lines(without(own, unread_settings(arms[1:], own))),
         "",
         "[presets.quick]",
         "seeds = 10",
@@ -171,6 +176,8 @@ def gain(
         base: the baseline's.
         same_steps: whether fresh runs were trained for as long as those of the search.
     """
+    if not (np.isfinite(won).all() and np.isfinite(base).all()):  # a threshold that some run never reaches
+        return Gain(*seen, *fresh, math.nan, (math.nan, math.nan), same_steps)
     found = difference_interval(won, base)
     difference = float(won.mean() - base.mean())
     return Gain(*seen, *fresh, difference, (found.low, found.high), same_steps)
@@ -181,6 +188,25 @@ def own_settings(search: Search, trial: Mapping[str, Any]) -> dict[str, Any]:
     fixed = search.space.fixed
     settings = search.space.settings(trial["params"])
     return {key: value for key, value in settings.items() if fixed.get(key, ...) != value}
+
+
+def settings_that_count(search: Search, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of a condition's settings that its algorithm and optimizer read; no study has others."""
+    return without(settings, unread_settings([_run(search, settings)], settings))
+
+
+def without(settings: Mapping[str, Any], keys: Collection[str]) -> dict[str, Any]:
+    """Return settings but for some."""
+    return {key: value for key, value in settings.items() if key not in keys}
+
+
+def _run(search: Search, settings: Mapping[str, Any]) -> Run:
+    return make_run(join_settings(search.space.base, settings))
+
+
+def settings_lines(settings: Mapping[str, Any]) -> list[str]:
+    """Return settings as a study file has them, a line each."""
+    return [f"{key} = {toml_value(value)}" for key, value in settings.items()]
 
 
 def toml_value(value: Any) -> str:

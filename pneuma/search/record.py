@@ -75,16 +75,18 @@ def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:
     Raises:
         UserError: where it was never run here nor published, or its record is damaged.
     """
-    path = _path(store, name)
-    document = _held(path, name) or (None if path.exists() else _held(published_path(store, name), name))
-    if document:
-        return document
+    path, published = _path(store, name), published_path(store, name)
+    own = _held(path, name)
+    if own and own["trials"]:
+        return own
+    if (own or not path.exists()) and (document := _held(published, name) or own):
+        return document  # a search that has only begun hides nothing
     if path.exists() or path.is_symlink():
         raise UserError(
             f"{path}: damaged; `pneuma search run {called or name}` writes it anew and trains nothing twice"
         )
-    if published_path(store, name).exists():
-        raise UserError(f"{published_path(store, name)}: damaged; take it from version control again")
+    if published.exists():
+        raise UserError(f"{published}: damaged; take it from version control again")
     if not called and split_setting(name)[0] not in list_searches():
         raise unknown_name("search", name, sorted({*list_searches(), *known_searches(store)}))
     raise UserError(

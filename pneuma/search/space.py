@@ -87,7 +87,7 @@ class Parameter:
 
     def counts(self, known: Mapping[str, Any]) -> bool:
         """Tell whether it counts beside what is known of the others."""
-        return all(known.get(name) in values for name, values in self.when.items())
+        return all(_as_tuple(known.get(name)) in values for name, values in self.when.items())
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,10 @@ def usual_settings(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
 
 def _agree(own: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
     return all(_plain(settings.get(key)) == _plain(value) for key, value in own.items())
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _plain(value: Any) -> Any:

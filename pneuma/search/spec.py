@@ -304,6 +304,8 @@ def _read_when(file: TomlFile, where: Where, before: Sequence[Parameter]) -> dic
     place, domains = (*where, "when"), {parameter.name: parameter.domain for parameter in before}
     read = {}
     for name, given in file.table(place).items():
+        if name not in domains and name in file.table(("space",)):
+            raise file.mistake(place, f"{name} is searched, too: [space.{name}] must stand before it", name)
         if name not in domains and name not in SETTABLE:
             problem = unknown_name("parameter before it, or field of the run,", name, [*domains, *SETTABLE])
             raise file.mistake(place, str(problem), name)

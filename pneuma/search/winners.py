@@ -9,12 +9,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count, islice
 from os.path import commonprefix
 from typing import Any
 
 from pneuma.errors import UserError
 from pneuma.search import promote
-from pneuma.search.promote import listed, own_settings, toml_value
+from pneuma.search.promote import (
+    listed,
+    own_settings,
+    settings_lines,
+    settings_that_count,
+    toml_value,
+    without,
+)
 from pneuma.search.spec import Search
 from pneuma.study.definition import split_setting
 
@@ -35,12 +43,16 @@ def find_winner(search: Search, record: Mapping[str, Any]) -> Winner:
     """Return a recorded search with its best trial.
 
     Raises:
-        UserError: where there is no best one: none is complete, or there are several objectives.
+        UserError: where there is no best one: it has not ended, no trial is complete, or there are several
+            objectives.
     """
     if len(search.objectives) > 1:
         raise UserError(
             f"search {search.name}: has several objectives, and a front for a winner; promote a trial"
         )
+    if len(record["trials"]) < record["trials_asked"]:
+        told = f"{len(record['trials'])} of {record['trials_asked']} trials"
+        raise UserError(f"search {search.name}: has {told}; `pneuma search run` it to its end first")
     return Winner(search, record, promote.winner(record, None))
 
 
@@ -50,11 +62,18 @@ def winners_study(winners: Sequence[Winner]) -> str:
     A condition is called as its search, without what all their names begin with; its tuned one beside it.
 
     Raises:
-        UserError: where searches start from different bases, or had different trials, seeds or steps.
+        UserError: where searches start from different bases, seek different things, or had different trials,
+            seeds or steps.
     """
-    _check_alike(winners)
-    shared = _shared([winner.search.space.fixed for winner in winners])
     names = _short_names([split_setting(winner.search.name)[0] for winner in winners])
+    _check_alike(winners, names)
+    tables: dict[str, dict[str, Any]] = {}
+    for name, winner in zip(names, winners, strict=True):
+        fixed = winner.search.space.fixed
+        tuned = {**fixed, **own_settings(winner.search, winner.trial)}
+        tables[name] = settings_that_count(winner.search, fixed)
+        tables[f"{name}-{TUNED}"] = settings_that_count(winner.search, tuned)
+    shared = _shared([*tables.values()])
     lines = [
         "# Winners of searches, each beside what it was tuned from.",
         "#",
@@ -65,22 +84,25 @@ def winners_study(winners: Sequence[Winner]) -> str:
         f"baseline = {toml_value(names[0])}",
         "",
         "[run]",
-        *_settings(shared),
+        *settings_lines(shared),
     ]
+    for name, settings in tables.items():
+        lines += ["", _table(name), *settings_lines(without(settings, shared))]
+    lines += [
+        "",
+        "[presets.quick]",
+        f"seeds = {_fresh_seeds(winners)}",
+        f"steps = {winners[0].record['steps']}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _check_alike(winners: Sequence[Winner], names: Sequence[str]) -> None:
     for name, winner in zip(names, winners, strict=True):
-        fixed = {key: value for key, value in winner.search.space.fixed.items() if key not in shared}
-        tuned = {**fixed, **own_settings(winner.search, winner.trial)}
-        lines += ["", _table(name), *_settings(fixed)]
-        lines += ["", _table(f"{name}-{TUNED}"), *_settings(tuned)]
-    steps = winners[0].record["steps"]
-    return "\n".join([*lines, "", "[presets.quick]", f"seeds = {SEEDS}", f"steps = {steps}"]) + "\n"
-
-
-def _check_alike(winners: Sequence[Winner]) -> None:
-    names = [winner.search.name for winner in winners]
-    twice = next((name for name in names if names.count(name) > 1 or f"{name}-{TUNED}" in names), None)
-    if twice:
-        raise UserError(f"search {twice}: two conditions would have one name; name each search once")
+        if names.count(name) > 1 or f"{name}-{TUNED}" in names:
+            raise UserError(
+                f"search {winner.search.name}: two conditions would be called {name}; name each search once"
+            )
     first = winners[0]
     for winner in winners[1:]:
         told = f"searches {first.search.name} and {winner.search.name}"
@@ -91,17 +113,30 @@ def _check_alike(winners: Sequence[Winner]) -> None:
             ("trials", len(first.record["trials"]), len(winner.record["trials"])),
             ("seeds", first.record["seeds"], winner.record["seeds"]),
             ("steps", first.record["steps"], winner.record["steps"]),
+            ("objectives", _sought(first), _sought(winner)),
         ):
             if one != other:
                 raise UserError(f"{told} are not tuned alike: {what} {one} and {other}; run both the same")
 
 
-def _shared(fixed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the settings that all searches fix alike."""
+def _sought(winner: Winner) -> str:
+    objectives = winner.record["identity"]["objectives"]
+    return ", ".join(f"{own['direction']} {own['over_seeds']} {own['outcome']}" for own in objectives)
+
+
+def _fresh_seeds(winners: Sequence[Winner]) -> int | list[int]:
+    """Return how many seeds, from 0 on, no search has seen, or the first of these where it has seen some."""
+    seen = {seed for winner in winners for seed in winner.record["seeds"]}
+    fresh = list(islice((seed for seed in count() if seed not in seen), SEEDS))
+    return SEEDS if fresh[-1] == SEEDS - 1 else fresh
+
+
+def _shared(settings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the settings that all have alike."""
     return {
         key: value
-        for key, value in fixed[0].items()
-        if all(key in own and own[key] == value for own in fixed)
+        for key, value in settings[0].items()
+        if all(key in own and own[key] == value for own in settings)
     }
 
 
@@ -124,7 +159,3 @@ def _lineage(name: str, winner: Winner) -> list[str]:
 
 def _table(name: str) -> str:
     return f"[conditions.{name if re.fullmatch(r'[A-Za-z0-9_-]+', name) else toml_value(name)}]"
-
-
-def _settings(settings: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {toml_value(value)}" for key, value in settings.items()]

@@ -28,7 +28,7 @@ WAIT_SECONDS = 0.2
 SOURCES = ("env/rules.py", "engines/batched/rollout.py", "engines/batched/update.py")
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
-    "optimizer", "env", "players", "observation", "perceive",
+    "optimizer", "env", "players", "observation", "perceive", "magic",
 )  # fmt: skip
 """Settings by which a run's programs are others."""
 

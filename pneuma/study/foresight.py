@@ -41,7 +41,7 @@ _SCALARS = (
     "entropy_coefficient", "gradient_limit", "betas", "epsilon", "momentum", "dampening", "smoothing",
     "utility_decay", "noise",
     "weight_decay", "activation", "value_baseline", "target_kl", "exploration", "exploration_fraction",
-    "learning_starts", "target_every", "action_slip", "reward_noise",
+    "learning_starts", "target_every", "action_slip", "reward_noise", "parent", "fork_step", "fork_reset",
 )  # fmt: skip
 """Settings that hardly change how long an update takes."""
 
@@ -137,6 +137,8 @@ def calibrate(
 ) -> dict[str, Pace]:
     """Measure the pace of those kinds of runs that `paces` lacks; keep it for this machine."""
     unknown = {own: run for run in runs if (own := kind(run)) not in paces}
+    if unknown:
+        store.check_writable()  # before the time is spent
     measured = {}
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
@@ -147,7 +149,6 @@ def calibrate(
         if pace:
             measured[name] = pace
     if measured:
-        store.check_writable()
         kept, here = _all_calibrations(store), _machine()
         added = {name: (pace.start, pace.per_step) for name, pace in measured.items()}
         paces_of = {**kept, here: {**kept.get(here, {}), **added}}

@@ -221,6 +221,8 @@ def _text(file: TomlFile, key: str) -> str:
 
 def _read_presets(file: TomlFile, conditions: Collection[str]) -> dict[str, Preset]:
     presets = {}
+    if not file.table(("presets",)):
+        raise file.mistake((), f"[presets] is empty: one or more of {', '.join(PRESETS)}", "presets")
     for name in file.table(("presets",)):
         where = ("presets", name)
         if name not in PRESETS:

@@ -158,8 +158,8 @@ def holders(store: Store) -> dict[str, tuple[Holder, ...]]:
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a run that chooses nothing but the environment and optimizer of this one."""
-    chosen = {key: settings[key] for key in ("env", "optimizer") if key in settings}
+    """Return the settings of a run that chooses but this one's environment, algorithm and optimizer."""
+    chosen = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
         return as_settings(make_run(chosen))
     except UserError:  # of another version of Pneuma's

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.analysis.robustness import Map, map_table, robustness_map
+from pneuma.analysis.robustness import Map, _contrast, map_table, robustness_map
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import main
@@ -80,6 +80,25 @@ def test_factors_are_what_the_cells_differ_in(tmp_path: Path) -> None:
 def test_with_too_few_seeds_nothing_is_decided(tmp_path: Path) -> None:
     """Of three runs an arm the smallest p is 1/10 in each cell, before any correction."""
     assert mapped(tmp_path, 0.3, 0.3, 0.3, 0.3, seeds=3).label == "undecided"
+
+
+def test_a_cell_without_runs_is_open_and_counts(tmp_path: Path) -> None:
+    """What is not trained yet makes no map robust, nor the others' p-values smaller."""
+    whole = crossed(tmp_path, gains(0.2, 0.2, 0.2, 0.2))
+    record = {**whole.record, "runs": [dict(run) for run in whole.record["runs"]]}
+    for run in record["runs"]:
+        if run["condition"] == "relu 0.001 raw":
+            run["run_id"] = run["run_id"][::-1]
+    part = robustness_map(open_study(Store(tmp_path / "results"), record), "activation", "tanh", "relu")
+    assert [cell.label for cell in part.cells] == ["holds", "holds", "holds", "open"]
+    assert (part.label, part.cells[-1].contrast.reason) == ("partial", "an arm has no runs")
+    assert [cell.p for cell in part.cells[:3]] == pytest.approx([4 * 2 / 924] * 3)
+
+
+def test_a_run_without_a_value_leaves_its_cell_open() -> None:
+    values = np.array([0.9, 0.91, 0.92, 0.93, np.nan, np.nan])
+    found = _contrast(values, values - 0.5, "mine")
+    assert (found.reason, found.p_different, found.seeds) == ("4 runs without a value", 1.0, (6, 6))
 
 
 def test_p_is_corrected_over_the_map(tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search.promote import BASELINE, WINNER, gain, promoted_study, refuse_seen_seeds, winner
 from pneuma.search.record import read_record, save_record
+from pneuma.search.spec import Budget, list_searches, load_search
 from pneuma.search.trials import Task, Told
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
+from pneuma.study.spec import SETTINGS, load_study
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, Solve
@@ -57,6 +58,24 @@ def test_the_promoted_condition_is_the_trial(searched: Searched, tmp_path: Path)
         assert {cell.run.learning_rate for cell in plan.cells if cell.condition == BASELINE} == {3e-4}
 
 
+@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize("name", list_searches())
+def test_whatever_a_shipped_search_finds_can_be_promoted(
+    name: str, setting: str, solve: Solve, tmp_path: Path
+) -> None:
+    task = Task(load_search(name, setting), Budget(4, (1000, 1001), 2048))
+    told = flat(solve(task))
+    store = Store(tmp_path / "results")
+    save_record(store, task, told, "sqlite:///x.db", "x")
+    record = read_record(store, task.search.name)
+    for trial in told:
+        path = tmp_path / "promoted.toml"
+        path.write_text(promoted_study(task.search, record, winner(record, trial.number)))
+        plan = make_plan(load_study(str(path)), Selection(seeds=(1000, 1001), steps=2048))
+        ids = [cell.run_id for cell in plan.cells if cell.condition == WINNER]
+        assert ids == list(trial.run_ids[-2:])
+
+
 def test_the_best_trial_is_promoted_unless_told(searched: Searched) -> None:
     _, told, record = searched
     assert winner(record, None)["value"] == max(trial.values[0] for trial in told)
@@ -77,3 +96,10 @@ def test_gain_and_luck_by_hand() -> None:
     assert (found.fresh, found.fresh_baseline, found.difference) == pytest.approx((0.6, 0.4, 0.2))
     assert found.luck == pytest.approx(0.3)
     assert math.isnan(gain((0.9, math.nan), (0.6, 0.4), won, base, same_steps=False).luck)
+
+
+def test_a_run_that_never_gets_there_leaves_the_gain_unknown() -> None:
+    never = np.array([1e4, math.inf, 2e4])
+    found = gain((0.5, 0.4), (0.5, 0.4), never, np.full(3, math.inf), same_steps=True)
+    assert math.isnan(found.difference) and all(map(math.isnan, found.interval))
+    assert found.luck == 0

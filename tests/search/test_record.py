@@ -114,6 +114,16 @@ def test_what_was_run_here_goes_before_what_is_published(
         read_record(store, "formula")
 
 
+def test_a_search_that_has_only_begun_hides_no_published_one(
+    make_task: MakeTask, solve: Solve, store: Store
+) -> None:
+    save(store, make_task(8), flat(solve(make_task(8))))
+    publish_record(store, "formula")
+    (store.root / "searches" / "formula.json").unlink()
+    save_record(store, make_task(8), [], "sqlite:///x.db", "x")
+    assert len(read_record(store, "formula")["trials"]) == 8
+
+
 def test_published_trials_are_gone_on_from_but_not_lost_unasked(
     make_task: MakeTask, solve: Solve, store: Store
 ) -> None:

@@ -108,6 +108,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('optimizer = "sgd" }', 'optimizer = [["sgd"]] }', "is no choice of [space.optimizer]: adam, sgd"),
         ('optimizer = "sgd" }', "optimizer = [] }", "optimizer = [] is not allowed: one value or more"),
         ('optimizer = "sgd" }', 'activation = "tahn" }', 'activation = "tahn" is not allowed'),
+        ('optimizer = "sgd" }', 'network = "small" }', "network is searched, too: [space.network]"),
         ('base = "table-6-2"', 'base = "table-6-3"', "base: unknown base 'table-6-3'"),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
         ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
@@ -116,6 +117,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("generation = 4", "genration = 4", "unknown key 'genration' (did you mean generation?)"),
         ('outcome = "final-share-killed"', 'over_seeds = "mean"', "the key 'outcome' is missing"),
         ("[presets.quick]", '[sampler]\nname = "tpa"\n[presets.quick]', "sampler 'tpa' (did you mean tpe?)"),
+        ("[presets.quick]", '[sampler]\nname = ["tpe"]\n[presets.quick]', "unknown sampler"),
         ("[presets.quick]", "[sampler]\nstartup = 3\n[presets.quick]", "unknown key 'startup'"),
         ("[presets.quick]", '[pruner]\nname = "median"\nrungs = 1\n[presets.quick]', "rungs = 1 is not"),
     ],
@@ -165,6 +167,13 @@ def test_what_hangs_on_a_choice_of_numbers_or_lists_names_them_as_they_are(write
     least = space.ask(lambda parameter: parameter.domain.extremes[0])
     most = space.ask(lambda parameter: parameter.domain.extremes[-1])
     assert ("gamma" in least, most["gamma"]) == (False, 0.99)
+
+
+def test_what_hangs_on_a_field_that_is_a_list_counts_with_the_bases_own(write: Load) -> None:
+    hanging = "[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { actor = [[128], [64]] }\n"
+    text = GOOD[: GOOD.index("[space.network.")] + GOOD[GOOD.index("[presets.quick]") :]
+    space = write(text.replace("[presets.quick]", f"{hanging}[presets.quick]")).space
+    assert "gamma" in space.ask(lambda parameter: parameter.domain.extremes[0])
 
 
 def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:

@@ -10,6 +10,8 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.search.record import read_record, save_record
+from pneuma.search.spec import Budget, load_search
+from pneuma.search.trials import Task
 from pneuma.search.winners import Winner, find_winner, winners_study
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -72,8 +74,52 @@ def test_searches_that_were_not_tuned_alike_share_no_study(winners: list[Winner]
         winners_study([first, other])
 
 
+def test_searches_that_sought_different_things_share_no_study(winners: list[Winner]) -> None:
+    first, second = winners
+    (sought,) = second.record["identity"]["objectives"]
+    identity = {**second.record["identity"], "objectives": [{**sought, "over_seeds": "median"}]}
+    with pytest.raises(UserError, match="objectives maximize mean final-share-killed and maximize median"):
+        winners_study([first, _changed(second, identity=identity)])
+
+
+def test_a_search_that_has_not_ended_has_no_winner(winners: list[Winner]) -> None:
+    asked = {**winners[0].record, "trials_asked": 16}
+    with pytest.raises(UserError, match="has 8 of 16 trials; `pneuma search run` it to its end first"):
+        find_winner(winners[0].search, asked)
+
+
+def test_its_seeds_are_of_no_search(winners: list[Winner], tmp_path: Path) -> None:
+    seen = [_changed(own, seeds=[0, 4]) for own in winners]
+    path = tmp_path / "tuned.toml"
+    path.write_text(winners_study(seen))
+    assert make_plan(load_study(str(path)), Selection()).seeds == (1, 2, 3, 5, 6, 7, 8, 9, 10, 11)
+
+
+def test_one_search_in_two_settings_would_give_two_conditions_of_a_name(winners: list[Winner]) -> None:
+    there = replace(winners[0], search=winners[0].search.in_setting("godot"))
+    with pytest.raises(UserError, match="search tune-adam: two conditions would be called adam"):
+        winners_study([winners[0], there])
+
+
+def test_winners_of_the_shipped_searches_are_studies_in_the_published_codes_world(
+    solve: Solve, tmp_path: Path
+) -> None:
+    """That world comes with a clip range, which four of the five algorithms do not read."""
+    found = []
+    for name in ("ppo", "trpo", "a2c", "dqn", "double-dqn"):
+        task = Task(load_search(f"tune-{name}", "godot"), Budget(2, (1000, 1001), 2048))
+        save_record(Store(tmp_path / "results"), task, flat(solve(task)), "sqlite:///x.db", "x")
+        found.append(find_winner(task.search, read_record(Store(tmp_path / "results"), f"tune-{name}-godot")))
+    path = tmp_path / "tuned.toml"
+    path.write_text(winners_study(found))
+    plan = make_plan(load_study(str(path)), Selection(seeds=(1000, 1001), steps=2048))
+    ids = {own: [c.run_id for c in plan.cells if c.condition == own] for own in plan.conditions}
+    assert [ids["trpo-tuned"], ids["dqn-tuned"]] == [found[1].trial["run_ids"], found[3].trial["run_ids"]]
+    assert {cell.run.env for cell in plan.cells} == {"pneuma/PneumaGodot-v0"}
+
+
 def test_a_search_that_is_named_twice_is_refused(winners: list[Winner]) -> None:
-    with pytest.raises(UserError, match="search tune-adam: two conditions would have one name"):
+    with pytest.raises(UserError, match="search tune-adam: two conditions would be called adam"):
         winners_study([*winners, winners[0]])
 
 

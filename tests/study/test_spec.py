@@ -189,6 +189,11 @@ def test_a_mistake_is_told_with_file_line_and_what_to_mend(mistake: str, tmp_pat
     _assert_told(tmp_path, _changed(old, new), line, *words)
 
 
+def test_a_study_without_a_preset_is_refused(tmp_path: Path) -> None:
+    text = STUDY[: STUDY.index("[presets.quick]")] + "[presets]\n"
+    _assert_told(tmp_path, text, text.count("\n"), "[presets] is empty: one or more of quick")
+
+
 @pytest.mark.parametrize("table", ["run", "conditions", "presets"])
 def test_a_value_where_a_table_belongs_is_refused(table: str, tmp_path: Path) -> None:
     lines = [line for line in STUDY.splitlines()[:5]]
