@@ -255,7 +255,10 @@ def _same_again(study: str, record: Mapping[str, Any]) -> str:
 
 def _anywhere(store: Store, error: UserError) -> str:
     """Return an error's words without this machine's folder: the page is for others to read."""
-    return str(error).replace(str(store.root), "results")
+    root = str(store.root)
+    if root == ".":
+        return str(error)
+    return re.sub(rf"(?<![\w./~-]){re.escape(root)}(?![\w.-])", "results", str(error))
 
 
 # --- Settings and provenance -----------------------------------------------------------------------

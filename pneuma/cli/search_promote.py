@@ -211,7 +211,13 @@ def _document(
         "run_ids": {
             name: [c.run_id for c in planned.cells if c.condition == name] for name in planned.conditions
         },
-        "objectives": {name: {**asdict(own), "luck": own.luck} for name, own in gains.items()},
+        "objectives": {
+            objective.name: {
+                **asdict(gains[objective.name]),
+                "luck": _flattered(search, objective.name, gains),
+            }
+            for objective in search.objectives
+        },
     }
 
 
@@ -227,15 +233,15 @@ def _tell(
         own = gains[objective.name]
         low, high = own.interval
         print(f"  {objective.over_seeds} over seeds of {objective.outcome}:")
-        print(f"    in the search      {own.seen:.4f}" + _beside(own.seen_baseline))
-        print(f"    on fresh seeds     {own.fresh:.4f}" + _beside(own.fresh_baseline))
+        print(f"    in the search      {own.seen:.4f}" + _beside(own.seen_baseline, "no trial of the search"))
+        print(f"    on fresh seeds     {own.fresh:.4f}" + _beside(own.fresh_baseline, "no value"))
         told = (
             f"95 % interval {low:+.4f} to {high:+.4f}"
             if math.isfinite(low)
             else "too few seeds for an interval"
         )
         print(f"    difference of means {own.difference:+.4f} ({told})")
-        flattered = own.luck if objective.direction == "maximize" else -own.luck
+        flattered = _flattered(search, objective.name, gains)
         print(
             f"    luck               {flattered:+.4f}: by how much the search's seeds had flattered it"
             if own.same_steps
@@ -243,6 +249,12 @@ def _tell(
         )
 
 
-def _beside(baseline: float) -> str:
-    known = f"{baseline:.4f})" if math.isfinite(baseline) else "no trial of the search)"
+def _flattered(search: Search, objective: str, gains: Mapping[str, Gain]) -> float:
+    """Return by how much the search's seeds made the winner look better than fresh ones do."""
+    (sought,) = (own for own in search.objectives if own.name == objective)
+    return gains[objective].luck if sought.direction == "maximize" else -gains[objective].luck
+
+
+def _beside(baseline: float, lacking: str) -> str:
+    known = f"{baseline:.4f})" if math.isfinite(baseline) else f"{lacking})"
     return f"   (baseline: {known}"

@@ -17,7 +17,7 @@ from pneuma.cli.options import (
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_summary import open_data, records
+from pneuma.cli.study_summary import open_data, records, tell_step
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -39,9 +39,14 @@ def effects(
     """Test the main effects and two-way interactions of a crossed study's factors."""
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.effects import study_effects
+    from pneuma.analysis.run_view import common_step
 
     found = study_effects(data, outcome)
-    return print_json(_document(found)) if json else _print_effects(found)
+    if json:
+        return print_json({**_document(found), "at_step": common_step(data)})
+    _print_effects(found)
+    tell_step(data)
+    return None
 
 
 def _document(found: Effects) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from pneuma.cli.options import (
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_summary import open_data, records
+from pneuma.cli.study_summary import open_data, records, tell_step
 from pneuma.errors import UserError
 from pneuma.study.store import Store
 from pneuma.values import shown_level, shown_setting
@@ -63,12 +63,14 @@ def robustness(
     key, better, worse = _read_contrast(contrast)
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.robustness import robustness_map
+    from pneuma.analysis.run_view import common_step
 
     found = robustness_map(data, key, better, worse, outcome)
     figures = [] if out is None else _drawn(data, found, out, formats)
     if json:
-        return print_json({**_document(found), "figures": list(map(str, figures))})
+        return print_json({**_document(found, common_step(data)), "figures": list(map(str, figures))})
     _print_map(found)
+    tell_step(data)
     for path in figures:
         print(f"wrote {plain(str(path))}")
     return None
@@ -91,7 +93,7 @@ def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> 
     return draw_robustness(data, [found], out, f"{data.figure}-{found.setting}", formats)
 
 
-def _document(found: Map) -> dict[str, Any]:
+def _document(found: Map, at_step: int | None) -> dict[str, Any]:
     from pneuma.analysis.robustness import map_table
 
     return {
@@ -100,15 +102,25 @@ def _document(found: Map) -> dict[str, Any]:
         "contrast": {"setting": found.setting, "better": found.values[0], "worse": found.values[1]},
         "outcome": found.outcome,
         "label": found.label,
+        "turned": _turned(found),
+        "at_step": at_step,
         "cells": records(map_table(found)),
     }
+
+
+def _turned(found: Map) -> bool:
+    """Tell whether differences are turned, so that above 0 is as claimed though less is better."""
+    from pneuma.analysis.outcomes import find_outcome
+
+    return find_outcome(found.outcome).better == "lower"
 
 
 def _print_map(found: Map) -> None:
     from pneuma.analysis.rounding import shown_with_interval
 
     better, worse = map(shown_setting, found.values)
-    print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {found.outcome}: {found.label}")
+    outcome = found.outcome + (" (turned, as less is better)" if _turned(found) else "")
+    print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {outcome}: {found.label}")
     rows = []
     for cell in found.cells:
         levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels) or cell.better

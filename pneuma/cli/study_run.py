@@ -183,20 +183,27 @@ def train(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
-    outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
-    left = outcomes is None and how.place.detach
-    if left:
+    outcomes: list[execute.Outcome] | None
+    try:
+        outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
+        code = exit_code(outcomes)
+    except Detached:  # as was asked
         outcomes = [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
+        code = 0
     if outcomes is not None and json:
         rows = outcome_rows(outcomes)
         print_json({"schema": 1, "study": planned.study.name, "runs": rows})
-    return 0 if left else exit_code(outcomes)
+    return code
 
 
 def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> list[execute.Outcome] | None:
-    """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C."""
+    """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C.
+
+    Raises:
+        Detached: where the runs were left to go on, as --detach asks.
+    """
     todo = execute.prepare(planned, store, retry_failed, how)
     for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)
@@ -205,6 +212,8 @@ def train_cells(
             outcomes = execute.execute(planned, todo.runs, store, how, display.update)
     except Detached as left:
         say(str(left), aside=True)
+        if left.asked:
+            raise
         return None
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)

@@ -53,12 +53,15 @@ def summary(
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
     data = open_data(Store(results), name, selection, setting)
+    from pneuma.analysis.run_view import common_step
     from pneuma.analysis.summaries import summary_table
 
     table = summary_table(data)
     if json:
-        return print_json({"schema": 1, "study": data.study, "summary": records(table)})
+        document = {"schema": 1, "study": data.study, "at_step": common_step(data)}
+        return print_json({**document, "summary": records(table)})
     print(plain(data.title))
+    tell_step(data)
     for part in _readable(data, table):
         print("\n" + part)
     return None
@@ -116,6 +119,14 @@ def collapse(
     for path in figures:
         print(f"wrote {plain(str(path))}")
     return 0
+
+
+def tell_step(data: StudyData) -> None:
+    """Say at what step runs of unlike budgets are compared."""
+    from pneuma.analysis.run_view import common_step
+
+    if step := common_step(data):
+        print(f"Budgets are unlike: all as they stood at {step:,} steps.")
 
 
 def _idle(run: list[str] | None, fork_seeds: str, workers: str | None, trust: bool) -> str:

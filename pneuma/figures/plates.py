@@ -59,9 +59,12 @@ def draw_published(
     entries = []
     for drawing, paths in _figures(data, folder):
         entries += _indexed(data, drawing, paths)
-    if found is not None:
-        own = data.of_conditions(found.conditions).of_runs({*found.episodes["run_id"]})
-        drawn = draw_trajectories(own, found, folder, f"{data.figure}-trajectories")
+    ways = found and found.of_runs(
+        {run.run_id for run in data.runs}
+    )  # of runs that were published since, none
+    if ways and len(ways.episodes) and ways.level:
+        own = data.of_conditions(ways.conditions).of_runs({*ways.episodes["run_id"]})
+        drawn = draw_trajectories(own, ways, folder, f"{data.figure}-trajectories")
         entries += _indexed(own, {"figure": "trajectories"}, drawn)
     return [*entries, *_write_tables(data, folder / TABLES)]
 

@@ -96,7 +96,9 @@ def _maps(data: StudyData) -> list[Picture]:
         f"{data.title}: differences with intervals in {len(maps[0].cells)} cells of "
         f"{', '.join(maps[0].factors) or 'nothing else'}. {told}."
     )
-    caption = f"Do the contrasts hold elsewhere? As numbers: pneuma study robustness {data.study}."
+    asked = f"{maps[0].setting}={':'.join(map(shown_setting, maps[0].values))}".replace(", ", ",")
+    told = f"pneuma study robustness {data.study} --contrast {asked}"
+    caption = f"Do the contrasts hold elsewhere? As numbers: {told}."
     drawn = _smaller(lambda folder, forms: draw_robustness(data, maps, folder, "maps", forms))
     return [Picture(*drawn, alt, caption)]
 

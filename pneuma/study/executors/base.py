@@ -85,7 +85,15 @@ class Supervision:
 
 
 class Detached(KeyboardInterrupt):
-    """The command is left, and runs go on without it; says how to find them."""
+    """The command is left, and runs go on without it; says how to find them.
+
+    Attributes:
+        asked: whether it was left by --detach, and not by Ctrl-C.
+    """
+
+    def __init__(self, told: str, asked: bool = False) -> None:
+        super().__init__(told)
+        self.asked = asked
 
 
 class Executor(Protocol):

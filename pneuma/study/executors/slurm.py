@@ -62,9 +62,10 @@ def run_groups(groups: Iterable[Group], store: Store, supervision: Supervision, 
             desk.submit([group for group in fresh if group], 1)
         if not supervision.place.detach:
             return collector.work()
+        asked = True
     except KeyboardInterrupt:
-        pass
-    raise Detached(desk.farewell(runs))
+        asked = False
+    raise Detached(desk.farewell(runs), asked)
 
 
 def _put_away(store: Store, supervision: Supervision) -> None:
