@@ -1,8 +1,9 @@
 """Evaluation: how well a frozen policy plays, by random streams that training never draws from.
 
 Every engine evaluates here, in the same way: 50 episodes with sampled actions, and one with the
-most probable action from each distinct start place. The primary outcome is the share of monsters
-killed; a score puts it on the scale from the random player (0) to the scripted hunter (1).
+most probable action from each distinct start place, also where training begins at the first alone. The
+primary outcome is the share of monsters killed; a score puts it on the scale from the random player (0)
+to the scripted hunter (1).
 """
 
 from __future__ import annotations

@@ -55,7 +55,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
 
     The learner is Stable-Baselines3's `PPO`, `A2C` or `DQN`, the last for Double DQN too, or sb3-contrib's
     `TRPO`. The optimizer starts afresh: a stored run keeps no state of it.
-    In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon.
+    In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
+    weights, which would be another. Where actor and critic were clipped each by itself, both are together.
 
     Args:
         policy: actor and critic.
@@ -68,7 +69,9 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     _check_shape(policy, run)
     run = replace(run, value_baseline=True)  # without one it would need Pneuma's class of rollouts to be read
     if run.optimizer == "upgd":
-        run = replace(run, optimizer="adam")
+        run = replace(run, optimizer="adam", weight_decay=0.0)
+    if run.clip == "separate":
+        run = replace(run, clip="joint")
     model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps

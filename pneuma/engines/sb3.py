@@ -45,13 +45,10 @@ __all__ = [
     "GradientNorms",
     "begin_fork",
     "extract_policy",
-    "finished_episodes",
     "gradient_norms",
-    "is_finite",
     "learn_from_rollout",
     "make_env",
     "make_model",
-    "rollout_metrics",
     "train",
     "train_one",
 ]

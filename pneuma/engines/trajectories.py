@@ -39,7 +39,7 @@ class Trajectories:
 
 
 def play_trajectories(run: Run, policy: Policy | Team, episodes: int) -> Trajectories:
-    """Play episodes in the worlds that the run's evaluations begin with.
+    """Play episodes in the worlds of the run's evaluations, begun where its training begins.
 
     Raises:
         UserError: for a policy that sees something else than these worlds show: a level's file has changed.

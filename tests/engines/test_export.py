@@ -68,10 +68,18 @@ def sb3_outputs(model: PPO, observations: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def test_a_zip_of_a_run_by_upgd_needs_no_optimizer_of_ours() -> None:
-    run = make_run({"optimizer": "upgd", "betas": (0.8, 0.9), "actor": [4], "critic": [4]})
+    settings = {"optimizer": "upgd", "betas": (0.8, 0.9), "weight_decay": 0.01}
+    run = make_run({**settings, "actor": [4], "critic": [4]})
     model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, own_space(11))), device="cpu")
     assert type(model.policy.optimizer) is torch.optim.Adam
     assert model.policy.optimizer.defaults["betas"] == (0.8, 0.9)
+    assert model.policy.optimizer.defaults["weight_decay"] == 0  # Adam's would not be UPGD's
+
+
+def test_a_zip_of_a_run_that_clips_apart_has_its_limit_for_both_together() -> None:
+    run = make_run({"clip": "separate", "gradient_limit": 0.7, "actor": [4], "critic": [4]})
+    model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, own_space(11))), device="cpu")
+    assert model.max_grad_norm == 0.7
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)

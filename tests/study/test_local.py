@@ -6,10 +6,12 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from pneuma.config import make_run
+from pneuma.study.compiling import COMPILES, WAITS
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.identity import run_id
@@ -70,3 +72,18 @@ def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
     note, end = events
     assert "was killed by SIGKILL" in note["text"] and note["text"].endswith("tried once more")
     assert (end["event"], end["run_id"], end["status"]) == ("end", run_id(RUN), "killed")
+
+
+def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time-out is counted from the first update; 60 s may go before it, and 600 more while it waits."""
+    clock = iter([100.0, 150.0, 170.0, 400.0])
+    monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: next(clock))
+    worker = local._Worker(Mock(), Mock(), Mock(), started=0.0)
+    assert worker.deadline(3.0) == 63.0
+    worker.note_time({"event": "passing", "run_id": "x", "text": WAITS})
+    assert worker.deadline(3.0) == 663.0
+    worker.note_time({"event": "passing", "run_id": "x", "text": COMPILES})
+    assert worker.deadline(3.0) == 100.0 + 63.0
+    worker.note_time({"event": "step", "run_id": "x", "step": 64})
+    worker.note_time({"event": "step", "run_id": "x", "step": 128})
+    assert worker.deadline(3.0) == 153.0

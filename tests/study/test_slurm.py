@@ -249,6 +249,28 @@ def test_a_job_that_the_queue_is_only_about_to_know_is_not_submitted_again(
     assert len(queue.submitted) == 1
 
 
+def test_nor_is_one_given_up_that_the_queue_is_only_about_to_know_at_its_second_try(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queue = Queue(monkeypatch, ["-"])
+    (name,) = group(11)
+    second = iter([None, "RUNNING"])
+
+    def jobs_of(submissions: Sequence[Submission]) -> dict[tuple[str, int], Job]:
+        names = [submission.name for submission, _ in queue.submitted]
+        states = {names[0]: "NODE_FAIL"} if names else {}
+        for own in submissions:
+            if own.name in names[1:] and (state := next(second, "CANCELLED")):
+                states[own.name] = state
+        return {(own, 0): Job("7_0", state) for own, state in states.items()}
+
+    monkeypatch.setattr(slurm_queue, "jobs_of", jobs_of)
+    events = collect([group(11)], store)
+    assert ends(events) == {name: "killed"}
+    assert "is cancelled" in events[-1]["reason"]
+    assert len(queue.submitted) == 2
+
+
 def test_a_queue_that_does_not_answer_is_said_once_and_asked_again(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ from typing import IO
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
+from pneuma.study.compiling import WAITS
 from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision, read_event
 from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.locks import is_held
@@ -32,6 +33,8 @@ BUSY_SECONDS = 1.0
 """How long to wait before asking again for a run that another process holds."""
 START_SECONDS = 60.0
 """How long a worker may take to its first update before its time-out begins all the same."""
+WAIT_SECONDS = 600.0
+"""How long it may take besides where it waits for what another compiles."""
 STOP_SECONDS = 30.0
 """How long a run past its time-out may take to come to a checkpoint."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -117,12 +120,27 @@ class _Worker:
     errors: IO[bytes]
     started: float
     begun: float | None = None
+    waits: bool = False
     ended: set[str] = field(default_factory=set)
     crashed: dict[str, Event] = field(default_factory=dict)
     late: dict[str, int] = field(default_factory=dict)
     busy: set[str] = field(default_factory=set)
     asked_to_stop: float | None = None
     timed_out: bool = False
+
+    def note_time(self, event: Event) -> None:
+        """Note when its first update came, and whether it waits for what another compiles."""
+        if event["event"] == "step":
+            self.begun = self.begun or time.monotonic()
+        elif self.waits:
+            self.started = time.monotonic()
+        self.waits = event.get("text") == WAITS
+
+    def deadline(self, seconds: float) -> float:
+        """Return when its time is up, counted from its first update."""
+        if self.begun is not None:
+            return self.begun + seconds
+        return self.started + START_SECONDS + seconds + (WAIT_SECONDS if self.waits else 0.0)
 
     @property
     def final(self) -> bool:
@@ -203,14 +221,10 @@ class _Supervisor:
             if worker.timed_out:
                 due.append((worker.asked_to_stop or now) + STOP_SECONDS)
             elif self._how.timeout_seconds is not None:
-                due.append(self._deadline(worker, self._how.timeout_seconds))
+                due.append(worker.deadline(self._how.timeout_seconds))
         if len(self._workers()) < self._how.workers:
             due += [task.not_before for task in self._tasks]
         return max(0.0, min(due) - now) + 0.01 if due else None
-
-    def _deadline(self, worker: _Worker, seconds: float) -> float:
-        """Return when a worker's time is up, counted from its first update."""
-        return worker.started + START_SECONDS + seconds if worker.begun is None else worker.begun + seconds
 
     def _end_overdue(self) -> None:
         """Ask runs past their time-out for a checkpoint; kill those that have not come to one in time."""
@@ -218,7 +232,7 @@ class _Supervisor:
             return
         now = time.monotonic()
         for worker in self._workers():
-            if not worker.timed_out and now >= self._deadline(worker, self._how.timeout_seconds):
+            if not worker.timed_out and now >= worker.deadline(self._how.timeout_seconds):
                 worker.timed_out = True
                 _ask_to_stop(worker)
             elif worker.timed_out and worker.asked_to_stop and now >= worker.asked_to_stop + STOP_SECONDS:
@@ -239,7 +253,7 @@ class _Supervisor:
         elif event["event"] == "end":
             self._end(worker, event)
         else:
-            worker.begun = worker.begun or (time.monotonic() if event["event"] == "step" else None)
+            worker.note_time(event)
             self._on_event(event)
 
     def _wait_for_another(self, worker: _Worker, name: str) -> None:

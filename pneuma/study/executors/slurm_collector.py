@@ -136,6 +136,8 @@ class Collector:
                 if followed.refused[group] < MOST_REFUSALS:
                     return followed.over.discard(group)
                 what = f"{what}, and could not be submitted again ({error})"
+        elif job is None and self._lives(followed, group):  # it was being submitted when the queue was asked
+            return followed.over.discard(group)
         reason = f"{what}; what it printed lies in {followed.submission.jobs_folder}"
         for name in lost:
             self._save_end(name, reason)
@@ -161,6 +163,13 @@ class Collector:
         for name in again:
             self._note(name, f"{what}; tried once more")
         self._followed += [_Followed(submission) for submission in made]
+
+    def _lives(self, followed: _Followed, group: int) -> bool:
+        """Ask the queue for a job once more, while nobody submits any."""
+        with suppress(UserError), alone(self._store):
+            job = slurm_queue.jobs_of([followed.submission]).get((followed.submission.name, group))
+            return job is not None and not job.over
+        return False
 
     def _note(self, name: str, text: str) -> None:
         self._on_event({"event": "note", "run_id": name, "text": text})

@@ -1,6 +1,7 @@
 """Slurm's queue: what a job asks for, sbatch by way of submitit, and squeue.
 
-Every call is over within `ANSWER_SECONDS`, whatever the controller does, and what goes wrong is one line.
+Every call but that of sbatch is over within `ANSWER_SECONDS`, whatever the controller does, and what goes
+wrong is one line.
 """
 
 from __future__ import annotations
