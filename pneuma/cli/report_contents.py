@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.cli.options import selecting_words
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
-from pneuma.config import BASES, as_settings, make_run
+from pneuma.config import BASES, ENVIRONMENTS, as_settings, make_run
 from pneuma.errors import UserError, counted
 from pneuma.study import execute, plan, spec
 from pneuma.study.definition import in_setting
@@ -108,13 +108,21 @@ def _part(store: Store, study: str, setting: str) -> Part:
     if name not in known_studies(store):
         record = execute.selection_record(plan.make_plan(spec.load_study(study, setting), plan.Selection()))
         conditions = _conditions(study, record)
-        return Part(name, title, ("No runs yet.",), mend, conditions=conditions)
+        return Part(name, _where(record, title), ("No runs yet.",), mend, conditions=conditions)
     try:
         record = study_record(store, name, None)
         states = run_states(store, record)
     except UserError as error:
         return Part(name, title, (_anywhere(store, error),), mend)
     return _recorded_part(store, study, Part(name, title, mend=mend), record, states)
+
+
+def _where(record: Mapping[str, Any], usual: str) -> str:
+    """Return a part's heading: that of its setting, or where else its runs are played."""
+    if record.get("source") == "tensorboard":
+        return "Imported logs"
+    names = dict.fromkeys(str(run["run"].get("env")) for run in record["runs"])
+    return usual if names.keys() <= {*ENVIRONMENTS} else f"In {', '.join(names)}"
 
 
 def _recorded_part(
@@ -129,6 +137,7 @@ def _recorded_part(
     whole = all(state.status in FINISHED for state in states)
     part = replace(
         part,
+        setting=_where(record, part.setting),
         notes=tuple(_notes(record, [state.status for state in states])),
         mend="" if whole else _same_again(study, record),
         extent=_extent(record),

@@ -164,6 +164,13 @@ def test_settings_are_set_against_the_studys_base(store: Store, make: Callable[.
     assert "activation" in [each.text for each in page.all("th") if each.attributes.get("scope") == "col"]
 
 
+def test_a_study_of_another_world_is_not_said_to_be_the_thesiss(
+    store: Store, make: Callable[..., Any]
+) -> None:
+    headings = [each.text for each in make("tabular", "activation").all("h3")]
+    assert headings.count("In pneuma/Mailman-v0") == headings.count("In the text's environment") == 1
+
+
 def test_both_settings_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
     _record(store, "activation", TWO)
     _record(store, "activation-godot", TWO)
