@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 MOST_NAMES = 8
 """As many as there can be players in a world."""
@@ -170,3 +171,8 @@ class Several:
 
 
 Reader = Number | Choice | Flag | Text | Several | Names | Matching
+
+
+def as_tuple(value: Any) -> Any:
+    """Return a list, as JSON and TOML give it, as the tuple that a run holds; anything else as it is."""
+    return tuple(value) if isinstance(value, list) else value

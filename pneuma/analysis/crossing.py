@@ -16,7 +16,7 @@ from typing import Any
 
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
-from pneuma.values import shown_setting
+from pneuma.values import as_tuple, shown_setting
 
 _NO_FACTORS = ("seed", "steps", "engine")
 
@@ -77,8 +77,7 @@ def condition_settings(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the settings of every condition, of those without a finished run too; lists as tuples."""
     found: dict[str, dict[str, Any]] = {}
     for run in data.record["runs"]:
-        own = {key: tuple(value) if isinstance(value, list) else value for key, value in run["run"].items()}
-        found.setdefault(run["condition"], own)
+        found.setdefault(run["condition"], {key: as_tuple(value) for key, value in run["run"].items()})
     return found
 
 

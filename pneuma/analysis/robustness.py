@@ -28,7 +28,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_setting, stream_seed
 from pneuma.errors import UserError, counted
-from pneuma.values import shown_level, shown_setting
+from pneuma.values import as_tuple, shown_level, shown_setting
 
 LEVEL = 0.05
 """Error rate over all cells of a map."""
@@ -102,7 +102,7 @@ def robustness_map(
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
         raise UserError(f"outcome {outcome}: is neither better high nor better low")
-    values = _comparable(read_setting(Run, setting, better)), _comparable(read_setting(Run, setting, worse))
+    values = as_tuple(read_setting(Run, setting, better)), as_tuple(read_setting(Run, setting, worse))
     if values[0] == values[1]:
         raise UserError(
             f"{setting}: {shown_setting(values[0])} against itself is no contrast; name two values"
@@ -187,10 +187,6 @@ def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
         condition: {key: value for key, value in own.items() if key not in _NOT_COMPARED}
         for condition, own in condition_settings(data).items()
     }
-
-
-def _comparable(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def _factors(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:

@@ -239,6 +239,8 @@ def _tell(
             f"95 % interval {low:+.4f} to {high:+.4f}"
             if math.isfinite(low)
             else "too few seeds for an interval"
+            if math.isfinite(own.difference)
+            else "some run has no value"
         )
         print(f"    difference of means {own.difference:+.4f} ({told})")
         flattered = _flattered(search, objective.name, gains)

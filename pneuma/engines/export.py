@@ -67,11 +67,10 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
         UserError: when the policy is not of the run's shape.
     """
     _check_shape(policy, run)
-    run = replace(run, value_baseline=True)  # without one it would need Pneuma's class of rollouts to be read
+    # clipped apart, or without a baseline, it would need Pneuma's own classes to be read
+    run = replace(run, clip="joint", value_baseline=True)
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)
-    if run.clip == "separate":
-        run = replace(run, clip="joint")
     model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps

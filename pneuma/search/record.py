@@ -117,9 +117,7 @@ def publish_record(store: Store, name: str, *, called: str = "", replace: bool =
     record, path = read_record(store, name, called), published_path(store, name)
     if is_published(record):
         raise UserError(f"search {name}: is published, and was not run in {store.root}")
-    if len(record["trials"]) < record["trials_asked"]:
-        told = f"{len(record['trials'])} of {record['trials_asked']} trials"
-        raise UserError(f"search {name}: has {told}; `pneuma search run` it to its end first")
+    refuse_unfinished(record)
     document = {**record, "path": Path(record["path"]).name, "storage": "", "optuna_study": ""}
     before = _held(path, name)
     goes_on = before and before["digest"] == record["digest"] and _goes_on(record["trials"], before["trials"])
@@ -127,6 +125,17 @@ def publish_record(store: Store, name: str, *, called: str = "", replace: bool =
         raise UserError(f"{path}: holds other trials, or is damaged; --replace puts these in their place")
     store.write(path, seal(document))
     return path
+
+
+def refuse_unfinished(record: Mapping[str, Any]) -> None:
+    """Refuse a search that has not been run to its end.
+
+    Raises:
+        UserError: saying how far it is.
+    """
+    if len(record["trials"]) < record["trials_asked"]:
+        told = f"{len(record['trials'])} of {record['trials_asked']} trials"
+        raise UserError(f"search {record['search']}: has {told}; `pneuma search run` it to its end first")
 
 
 def is_published(record: Mapping[str, Any]) -> bool:

@@ -15,6 +15,7 @@ from pneuma.config import ENVIRONMENTS, Run, as_settings, make_run, read_setting
 from pneuma.env_settings import ENVIRONMENT_SETTINGS
 from pneuma.errors import UserError
 from pneuma.study.spec import join_settings
+from pneuma.values import as_tuple
 
 Params = Mapping[str, Any]
 """What is suggested for a trial: numbers, and the names of choices."""
@@ -87,7 +88,7 @@ class Parameter:
 
     def counts(self, known: Mapping[str, Any]) -> bool:
         """Tell whether it counts beside what is known of the others."""
-        return all(_as_tuple(known.get(name)) in values for name, values in self.when.items())
+        return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
 
 
 @dataclass(frozen=True)
@@ -187,12 +188,4 @@ def usual_settings(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _agree(own: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
-    return all(_plain(settings.get(key)) == _plain(value) for key, value in own.items())
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+    return all(as_tuple(settings.get(key)) == as_tuple(value) for key, value in own.items())

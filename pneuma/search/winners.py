@@ -23,6 +23,7 @@ from pneuma.search.promote import (
     toml_value,
     without,
 )
+from pneuma.search.record import refuse_unfinished
 from pneuma.search.spec import Search
 from pneuma.study.definition import split_setting
 
@@ -50,9 +51,7 @@ def find_winner(search: Search, record: Mapping[str, Any]) -> Winner:
         raise UserError(
             f"search {search.name}: has several objectives, and a front for a winner; promote a trial"
         )
-    if len(record["trials"]) < record["trials_asked"]:
-        told = f"{len(record['trials'])} of {record['trials_asked']} trials"
-        raise UserError(f"search {search.name}: has {told}; `pneuma search run` it to its end first")
+    refuse_unfinished(record)
     return Winner(search, record, promote.winner(record, None))
 
 

@@ -76,6 +76,23 @@ def test_whatever_a_shipped_search_finds_can_be_promoted(
         assert ids == list(trial.run_ids[-2:])
 
 
+def test_what_a_trials_optimizer_does_not_read_is_left_out(
+    make_task: MakeTask, solve: Solve, tmp_path: Path
+) -> None:
+    space = '[space.optimizer]\nchoices = ["adam", "sgd"]\n[space.momentum]\nlow = 0.1\nhigh = 0.9\n'
+    task = make_task(8, space)
+    told = flat(solve(task))
+    save_record(Store(tmp_path / "results"), task, told, "sqlite:///x.db", "x")
+    record = read_record(Store(tmp_path / "results"), "formula")
+    written = {}
+    for trial in told:
+        path = tmp_path / "promoted.toml"
+        path.write_text(promoted_study(task.search, record, winner(record, trial.number)))
+        load_study(str(path))
+        written[trial.params["optimizer"]] = "momentum" in path.read_text()
+    assert written == {"adam": False, "sgd": True}
+
+
 def test_the_best_trial_is_promoted_unless_told(searched: Searched) -> None:
     _, told, record = searched
     assert winner(record, None)["value"] == max(trial.values[0] for trial in told)

@@ -170,9 +170,8 @@ def test_what_hangs_on_a_choice_of_numbers_or_lists_names_them_as_they_are(write
 
 
 def test_what_hangs_on_a_field_that_is_a_list_counts_with_the_bases_own(write: Load) -> None:
-    hanging = "[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { actor = [[128], [64]] }\n"
-    text = GOOD[: GOOD.index("[space.network.")] + GOOD[GOOD.index("[presets.quick]") :]
-    space = write(text.replace("[presets.quick]", f"{hanging}[presets.quick]")).space
+    hanging = '[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { reward = "thesis" }\n'
+    space = write(GOOD.replace("[presets.quick]", f"{hanging}[presets.quick]")).space
     assert "gamma" in space.ask(lambda parameter: parameter.domain.extremes[0])
 
 

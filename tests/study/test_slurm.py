@@ -254,7 +254,7 @@ def test_nor_is_one_given_up_that_the_queue_is_only_about_to_know_at_its_second_
 ) -> None:
     queue = Queue(monkeypatch, ["-"])
     (name,) = group(11)
-    second = iter([None, "RUNNING"])
+    second = iter(["PENDING", None, "RUNNING"])  # for who submits, who collects, who looks again
 
     def jobs_of(submissions: Sequence[Submission]) -> dict[tuple[str, int], Job]:
         names = [submission.name for submission, _ in queue.submitted]
