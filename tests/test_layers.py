@@ -35,7 +35,13 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
     "pneuma.study.kept": ("pneuma.engines.base",),
     "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),
-    "pneuma.analysis": ("pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables"),
+    # what reads records, and what produced them:
+    "pneuma.analysis": (
+        "pneuma.study.store",
+        "pneuma.study.spec",
+        "pneuma.study.tables",
+        "pneuma.study.origins",
+    ),
     # what reads claims and finds the runs that they fixed:
     "pneuma.analysis.claims": (
         "pneuma.analysis",
@@ -50,6 +56,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "pneuma.study.spec",
         "pneuma.study.store",
         "pneuma.study.plan",
+        "pneuma.study.origins",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),

@@ -17,6 +17,7 @@ from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 from pneuma.study.claimed import training_command
+from pneuma.study.origins import processors
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
@@ -179,7 +180,7 @@ class ClaimRuns:
         data = self._data(*self._group(claim, setting))
         runs = [run for name in names for run in self._finished(claim, setting, name).values()]
         found = [data.source.provenance(run) for run in runs] if data else []
-        machines = {(str(own.get("cpu")), str(own.get("threads"))) for own in found}
+        machines = {(on, str(own.get("threads"))) for own in found for on in processors(own)}
         if len(machines) > 1:
             return "timed on different machines"
         shares = [data.source.processor_share(run) for run in runs] if data else []

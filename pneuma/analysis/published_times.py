@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.tables import StudyData, told_seconds
+from pneuma.study.origins import other_processors
 from pneuma.study.store import Store, read_whole, to_json
 
 SCHEMA = 1
@@ -36,7 +37,7 @@ def encode_times(data: StudyData, staying: Mapping[str, Any] | None = None) -> b
         about, seconds = data.source.provenance(run), data.source.wall_seconds(run)
         share = data.source.processor_share(run)
         if seconds is not None:
-            machine = {key: about[key] for key in _MACHINE if key in about}
+            machine = {key: about[key] for key in _MACHINE if key in about} | other_processors(about)
             shared = {} if share is None else {"processor_share": share}
             runs[run.run_id] = {"wall_seconds": round(seconds, 3), **shared, **machine}
     selected = {run["run_id"]: runs[run["run_id"]] for run in data.record["runs"] if run["run_id"] in runs}

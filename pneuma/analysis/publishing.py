@@ -26,6 +26,7 @@ from pneuma.analysis.published import (
 )
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
+from pneuma.study.origins import other_processors
 
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
 """What produced a run, without the times at which it did: a run that is trained again publishes the same."""
@@ -303,7 +304,7 @@ def _head(data: StudyData, rounding: bool) -> dict[str, Any]:
 
 def _provenance(data: StudyData, run: FinishedRun) -> str:
     found = data.source.provenance(run)
-    kept = {key: found[key] for key in KEPT_PROVENANCE if key in found}
+    kept = {key: found[key] for key in KEPT_PROVENANCE if key in found} | other_processors(found)
     changed = {words for resume in found.get("resumes", ()) for words in resume["differences"]}
     return json.dumps({**kept, "resumed_elsewhere": sorted(changed)} if changed else kept)
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import typer
 
@@ -15,32 +13,19 @@ from pneuma.cli import (
     study_output,
     study_plot,
     study_run,
+    study_status,
     study_summary,
     study_trajectories,
     study_verify,
 )
-from pneuma.cli.options import (
-    Json,
-    Results,
-    Selected,
-    SettingName,
-    StudyName,
-    print_json,
-    say,
-    selects,
-)
+from pneuma.cli.options import Json, Results, SettingName, StudyName, print_json
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_records import is_shipped, known_studies, run_states, study_record
+from pneuma.cli.study_records import is_shipped, known_studies, study_record
 from pneuma.cli.study_run import by_value
 from pneuma.config import as_settings, make_run
-from pneuma.errors import UserError
 from pneuma.study import claimed, plan, spec
-from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.values import shown_setting
-
-if TYPE_CHECKING:
-    from pneuma.study.executors.slurm_queue import Job
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -48,6 +33,7 @@ RESULTS = Path("results")
 
 app.command("plan")(study_run.plan_)
 app.command()(study_run.run)
+app.command()(study_status.status)
 app.command()(study_plot.plot)
 app.command()(study_output.export)
 app.command()(study_output.publish)
@@ -120,71 +106,7 @@ def show(
     return None
 
 
-@app.command()
-@selects
-def status(
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
-    ] = None,
-    selection: Selected = None,
-    setting: SettingName = None,
-    results: Results = RESULTS,
-    json: Json = False,
-) -> None:
-    """Say how far the runs of a study are, as it was last run or as selected."""
-    store = Store(results)
-    names = [name] if name else known_studies(store, setting)
-    if not names and not json:
-        print(f"No study was run in {results} yet.")
-    documents = []
-    jobs = _queued(store)
-    for study in names:
-        record = study_record(store, study, selection, setting)
-        states = run_states(store, record)
-        ids = [state.run["run_id"] for state in states]
-        marks = unusual_origins(stored_origins(store, ids))
-        runs = [
-            {
-                **_identity(state.run),
-                "status": state.status,
-                "step": state.step,
-                "published": state.published,
-                "trained": False,
-            }
-            for state in states
-        ]
-        own_jobs = {run_id: _job(jobs[run_id]) for run_id in ids if run_id in jobs}
-        document = {"schema": 1, "study": record["study"], "runs": runs, "unlike_most": marks}
-        documents.append({**document, "jobs": own_jobs})
-        if not json:
-            counts = ", ".join(f"{n} {told}" for told, n in Counter(state.told for state in states).items())
-            print(f"{plain(record['study'])}: {counts}")
-            if "adaptive" in record:
-                _tell_looks(record)
-            width = max((len(plain(state.run["condition"])) for state in states), default=0)
-            for state in states:
-                run_id = state.run["run_id"]
-                job = jobs.get(run_id)
-                notes = (
-                    state.reached,
-                    f"job {job.id} {job.state.lower()}" if job else "",
-                    f"({marks[run_id]} than most)" if run_id in marks else "",
-                )
-                who = f"{plain(state.run['condition']):<{width}} seed {state.run['seed']:<6} {run_id}"
-                print("  ".join(["", who, state.told, *filter(None, notes)]))
-    if json:
-        print_json(documents[0] if name else {"schema": 1, "studies": documents})
-
-
 # --- Helpers -------------------------------------------------------------------------------------
-
-
-def _tell_looks(record: Mapping[str, Any]) -> None:
-    from pneuma.analysis.tables import looks_that_count
-
-    at = ", ".join(map(str, looks_that_count(record)))
-    if at:
-        print(f"  seeds were added by --until-decided, which looked at {at} of them")
 
 
 def _show_record(record: dict[str, Any], json: bool) -> None:
@@ -200,27 +122,3 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
     print(f"\nConditions: {plain(', '.join(conditions))}\nCompared with: {plain(record['baseline'])}")
     print(f"Seeds: {', '.join(map(str, seeds))}")
     return None
-
-
-def _queued(store: Store) -> dict[str, Job]:
-    """Return the jobs of Slurm's queue by the runs that they train; say so where it cannot be asked."""
-    from pneuma.study.executors.submissions import open_submissions
-
-    submissions = open_submissions(store)
-    if not submissions:
-        return {}
-    from pneuma.study.executors.slurm_queue import jobs_by_run
-
-    try:
-        return jobs_by_run(submissions)
-    except UserError as error:
-        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}", aside=True)
-        return {}
-
-
-def _job(job: Job) -> dict[str, str]:
-    return {"job": job.id, "state": job.state}
-
-
-def _identity(run: dict[str, Any]) -> dict[str, Any]:
-    return {key: run[key] for key in ("run_id", "condition", "seed")}

@@ -28,7 +28,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_choice, tell_left_out
-from pneuma.cli.study_records import known_studies, study_record
+from pneuma.cli.study_records import each_study, known_studies, study_record
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
 from pneuma.study.plan import Selection
@@ -136,7 +136,7 @@ def plot(
         {"--condition": condition or [], "--set": set_ or []},
     )
     store = Store(results)
-    studies = _studies_to_draw(store, names or known_studies(store, setting), selection, window, setting)
+    studies = _studies_to_draw(store, names, selection, window, setting)
     for _, data in studies:
         tell_left_out(data)
     paths = _write(store, out, lambda folder: _draw(studies, folder, looks, chosen))
@@ -155,17 +155,27 @@ def _chosen(single: dict[str, str | None], repeated: dict[str, list[str]]) -> li
 
 
 def _studies_to_draw(
-    store: Store, names: Sequence[str], selection: Selection | None, window: str | None, setting: str | None
+    store: Store,
+    names: Sequence[str] | None,
+    selection: Selection | None,
+    window: str | None,
+    setting: str | None,
 ) -> list[tuple[str, StudyData]]:
-    """Return studies by the names that a person gave, each with a figure's name of its own."""
+    """Return studies by the names that a person gave, or all, each with a figure's name of its own."""
     from pneuma.analysis.sources import open_study
     from pneuma.analysis.tables import tell_figures_apart
 
-    if not names:
-        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
-    studies = [(name, open_study(store, study_record(store, name, selection, setting))) for name in names]
-    for _, data in studies:
+    def opened(name: str) -> StudyData:
+        data = open_study(store, study_record(store, name, selection, setting))
         data.checked_window(window)
+        return data
+
+    if names:
+        studies = [(name, opened(name)) for name in names]
+    else:
+        studies = each_study(known_studies(store, setting), opened)
+    if not studies:
+        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
     tell_figures_apart([data for _, data in studies])
     return studies
 

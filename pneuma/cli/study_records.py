@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from pneuma.cli.options import say
 from pneuma.errors import UserError, unknown_name
@@ -12,6 +12,8 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.definition import check_setting
 from pneuma.study.store import FINISHED, Status, Store
 from pneuma.study.trust import own_things
+
+Read = TypeVar("Read")
 
 
 def study_record(
@@ -61,6 +63,25 @@ def known_studies(store: Store, setting: str | None = None) -> list[str]:
         for name in names
         if not name.endswith(".toml") and setting in (None, spec.split_setting(name)[1])
     )
+
+
+def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[tuple[str, Read]]:
+    """Read studies that nobody named one by one; of those that cannot be read only say so.
+
+    Raises:
+        UserError: where none of several can be read: what hinders the first.
+    """
+    found, hindered = [], []
+    for name in names:
+        try:
+            found.append((name, read(name)))
+        except UserError as error:
+            hindered.append(error)
+    if hindered and not found:
+        raise hindered[0]
+    for hindrance in hindered:
+        say(f"Note: {hindrance}.", aside=True)
+    return found
 
 
 class RunState(NamedTuple):

@@ -23,6 +23,7 @@ from pneuma.cli.options import (
     read_path,
     read_seeds_option,
     read_workers,
+    say,
     selects,
 )
 from pneuma.cli.plain_text import plain
@@ -116,6 +117,8 @@ def collapse(
         print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, figures))})
         return 0
     _print_collapses(data, found, incidence(data))
+    if found["collapsed"].any():
+        say(f"To show the cause: pneuma study collapse {plain(data.study)} --fork", quiet=quiet)
     for path in figures:
         print(f"wrote {plain(str(path))}")
     return 0
@@ -237,8 +240,6 @@ def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame)
         unknown = f"; of {counted(row['unknown'], 'run')} no sign is recorded" if row["unknown"] else ""
         told = f"{row['collapsed']} of {row['runs']} runs collapsed{interval}{unknown}"
         print(f"{plain(row['condition']):<{width}} {told}")
-    if found["collapsed"].any():
-        print(f"To show the cause: pneuma study collapse {plain(data.study)} --fork")
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:

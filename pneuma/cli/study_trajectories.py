@@ -101,7 +101,7 @@ def trajectories(
     print(f"{plain(data.title)}: {found.per_run} episodes of each run, trained for {data.budget:,} steps")
     _print(data, table)
     if not files:
-        say("Draw them on the map with --out DIR.", aside=True)
+        say("Draw them on the map with --out DIR.", aside=True, quiet=quiet)
     for path in files:
         print(f"wrote {plain(str(path))}")
     return None

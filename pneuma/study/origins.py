@@ -46,11 +46,20 @@ def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[st
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the processors of every attempt, each once."""
+    """Return the processors of every attempt, each once: told outright, or by its attempts."""
+    told = origin.get("processors")
+    if isinstance(told, list) and told:
+        return tuple(sorted({str(name) for name in told}))
     told = origin.get("attempts")
     attempts = [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
     machines = [origin, *(each["machine"] for each in attempts if isinstance(each.get("machine"), dict))]
     return tuple(sorted({processor(machine) for machine in machines}))
+
+
+def other_processors(origin: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return `processors` to be told beside a `cpu` that was not all: a GPU's, or of an attempt elsewhere."""
+    found = processors(origin)
+    return {} if found == (str(origin.get("cpu")),) else {"processors": list(found)}
 
 
 def processor(machine: Mapping[str, Any]) -> str:

@@ -187,6 +187,20 @@ def test_status_for_people_counts_and_lists(trained: Trained) -> None:
     assert len({line.index(" seed ") for line in lines[1:]}) == 1
 
 
+def test_a_damaged_record_stands_in_no_other_studys_way(trained: Trained, tmp_path: Path) -> None:
+    results = Path(shutil.copytree(trained.results, tmp_path / "results"))
+    (results / "studies" / "clip-range.json").write_text("{", encoding="utf-8")
+    told = "clip-range.json: damaged; `pneuma study run clip-range` writes it anew.\n"
+    for command, shown in (("status", "activation: 4 done"), ("plot", "fig-6-5.png")):
+        called = _call("study", command, "--results", results)
+        assert called.code == 0 and shown in called.out
+        assert called.err.startswith("Note: ") and called.err.endswith(told)
+        assert _call("study", command, "clip-range", "--results", results).code == 2
+    (results / "studies" / "activation.json").unlink()
+    called = _call("study", "status", "--results", results)
+    assert (called.code, called.out) == (2, "") and told[:-2] in called.err
+
+
 def test_status_tells_how_far_a_run_is_that_was_killed(trained: Trained, tmp_path: Path) -> None:
     results = Path(shutil.copytree(trained.results, tmp_path / "results"))
     killed, nothing = sorted((results / "runs").iterdir())[:2]
