@@ -53,6 +53,7 @@ PRESET_perception = paper
 PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
+PRESET_actor-size-big = paper
 PRESET_tuned-optimizers = paper
 PRESET_tuned-algorithms = paper
 
@@ -92,7 +93,7 @@ reproduction-collapse: install  ## Train the crossed studies: collapse and robus
 	$(call each,collapse robustness)
 
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
-	$(call each,architecture actor-size algorithms tuned-algorithms)
+	$(call each,architecture actor-size-big algorithms tuned-algorithms)
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.outcomes import find_outcome, outcome, reason
-from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.published import PublishedRuns, published_path, published_studies, read_published
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_settings
@@ -58,6 +58,7 @@ class ClaimRuns:
         self.study = cache(self._study)
         self._cells_of = cache(self._plan_cells)
         self._data = cache(self._open)
+        self._tables = cache(self._read_tables)
         self._arms: dict[tuple[str, str, str], Arm] = {}
 
     def hindrance(self, claim: Claim, setting: str, a: str, b: str | None) -> str:
@@ -126,8 +127,13 @@ class ClaimRuns:
             for cell in self._cells(claim, setting, condition)
         }
         record = _record(self.study(study, setting), [*cells.values()])
+        own = self._of_study(record, [*cells])
+        return own if own and not own.left_out else self._elsewhere(record, own)
+
+    def _of_study(self, record: Mapping[str, Any], run_ids: Sequence[str]) -> StudyData | None:
+        """Return what is finished of a record here and in its study's published table."""
         published = published_path(self._store, record["study"])
-        if not published.exists() and not any(self._store.status(name).finished for name in cells):
+        if not published.exists() and not any(self._store.status(name).finished for name in run_ids):
             return None
         try:
             return open_study(self._store, record)
@@ -135,6 +141,20 @@ class ClaimRuns:
             if published.exists():
                 read_published(self._store, record["study"])  # a damaged table is no lack of runs
             return None
+
+    def _elsewhere(self, record: Mapping[str, Any], own: StudyData | None) -> StudyData | None:
+        """Return what another study's published table holds of a record, where that is more; else its own.
+
+        A run is the same run in whichever study it was published.
+        """
+        wanted = {run["run_id"] for run in record["runs"]}
+        best = max(self._tables(), key=lambda table: len(wanted & table.finished), default=None)
+        if best is None or len(wanted & best.finished) <= (len(own.runs) if own else 0):
+            return own
+        return StudyData(best, {**record, "budget": best.head["budget"]}, str(self._store.root))
+
+    def _read_tables(self) -> list[PublishedRuns]:
+        return [read_published(self._store, name) for name in published_studies(self._store)]
 
     def _finished(self, claim: Claim, setting: str, condition: str) -> dict[int, FinishedRun]:
         """Return the finished ones of a condition's runs, by seed."""

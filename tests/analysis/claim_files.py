@@ -7,7 +7,12 @@ from pathlib import Path
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Judged, judge
+from pneuma.analysis.published import published_path
+from pneuma.analysis.published_times import encode_times, times_path
+from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.sources import open_study
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, to_json
@@ -122,6 +127,16 @@ def save_run(
     files = {f"{name}.parquet": data for name, data in tables.items()}
     files["provenance.json"] = to_json({"wall_seconds": 1 + share, "cpu": "a", "threads": 1, **provenance})
     store.save_run(run_id, Status("done", steps), files)
+
+
+def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:
+    """Publish what high and low have as a study's table; return a store of it alone, such as a clone has."""
+    selection = Selection("quick", tuple(range(SEEDS)), STEPS, conditions=("high", "low"))
+    record = selection_record(make_plan(load_study(str(folder / "mine.toml")), selection))
+    data, clone = open_study(store, {**record, "study": study}), Store(folder / "clone")
+    clone.write(published_path(clone, study), encode_study(data))
+    clone.write(times_path(clone, study), encode_times(data))
+    return clone
 
 
 def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Judged]:

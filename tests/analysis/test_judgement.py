@@ -11,12 +11,7 @@ from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL, Judged, judge
 from pneuma.analysis.log_contrasts import run_to_run_deviation
 from pneuma.analysis.published import published_path
-from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
-from pneuma.study.execute import selection_record
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -29,6 +24,7 @@ from .claim_files import (
     changed,
     judge_claims,
     judge_one,
+    published_alone,
     save_runs,
     write_files,
 )
@@ -159,20 +155,25 @@ def test_the_settings_are_judged_side_by_side(store: Store, tmp_path: Path) -> N
     assert verdicts == {"text": "supported", "godot": "refuted"}
 
 
-def test_published_tables_give_the_same_verdicts_as_runs(store: Store, tmp_path: Path) -> None:
+@pytest.mark.parametrize("study", ["mine", "another"])
+def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Store, tmp_path: Path) -> None:
+    """Whichever study they were published in: a run is the same run in all."""
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    study = load_study(str(tmp_path / "mine.toml"))
-    selection = Selection("quick", tuple(range(SEEDS)), conditions=("low", "high"))
-    record = selection_record(make_plan(study, selection))
-    clone = Store(tmp_path / "clone")
-    path = published_path(clone, "mine")
-    path.parent.mkdir(parents=True)
-    path.write_bytes(encode_study(open_study(store, record)))
+    clone = published_alone(store, tmp_path, study)
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
+    path = published_path(clone, study)
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(UserError, match="damaged"):
         judge_one(clone, tmp_path)
+
+
+def test_the_most_runs_that_any_place_has_are_judged(store: Store, tmp_path: Path) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    clone = published_alone(store, tmp_path, "another")
+    save_runs(clone, tmp_path, {"high": HIGH[:3], "low": LOW[:3]})
+    assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
 
 
 # --- Published logs --------------------------------------------------------------------------------

@@ -7,16 +7,12 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.published import published_path
-from pneuma.analysis.published_times import encode_times, times_path
-from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .claim_files import HIGH, LOW, STEPS, changed, judge_one, save_runs, write_files
+from .claim_files import HIGH, LOW, changed, judge_one, published_alone, save_runs, write_files
 
 
 def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
@@ -150,23 +146,13 @@ def test_times_of_different_machines(
     store: Store, tmp_path: Path, told: dict[str, Any], published: bool
 ) -> None:
     """Of another processor, all the way or until a resume; a clone knows no less."""
-    study = write_files(tmp_path).parent / "mine.toml"
+    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH}, **told)
     save_runs(store, tmp_path, {"low": LOW})
     if published:
-        store = _clone(store, study, tmp_path / "clone")
+        store = published_alone(store, tmp_path)
     reason = _untestable(store, tmp_path, ('"final-share-killed"', '"wall-seconds"'))
     assert reason == "timed on different machines"
-
-
-def _clone(store: Store, study: Path, folder: Path) -> Store:
-    """Return a store of the tables alone that publishing leaves."""
-    selection = Selection("quick", tuple(range(8)), STEPS, conditions=("high", "low"))
-    record = selection_record(make_plan(load_study(str(study)), selection))
-    data, clone = open_study(store, record), Store(folder)
-    clone.write(published_path(clone, data.study), encode_study(data))
-    clone.write(times_path(clone, data.study), encode_times(data))
-    return clone
 
 
 @pytest.mark.parametrize(
