@@ -21,7 +21,7 @@ from pneuma.analysis.outcomes import HALF_A_MONSTER, PRIMARY, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sequential import Stage, decide, make_stages
 from pneuma.analysis.sources import open_study
-from pneuma.analysis.tables import StudyData, looked_at, looks_of
+from pneuma.analysis.tables import StudyData, experiments, looked_at, looks_of
 from pneuma.analysis.verdicts import found
 from pneuma.config import stream_seed
 from pneuma.errors import UserError
@@ -82,7 +82,9 @@ def run_until_decided(
     stages = make_stages(most_seeds)
     plans = [make_plan(study, replace(selection, seeds=tuple(range(s.seeds)))) for s in stages]
     others = compared(plans[0])
-    _refuse_another_plan(store.selection(study.name) or {}, stages, others, plans[-1])
+    recorded = store.selection(study.name) or {}
+    _refuse_another_plan(recorded, stages, others, plans[-1])
+    before = _of_other_runs(recorded, plans[-1])
     looks: list[Look] = []
     for stage, planned in zip(stages, plans, strict=True):
         if not train(planned):
@@ -90,7 +92,8 @@ def run_until_decided(
         record = execute.selection_record(planned)
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
-        store.save_selection(study.name, {**record, "adaptive": _as_record(stages, others, looks, planned)})
+        now = {"adaptive": _as_record(stages, others, looks, planned)}
+        store.save_selection(study.name, {**record, **now, **before})
         yield looks[-1]
         if looks[-1].decided:
             return
@@ -100,18 +103,26 @@ def _refuse_another_plan(
     record: Mapping[str, Any], stages: Sequence[Stage], others: Sequence[str], whole: Plan
 ) -> None:
     """Refuse to look at runs again by other stages, or for other conditions: that spends alpha twice."""
-    before = [stage.seeds for stage in stages]
-    if not looks_of(record):
-        return
-    told = record["adaptive"]
-    if told.get("stages") == before and told.get("conditions", list(others)) == list(others):
-        return
-    if {cell.run_id for cell in whole.cells} & looked_at(record):
-        at = ", ".join(map(str, looks_of(record)))
-        raise UserError(
-            f"study {whole.study.name}: was looked at with {at} seeds by another --max-seeds or --condition; "
-            "looking again would spend its error rate twice: give the same ones, or fix --seeds"
-        )
+    asked = [stage.seeds for stage in stages]
+    for each in experiments(record):
+        told, at = each["adaptive"], looks_of(each)
+        if not at or not {cell.run_id for cell in whole.cells} & looked_at(each):
+            continue
+        if told.get("stages") != asked or told.get("conditions", list(others)) != list(others):
+            raise UserError(
+                f"study {whole.study.name}: was looked at with {', '.join(map(str, at))} seeds by another "
+                "--max-seeds or --condition; looking again would spend its error rate twice: give the same "
+                "ones, or fix --seeds"
+            )
+
+
+def _of_other_runs(record: Mapping[str, Any], whole: Plan) -> dict[str, Any]:
+    """Return what a record keeps of looks at runs that a plan has none of."""
+    own = {cell.run_id for cell in whole.cells}
+    others = [
+        each["adaptive"] for each in experiments(record) if looks_of(each) and not own & looked_at(each)
+    ]
+    return {"adaptive_before": others} if others else {}
 
 
 def compared(planned: Plan) -> tuple[str, ...]:

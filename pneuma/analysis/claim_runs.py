@@ -11,7 +11,9 @@ import numpy as np
 
 from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.outcomes import find_outcome, outcome, reason
+from pneuma.analysis.partly_published import PartlyPublished
 from pneuma.analysis.published import PublishedRuns, published_path, published_studies, read_published
+from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_settings
@@ -142,16 +144,17 @@ class ClaimRuns:
                 read_published(self._store, record["study"])  # a damaged table is no lack of runs
             return None
 
-    def _elsewhere(self, record: Mapping[str, Any], own: StudyData | None) -> StudyData | None:
-        """Return what another study's published table holds of a record, where that is more; else its own.
+    def _elsewhere(self, record: Mapping[str, Any], found: StudyData | None) -> StudyData | None:
+        """Add what other studies' published tables hold of a record to what its own study has.
 
         A run is the same run in whichever study it was published.
         """
-        wanted = {run["run_id"] for run in record["runs"]}
-        best = max(self._tables(), key=lambda table: len(wanted & table.finished), default=None)
-        if best is None or len(wanted & best.finished) <= (len(own.runs) if own else 0):
-            return own
-        return StudyData(best, {**record, "budget": best.head["budget"]}, str(self._store.root))
+        for table in self._tables():
+            have = {run.run_id for run in found.runs} if found else set()
+            added = [run["run_id"] for run in record["runs"] if run["run_id"] in table.finished - have]
+            if added:
+                found = _joined(record, found, table, added, str(self._store.root))
+        return found
 
     def _read_tables(self) -> list[PublishedRuns]:
         return [read_published(self._store, name) for name in published_studies(self._store)]
@@ -238,6 +241,19 @@ class ClaimRuns:
             if (best > RISEN).mean() <= 0.5:
                 idle = f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"
         return Arm(values, tuple(run.run_id for run in runs), blank, idle)
+
+
+def _joined(
+    record: Mapping[str, Any], found: StudyData | None, table: PublishedRuns, added: Sequence[str], where: str
+) -> StudyData:
+    """Return runs with those that a table adds; of curves with unlike points, whichever are more."""
+    told = {**record, "budget": table.head["budget"]}
+    if found is None:
+        return StudyData(table, told, where)
+    stored = isinstance(found.source, RunRecords)  # of which curves are had on any grid
+    if found.budget == told["budget"] or (stored and found.budget < told["budget"]):
+        return StudyData(PartlyPublished(StudyData(found.source, told, where), table, added), told, where)
+    return StudyData(table, told, where) if len(added) > len(found.runs) else found
 
 
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:

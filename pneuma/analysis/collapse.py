@@ -59,7 +59,7 @@ class Diagnosis:
         onset_update: the number of that update; None where the run's settings do not tell.
         sound_step: the last update, or evaluation, before it: from where a fork can begin.
         signs: those of `SIGNS` that held over most of it.
-        unseen: those that the run's records cannot tell of.
+        unseen: those that the run's records cannot tell of; of a fork a fall from what its parent had.
         recovered_step: where the last collapse ended; None where one lasts to the run's end.
         relearned: whether it plays as before afterwards; None without a collapse or evaluations.
     """
@@ -79,7 +79,8 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
     found = _clipped(data.source.signs(run), seen)
-    unseen = tuple(sign for sign in SIGNS if sign not in (*found, *([FALL] if len(steps) else [])))
+    told = (*found, *([FALL] if len(steps) and not run.begun else []))  # a fork's best was its parent's
+    unseen = tuple(sign for sign in SIGNS if sign not in told)
     falls = _falls(seen, steps, shares)
     distance = _update_steps(data, run)
     gap = GAP * seen.until + (distance or 0)
@@ -196,6 +197,8 @@ def _relearned(
         return None
     if recovered is None:
         return False
+    if seen.run.begun and not (steps < onset).any():  # its best before was its parent's
+        return None
     best = max(shares[steps < onset], default=0.0)
     after = max(shares[steps > recovered], default=0.0)
     return bool(after >= max(RELEARNED * best, random[0] + DEPTH))

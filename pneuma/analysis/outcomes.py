@@ -139,7 +139,9 @@ def _final_evaluation(seen: RunView, column: str) -> float:
 
 
 def _share_area(seen: RunView) -> float:
-    return mean_height(seen.evaluations("share_killed"), seen.until)
+    steps, shares = seen.evaluations("share_killed")
+    first = min(np.searchsorted(steps, seen.since), max(len(steps) - 1, 0))  # one that diverged early has one
+    return mean_height((steps[first:], shares[first:]), seen.until)
 
 
 def _steps_to(seen: RunView, share: float) -> float:

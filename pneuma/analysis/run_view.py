@@ -27,11 +27,13 @@ class RunView:
 
     Attributes:
         until: agent steps; the run's budget unless a smaller one was asked for.
+        since: where means over evaluations begin.
     """
 
     data: StudyData
     run: FinishedRun
     until: float
+    since: float = 0.0
 
     @property
     def last_step(self) -> float:
@@ -65,8 +67,13 @@ class RunView:
 
 
 def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
-    """Look at a run as it stood at a step, at its own budget where none is given or it is smaller."""
-    return RunView(data, run, min(run.budget, at_step or run.budget))
+    """Look at a run as it stood at a step, at its own budget where none is given or it is smaller.
+
+    At a step that is given, runs of unlike budgets are compared. Each was evaluated at even parts of its own,
+    so that they have the stretch from the latest of their first evaluations on in common.
+    """
+    since = 0.0 if at_step is None else data.latest_first_evaluation
+    return RunView(data, run, min(run.budget, at_step or run.budget), since)
 
 
 def common_step(data: StudyData) -> int | None:

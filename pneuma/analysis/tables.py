@@ -56,13 +56,24 @@ def looks_of(record: Mapping[str, Any]) -> tuple[int, ...]:
     return tuple(own for own in seeds if isinstance(own, int))
 
 
+def experiments(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return a record once for each time that its study's seeds were added by looking, the latest first.
+
+    Each has its own `adaptive`; those before the latest, which were at other runs, are `adaptive_before`.
+    """
+    before = record.get("adaptive_before")
+    told = [record.get("adaptive"), *(before if isinstance(before, list) else ())]
+    return [{**record, "adaptive": own} for own in told if isinstance(own, Mapping)]
+
+
 def looks_that_count(record: Mapping[str, Any]) -> tuple[int, ...]:
     """Return those by which a record's seeds came about: at runs of its own, and at no seed that it lacks."""
-    looks = looks_of(record)
-    if not looks or not {run["run_id"] for run in record["runs"]} & looked_at(record):
-        return ()
+    own = {run["run_id"] for run in record["runs"]}
     seeds = {run["seed"] for run in record["runs"]}
-    return tuple(own for own in looks if {*range(own)} <= seeds)
+    for each in experiments(record):
+        if (looks := looks_of(each)) and own & looked_at(each):
+            return tuple(look for look in looks if {*range(look)} <= seeds)
+    return ()
 
 
 def looked_at(record: Mapping[str, Any]) -> set[str]:
@@ -217,6 +228,14 @@ class StudyData:
     def budget(self) -> int:
         """The largest budget of the runs, in agent steps; in a published table, of all that it holds."""
         return self.record.get("budget") or max(run.budget for run in self.runs)
+
+    @cached_property
+    def latest_first_evaluation(self) -> float:
+        """The step from which on every run has been evaluated; 0 where none was."""
+        if "evaluations" not in self.tables:
+            return 0.0
+        tables = (self.source.table(run, "evaluations") for run in self.runs)
+        return max((float(table["step"].iloc[0]) for table in tables if len(table)), default=0.0)
 
     @property
     def grid(self) -> np.ndarray:

@@ -13,6 +13,8 @@ GRID_POINTS = 200
 WINDOW_POINTS = 10
 """A twentieth of the grid: the window of a training curve."""
 TRAILING_EPISODES = 100
+HUGE = 1e6
+"""Up to which a running total of a run's values still has all their digits that are ever drawn."""
 EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax}
 """Which extreme is kept of each of `PEAKED_QUANTITIES`."""
 
@@ -42,11 +44,11 @@ def episode_curve(
         from_step: where every slot has finished an episode; the curve is blank before.
         end: agent steps that the run trained; blank after.
     """
-    total, first, last = _window(step, values, grid)
+    first, last = _window(step, grid)
     if trailing:
         first = np.maximum(last - TRAILING_EPISODES, 0)
     valid = (last > first) & (grid >= from_step) & (grid <= end)
-    curve = _quotient(total[last] - total[first], last - first, valid)
+    curve = _quotient(_sums(values, first, last), last - first, valid)
     return curve.astype(np.float32).astype(float) if trailing else curve
 
 
@@ -58,9 +60,9 @@ def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: in
     published table keeps of them.
     """
     step, values = step[np.isfinite(values)], values[np.isfinite(values)]
-    total, first, last = _window(step, values, grid)
+    first, last = _window(step, grid)
     first = np.minimum(first, np.maximum(last - 1, 0))
-    curve = _quotient(total[last] - total[first], last - first, (last > 0) & (grid <= end))
+    curve = _quotient(_sums(values, first, last), last - first, (last > 0) & (grid <= end))
     return curve.astype(np.float32).astype(float)
 
 
@@ -90,14 +92,23 @@ def logged_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: in
     return np.where(np.isfinite(held) & (grid <= end), held, np.nan)
 
 
-def _window(
-    step: np.ndarray, values: np.ndarray, grid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return running totals (values + 1,), and where the window of each point begins and ends in them."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    last = np.searchsorted(step, grid, side="right")  # what was had at or before t
+def _window(step: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the window of each point begins and ends among a run's values."""
     before = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
-    return total, np.searchsorted(step, before, side="right"), last
+    # what was had at or before t
+    return np.searchsorted(step, before, side="right"), np.searchsorted(step, grid, side="right")
+
+
+def _sums(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the sum of the values of each window.
+
+    By differences of a running total; but beside a value that is huge, or not finite, that would lose all the
+    others from there on.
+    """
+    if len(values) and not np.abs(values).max() <= HUGE:
+        return np.array([values[a:b].sum() for a, b in zip(first, last, strict=True)])
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return np.asarray(total[last] - total[first])
 
 
 def _quotient(total: np.ndarray, count: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -192,15 +192,18 @@ def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
         if outcome in ("runs", "diverged", "collapsed"):
             continue
         lines = [f"{outcome}: {find_outcome(str(outcome)).words}"]
-        for condition, own in rows.groupby("condition", sort=False):
+        told = dict(iter(rows.groupby("condition", sort=False)))
+        for condition in data.conditions:
+            if condition not in told:
+                lines.append(f"  {plain(condition):<{width}} n = 0   no run has a value")
+                continue
+            own = told[condition]
             cells = [
                 f"{_WORDS.get(row['statistic'], row['statistic'])} "
                 f"{shown_with_interval(row['value'], row['low'], row['high'])}"
                 for row in own.to_dict("records")
             ]
-            lines.append(
-                f"  {plain(str(condition)):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}"
-            )
+            lines.append(f"  {plain(condition):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")
         yield "\n".join(lines)
     yield "\n".join(_failures(data, table))
 

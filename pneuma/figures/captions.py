@@ -83,10 +83,10 @@ def caption_of(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str
 def _origin(data: StudyData) -> list[str]:
     engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
     mixed = f" Engines are mixed ({', '.join(engines)}): no contrast holds." if len(engines) > 1 else ""
-    return [f"{', '.join(data.environments)}.{mixed}", *_forks(data)]
+    return [f"{', '.join(data.environments)}.{mixed}", *forks_told(data)]
 
 
-def _forks(data: StudyData) -> list[str]:
+def forks_told(data: StudyData) -> list[str]:
     """Say of forks that several go back to one run."""
     parents = {data.settings(run).get("parent") for run in data.runs} - {None, ""}
     of_one = max((len(data.of_condition(name)) for name in data.conditions), default=0)
@@ -94,7 +94,7 @@ def _forks(data: StudyData) -> list[str]:
         return []
     few = f"{len(parents)} runs, several of each" if len(parents) > 1 else "one run"
     told = f"Runs are forks of {few}"
-    return [f"{told}: bands and intervals take them for independent."]
+    return [f"{told}: intervals take them for independent, and are too narrow."]
 
 
 def looks_told(data: StudyData) -> list[str]:
@@ -111,7 +111,7 @@ def _lines(drawn: Sequence[Curve], band: str) -> list[str]:
         bare = ", and without a band," if BANDS[band].about_mean else ""
         words.append(f"Lines are faint{bare} where not all n runs have a value.")
     if band == "minmax" and len({len(curve.runs) for curve in drawn}) > 1:
-        words.append("From least to greatest is wider of more runs: bands of unlike n cannot be compared.")
+        words.append("Bands from least to greatest widen with n: those of unlike n cannot be compared.")
     words += _worth([curve for curve in drawn if shows_runs(curve, band)], band)
     if band == "variance":
         words.append(
@@ -126,10 +126,10 @@ def _worth(few: Sequence[Curve], band: str) -> list[str]:
         return []
     covered = {runs: coverage(band, runs) for runs in sorted({len(curve.runs) for curve in few})}
     known = [f"{worth:.0%} (n = {runs})".replace("%", " %") for runs, worth in covered.items() if worth]
-    told = f"cover the mean at worst {' or '.join(known)} of the time" if known else ""
+    told = f"cover the mean in as little as {' or '.join(known)} of cases at a point" if known else ""
     none = "of two runs say little" if not all(covered.values()) else ""
     worth = ", and those ".join(filter(None, [told, none]))
-    return [f"Bands, each point by itself, {worth}; so these runs are drawn too, as thin lines."]
+    return [f"Bands of so few runs {worth}, so the runs are drawn too, as thin lines."]
 
 
 def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
@@ -175,7 +175,7 @@ def _cut(shares: Sequence[Curve], band: str) -> list[str]:
     edges = [curve.band(band) for curve in shares]
     ends = ["below 0 %"] * any((low < 0).any() for low, _ in edges)
     ends += ["above 100 %"] * any((high > ABOVE_ALL).any() for _, high in edges)
-    return [f"What of a band lies {' or '.join(ends)} is cut off."] if ends else []
+    return [f"Bands are cut off {' and '.join(ends)}."] if ends else []
 
 
 def _above(data: StudyData, name: str, curves: Sequence[Curve]) -> str:

@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter
 
 from pneuma.analysis import ACTION_QUANTITIES
-from pneuma.analysis.collapse import SHORTEST, diagnoses, incidence
+from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
 from pneuma.analysis.run_view import Series, view
 from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.figures.captions import headline_of
+from pneuma.figures.captions import forks_told, headline_of
 from pneuma.figures.crossed import factors_of, read_name
-from pneuma.figures.looks import condition_looks
+from pneuma.figures.looks import condition_looks, told_apart
 from pneuma.figures.panel import BELOW_ZERO, per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import house_style, save_figure
@@ -72,6 +72,7 @@ def draw_collapse(
     shown = shares if len(shares) <= MOST_ROWS else shares[shares["collapsed"] > 0]
     collapsed = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
     held = _held(data, collapsed)
+    colours = _colours(data, list(shares["condition"][shares["collapsed"] > 0]))
     words = Words(
         headline_of(data, _told(shares)), "", _caption(data, list(held), shown, len(shares) - len(shown))
     )
@@ -83,12 +84,18 @@ def draw_collapse(
         for name in list(held)[1:]:
             panels[name].sharex(panels[next(iter(held))])
         for name, series in held.items():
-            _draw_panel(panels[name], data, series, name)
+            _draw_panel(panels[name], colours, series, name)
             panels[name].set_title(PANELS[name])
-        _draw_bars(panels["bars"], data, shown)
+        _draw_bars(panels["bars"], colours, shown)
         height = PANELS_INCHES if len(mosaic) > 1 else 0.7 * PANELS_INCHES
         words.put(figure, SIZE, max(height, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES)), {})
         return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
+
+
+def _colours(data: StudyData, collapsed: Sequence[str]) -> dict[str, str]:
+    """Return every condition's colour; those of which runs collapsed are told apart by nothing else."""
+    looks = condition_looks(data.conditions)
+    return {name: look["color"] for name, look in looks.items()} | told_apart(looks, collapsed)
 
 
 def _held(data: StudyData, collapsed: Mapping[str, float]) -> dict[str, list[Fall]]:
@@ -120,6 +127,8 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
     hollow = "Hollow: no longer so at the end. " * bool(shown["recovered"].any())
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
     rows = f"Rows: {', '.join(_parts(list(shown['condition'])))}. " if _by_levels(shown) else ""
+    forked = any(run.begun for run in data.runs)
+    falls = ["Of a fork its parent's best is not known: a fall from that is not seen."] if forked else []
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
     if unseen:
         told = ", ".join(name for name in data.conditions if name in unseen)
@@ -127,9 +136,12 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
     return [
         f"{', '.join(data.environments)}. {left}{bars if left else bars.capitalize()}; "
         "lines: 95 % intervals (Clopper and Pearson).",
-        f"Collapsed: down to one action ({dashed}{LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions) "
-        f"for {100 * SHORTEST:g} % of the budget, or far below its best in two evaluations in a row. "
-        f"{hollow}{rows}{none}",
+        f"Collapsed: in most updates over {100 * SHORTEST:g} % of the budget down to one action "
+        f"({dashed}{LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions), or in two evaluations in a "
+        f"row at {100 * FALLEN_TO:g} % of its best at most and {100 * DEPTH:g} points below it. "
+        f"{hollow}{rows}{none}".strip(),
+        *forks_told(data),
+        *falls,
     ]
 
 
@@ -150,14 +162,13 @@ def _left(held: Sequence[str]) -> str:
     )
 
 
-def _draw_panel(axes: Axes, data: StudyData, falls: Sequence[Fall], name: str) -> None:
+def _draw_panel(axes: Axes, colours: Mapping[str, str], falls: Sequence[Fall], name: str) -> None:
     axes.axvline(0, color="#999999", linewidth=0.8)
     if name in THRESHOLDS:
         axes.axhline(THRESHOLDS[name], color="#999999", linewidth=0.8, linestyle="--")
-    looks = condition_looks(data.conditions)
     faint = 0.8 if len(falls) < 20 else 0.4
     for run, step, values in falls:
-        axes.plot(step, values, color=looks[run.condition]["color"], linewidth=0.7, alpha=faint)
+        axes.plot(step, values, color=colours[run.condition], linewidth=0.7, alpha=faint)
     axes.xaxis.set_major_locator(whole_ticks(4))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.yaxis.set_major_locator(whole_ticks(5))
@@ -187,11 +198,10 @@ def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
     return data.grid[np.isfinite(most)], most[np.isfinite(most)]
 
 
-def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
+def _draw_bars(axes: Axes, colours: Mapping[str, str], shares: pd.DataFrame) -> None:
     rows: Sequence[dict[Any, Any]] = shares.to_dict("records")
-    looks = condition_looks(data.conditions)
     for place, row in enumerate(rows):
-        colour = looks[row["condition"]]["color"]
+        colour = colours[row["condition"]]
         axes.barh(place, row["share"], height=0.55, color=colour, alpha=0.6)
         again = row["recovered"] / row["runs"] if row["runs"] else 0
         axes.barh(
@@ -203,7 +213,7 @@ def _draw_bars(axes: Axes, data: StudyData, shares: pd.DataFrame) -> None:
     by_levels = _by_levels(shares)
     names = [_bar_label(row, by_levels) for row in rows]
     points = 72 * LONGEST_INCHES / max(len(rows), 1)
-    axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(5.5, 0.8 * points))
+    axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(6.2, 0.8 * points))
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")
     axes.set_xticks((0, 0.5, 1))
     axes.xaxis.set_major_formatter(FuncFormatter(per_cent))

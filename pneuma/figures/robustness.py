@@ -13,7 +13,19 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Cell, Levels, Map, robustness_map
+from pneuma.analysis.robustness import (
+    CONDITIONAL,
+    HOLDS,
+    OPEN,
+    PARTIAL,
+    REVERSED,
+    ROBUST,
+    UNDECIDED,
+    Cell,
+    Levels,
+    Map,
+    robustness_map,
+)
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.captions import headline_of
@@ -134,7 +146,7 @@ def _level_words(levels: Levels) -> str:
 
 
 def _told(levels: Levels) -> str:
-    return ", ".join(f"{key} {shown_level(level)}" for key, level in levels)
+    return ", ".join(f"{_reads(key)} {shown_level(level)}" for key, level in levels)
 
 
 # --- Columns ---------------------------------------------------------------------------------------
@@ -145,7 +157,7 @@ def _draw_map(axes: Axes, found: Map, places: Mapping[Levels, int]) -> None:
     for cell in found.cells:
         _draw_cell(axes, cell, places[cell.levels])
     better, worse = map(shown_setting, found.values)
-    axes.set_title(f"{found.setting}:\n{found.label}", fontsize=SIZE.type_points)
+    axes.set_title(f"{_reads(found.setting)}:\n{found.label}", fontsize=SIZE.type_points)
     axes.set_xlabel(f"{better}\nless {worse}")
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
@@ -168,8 +180,23 @@ def _points(share: float, _: Any) -> str:
 # --- Words -----------------------------------------------------------------------------------------
 
 
+MEANINGS = {
+    ROBUST: "all cells hold",
+    PARTIAL: "some hold, the others are open",
+    CONDITIONAL: "some hold, some are reversed",
+    REVERSED: "some are reversed, none holds",
+    UNDECIDED: "all are open",
+}
+"""Of a column's label."""
+
+
+def _reads(setting: str) -> str:
+    """Return a setting's name as it is read."""
+    return setting.replace("_", " ")
+
+
 def _factors_told(maps: Sequence[Map]) -> str:
-    *first, last = [*maps[0].factors] or ["nothing else"]
+    *first, last = [*map(_reads, maps[0].factors)] or ["nothing else"]
     return "over " + " and ".join(filter(None, [", ".join(first), last]))
 
 
@@ -186,12 +213,13 @@ def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
     unit = ", in percentage points" if outcome.bounds == (0.0, 1.0) else ""
     turned = ", turned, as less is better" if outcome.better == "lower" else ""
     runs = counts_told(runs for found in maps for cell in found.cells for runs in cell.contrast.seeds)
-    rows = list(maps[0].factors)[-IN_A_ROW:]
+    rows = [*map(_reads, maps[0].factors)][-IN_A_ROW:]
+    labels = {found.label for found in maps}
+    meanings = "; ".join(f"{label}: {words}" for label, words in MEANINGS.items() if label in labels)
     return [
         f"{', '.join(data.environments)}. Differences of means in {outcome.words}{unit}{turned}, {runs} runs "
         "an arm; lines: 95 % intervals, each for itself.",
         f"Rows: {', '.join(rows)}." if rows else "",
         "Filled: other than 0 by relabelings and by Welch's t, at 5 % over each column (Holm).",
-        "Robust: all cells hold; partial: some hold, the others are open; conditional: some hold, some are "
-        "reversed.",
+        f"{meanings[:1].upper()}{meanings[1:]}.",
     ]

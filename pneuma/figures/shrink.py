@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 from PIL import Image
 
 DOTS_PER_INCH = 150
-"""Of a PNG: as a page shows it; to print, there are SVGs."""
+"""Of a PNG beside which there is an SVG, to be printed: as a page shows it."""
 COLOURS = 256
 
 _PATH = re.compile(rb'(?<= d=")[^"]+')
@@ -18,13 +19,13 @@ _LONG_NUMBER = re.compile(rb"-?\d+\.\d{3,}")
 def shrink(path: Path) -> None:
     """Write a picture anew, smaller; what is neither a PNG nor an SVG stays as it is."""
     if path.suffix == ".png":
-        _shrink_png(path)
+        _shrink_png(path, DOTS_PER_INCH if path.with_suffix(".svg").exists() else math.inf)
     elif path.suffix == ".svg":
         path.write_bytes(shrunk_svg(path.read_bytes()))
 
 
-def _shrink_png(path: Path) -> None:
-    """Give it a palette, which takes a third of the space, and no more dots than a page shows.
+def _shrink_png(path: Path, most_dots: float) -> None:
+    """Give it a palette, which takes a third of the space, and no more dots an inch than are asked for.
 
     The palette covers all colours that there are, however few dots have them. One made by their number
     (Pillow's default, the median cut) spends itself on the greys of letters, and gives the marks of one
@@ -32,7 +33,7 @@ def _shrink_png(path: Path) -> None:
     """
     with Image.open(path) as image:
         dots = image.info["dpi"][0]
-        share = min(1.0, DOTS_PER_INCH / dots)
+        share = min(1.0, most_dots / dots)
         size = (round(image.width * share), round(image.height * share))
         small = image.convert("RGB")
         if share < 1:

@@ -22,7 +22,7 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.captions import headline_of, looks_told
+from pneuma.figures.captions import forks_told, headline_of, looks_told
 from pneuma.figures.crossed import factors_of
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.panel import per_cent, whole_ticks
@@ -136,6 +136,11 @@ def _draw_improvement(
         face = looks[str(one.condition)]["color"] if sure else "white"
         draw_interval(axes, one, shown.index(str(one.condition)), "o", face)
     axes.axvline(0.5, color="#666666", linewidth=0.9, zorder=1.2)
+    if (baseline := data.record["baseline"]) in shown:
+        place = (0.5, shown.index(baseline))
+        axes.annotate(
+            "baseline", place, (4, 0), textcoords="offset points", size="small", color="#666666", va="center"
+        )
     axes.set(xlim=(0, 1), title="Against the baseline", xlabel="Probability of being better")
     label_rows(axes, shown if labelled else [""] * len(shown))
 
@@ -163,17 +168,18 @@ def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame)
     known_outcome = find_outcome(outcome)
     shown = known_outcome.words
     words = [f"{', '.join(data.environments)}. {shown[:1].upper()}{shown[1:]}."]
-    words += looks_told(data)
+    words += [*forks_told(data), *looks_told(data)]
     if len(values) <= MOST_IN_A_PANEL:
         words.append("Runs above a level: in the colours of the rows.")
     step = common_step(data)
     if step is not None:
         words.append(f"All as they stood at {step:,} steps, the most that all runs were to reach.")
-    if (table["statistic"] == "improvement").any():
-        baseline = data.record["baseline"]
+    improved = table[table["statistic"] == "improvement"]
+    if len(improved):
+        hollow = "; hollow where there is none: no resample differs" if improved["low"].isna().any() else ""
         words.append(
-            f"Against the baseline: the probability that a run is better than one of {baseline}, a tie being "
-            "half of it, with 95 % intervals (bootstrap); hollow where there is none: no resample differs."
+            "Against the baseline: the probability that a run is better than one of "
+            f"{data.record['baseline']}, a tie being half of it, with 95 % intervals (bootstrap){hollow}."
         )
     absent = [name for name in data.conditions if name not in values]
     if absent:
@@ -185,10 +191,10 @@ def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame)
                 f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere here."
             )
     if known_outcome.bounds == (0.0, 1.0) and (table["low"] < 0).any():
-        words.append("What of an interval lies below 0 % is cut off.")
+        words.append("Intervals are cut off below 0 %.")
     counts = [len(known) for known in values.values()]
     if any(0 < count < 3 for count in counts):
         words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
     if any(count >= 3 and not is_trusted("bootstrap", count) for count in counts):
-        words.append("Of so few runs bootstrap intervals cover less often than they say.")
+        words.append("With so few runs bootstrap intervals cover less often than in 95 % of cases.")
     return words

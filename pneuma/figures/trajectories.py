@@ -50,10 +50,10 @@ START: dict[str, Any] = {
     "markeredgewidth": 0.5,
 }
 WORDS = {
-    "killed": "killed by monsters",
-    "drowned": "walked into the sea",
-    "cleared": "killed every monster",
-    "time-limit": "out of time",
+    "killed": "dies of bites",
+    "drowned": "drowns",
+    "cleared": "kills every monster",
+    "time-limit": "runs out of time",
 }
 
 
@@ -157,7 +157,8 @@ def _draw_episodes(axes: Axes, own: pd.DataFrame) -> None:
 
 def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
     """Return the legend: where ways begin, and the endings that there are."""
-    seen = set(found.episodes["ending"])
+    drawn = found.episodes["x"].map(len) > 0
+    seen = set(found.episodes["ending"][drawn])
     return {"begins": Line2D([], [], markersize=4, linestyle="", **START)} | {
         WORDS[ending]: Line2D([], [], markersize=4, linewidth=1.2, **LOOKS[ending])
         for ending in ENDINGS
@@ -168,8 +169,8 @@ def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
 def _told(table: pd.DataFrame) -> str:
     """Return what is written below a panel: the shares of endings, and what episodes are like."""
     means = dict(zip(table["outcome"], table["value"], strict=True))
-    shares = [f"{share_told(means[name])} {name.replace('-', ' ')}" for name in ENDINGS if means.get(name)]
-    an_episode = f"{means['steps']:,.0f} steps and {means['kills']:.2g} kills an episode"
+    shares = [f"{share_told(means[name])} {WORDS[name]}" for name in ENDINGS if means.get(name)]
+    an_episode = f"{means['steps']:,.0f} steps an episode, {means['kills']:.2g} monsters killed"
     return f"{', '.join(shares)}\n{an_episode}"
 
 

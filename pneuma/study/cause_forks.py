@@ -115,12 +115,12 @@ def _study(
 ) -> Study:
     told = "/".join([*(f"{run.parent}-{run.fork_step}" for run in controls), *conditions])
     name = f"{study}-forks-{hashlib.sha256(told.encode()).hexdigest()[:4]}"
-    runs = counted(len(controls), "run")
+    runs = counted(len(controls), "collapsed run")
     changes = {name: dict(causes[name].settings) for name in conditions if name != CONTROL}
     return Study(
         name=name,
         path=None,
-        title=f"{runs} of {study} from before the collapse",
+        title=f"Forks of {runs} of {study}",
         section="",
         about="Each condition changes one thing from there on, beside an unchanged control.",
         figure=name,

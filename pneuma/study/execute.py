@@ -99,7 +99,9 @@ def prepare(
 
 def _looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return what a study's record says of looks at its runs: what was looked at once stays so."""
-    return {"adaptive": recorded["adaptive"]} if recorded and "adaptive" in recorded else {}
+    return (
+        {key: recorded[key] for key in ("adaptive", "adaptive_before") if key in recorded} if recorded else {}
+    )
 
 
 def execute(

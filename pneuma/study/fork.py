@@ -24,7 +24,7 @@ from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.provenance import differences
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import stored_run
+from pneuma.study.stored_runs import read_document, stored_settings
 from pneuma.study.trust import own_things
 
 CONTROL = "control"
@@ -122,7 +122,7 @@ def _parent_run(store: Store, parent: str, trust: bool) -> Run:
     status = store.status(parent)
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
-    settings = stored_run(store, parent).settings
+    settings = stored_settings(store, parent)
     if not settings:
         raise UserError(f"run {parent}: its run.json holds no configuration")
     own = own_things(settings)
@@ -139,7 +139,7 @@ def _parent_run(store: Store, parent: str, trust: bool) -> Run:
 
 def elsewhere(store: Store, parent: str) -> list[str]:
     """Say in what this machine differs from the one that trained the parent."""
-    earlier = stored_run(store, parent).provenance
+    earlier = read_document(store, parent, "provenance.json")
     changed = differences(earlier) if earlier else []
     if not changed:
         return []

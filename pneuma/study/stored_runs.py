@@ -134,15 +134,20 @@ def list_runs(store: Store) -> list[ListedRun]:
 
 def stored_run(store: Store, run_id: str) -> StoredRun:
     """Return all that is stored of a run; `run_id` is one of `Store.runs`."""
-    settings = _document(store, run_id, "run.json").get("run")
     return StoredRun(
         run_id=run_id,
         status=store.status(run_id),
-        settings=settings if isinstance(settings, dict) else {},
-        provenance=_document(store, run_id, "provenance.json"),
+        settings=stored_settings(store, run_id),
+        provenance=read_document(store, run_id, "provenance.json"),
         holders=holders(store).get(run_id, ()),
         files=_files(store, run_id),
     )
+
+
+def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
+    """Return a run's resolved configuration as it was written; empty where that is damaged."""
+    settings = read_document(store, run_id, "run.json").get("run")
+    return settings if isinstance(settings, dict) else {}
 
 
 def holders(store: Store) -> dict[str, tuple[Holder, ...]]:
@@ -227,7 +232,7 @@ def _checkpoint_state(path: Path) -> str:
         return "damaged"
 
 
-def _document(store: Store, run_id: str, name: str) -> dict[str, Any]:
+def read_document(store: Store, run_id: str, name: str) -> dict[str, Any]:
     """Return a run's JSON file, empty unless its checksum holds and it is an object."""
     try:
         document = json.loads(store.read_file(run_id, name))

@@ -129,9 +129,9 @@ def save_run(
     store.save_run(run_id, Status("done", steps), files)
 
 
-def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:
-    """Publish what high and low have as a study's table; return a store of it alone, such as a clone has."""
-    selection = Selection("quick", tuple(range(SEEDS)), STEPS, conditions=("high", "low"))
+def published_alone(store: Store, folder: Path, study: str = "mine", *conditions: str) -> Store:
+    """Publish what high and low have as a study's table; return a store of tables alone, as a clone has."""
+    selection = Selection("quick", tuple(range(SEEDS)), STEPS, conditions=conditions or ("high", "low"))
     record = selection_record(make_plan(load_study(str(folder / "mine.toml")), selection))
     data, clone = open_study(store, {**record, "study": study}), Store(folder / "clone")
     clone.write(published_path(clone, study), encode_study(data))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -168,11 +169,15 @@ def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Stor
         judge_one(clone, tmp_path)
 
 
-def test_the_most_runs_that_any_place_has_are_judged(store: Store, tmp_path: Path) -> None:
+def test_runs_that_lie_in_several_places_are_judged_together(store: Store, tmp_path: Path) -> None:
+    """Five here, three of one arm in one table and three of the other in a second."""
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    clone = published_alone(store, tmp_path, "another")
-    save_runs(clone, tmp_path, {"high": HIGH[:3], "low": LOW[:3]})
+    published_alone(store, tmp_path, "another", "high")
+    clone = published_alone(store, tmp_path, "third", "low")
+    save_runs(clone, tmp_path, {"high": HIGH[:5], "low": LOW[:5]})
+    assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
+    shutil.rmtree(clone.root / "runs")
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
 
 

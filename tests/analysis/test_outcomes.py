@@ -60,7 +60,7 @@ def save(
     tables = {
         "episodes": to_parquet([episode(k) for k in range(1, end // 50 + 1)], EPISODE_COLUMNS),
         "metrics": to_parquet([update(k, 10) for k in range(1, end // 100 + 1)], METRIC_COLUMNS),
-        "evaluations": to_parquet(rows, (*EVALUATION_COLUMNS, *more)),
+        "evaluations": to_parquet(rows, tuple(dict.fromkeys((*EVALUATION_COLUMNS, *more)))),
     }
     files = {f"{name}.parquet": data for name, data in tables.items()}
     files["provenance.json"] = to_json({"wall_seconds": 8.0, "processor_share": 0.5, "python": "3.11"})
@@ -159,6 +159,20 @@ def test_a_diverged_run_counts_with_its_last_recorded_values(
 )
 def test_a_run_as_it_stood_at_a_step(data: StudyData, name: str, expected: float) -> None:
     assert outcome(data, data.runs[0], name, at_step=500) == pytest.approx(float(expected), rel=1e-6)
+
+
+def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_path: Path) -> None:
+    """The longer is first evaluated at 500: from there to 1,000 the shorter comes to 0.475, by trapezoids."""
+    store = Store(tmp_path / "results")
+    save(store, "a0" * 8)
+    save(store, "a1" * 8, (0.3,), end=300)
+    save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), step=(500, 1000, 1500, 2000))
+    unlike = record(CELLS)
+    unlike["runs"][2] = {**unlike["runs"][2], "run": {**unlike["runs"][2]["run"], "steps": 2000}}
+    data = open_study(store, unlike)
+    found = [outcome(data, run, "auc-share-killed", common_step(data)) for run in data.runs]
+    assert found == pytest.approx([0.475, 0.3, 0.3])
+    assert outcome(data, data.runs[0], "auc-share-killed") == pytest.approx(0.45)
 
 
 def test_an_evaluation_that_whole_horizons_put_just_after_the_step_counts(data: StudyData) -> None:

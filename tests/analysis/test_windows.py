@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from pneuma.analysis.windows import logged_curve, make_grid, update_curve
+from pneuma.analysis.windows import episode_curve, logged_curve, make_grid, update_curve
 
 NAN = float("nan")
 GRID = make_grid(200)  # 1, 2, … 200; a twentieth is 10
@@ -29,6 +30,24 @@ def test_an_update_that_is_not_finite_counts_as_none() -> None:
     step, values = np.array([10.0, 15.0, 20.0, 60.0]), np.array([1.0, NAN, 5.0, np.inf])
     curve = update_curve(step, values, GRID, 200)
     np.testing.assert_equal(_at(curve, 15, 19, 20, 60, 200), [1, 1, 5, 5, 5])  # 20: (10, 20] has 20 alone
+
+
+@pytest.mark.parametrize("huge", [1e17, -1e30])
+def test_a_huge_value_is_forgotten_with_its_window(huge: float) -> None:
+    """Not kept in a running total, beside which all later values would be nothing."""
+    step = np.arange(1.0, 201.0)
+    values = np.where(step == 3, huge, 0.5)
+    curve = update_curve(step, values, GRID, 200)
+    assert curve[20:].tolist() == [0.5] * 180
+    assert abs(curve[5]) > 1e15
+
+
+def test_a_return_that_is_not_finite_blanks_its_own_window_alone() -> None:
+    step = np.arange(1.0, 201.0)
+    values = np.where(step == 3, np.nan, 0.5)
+    curve = episode_curve(step, values, GRID, trailing=False, from_step=0, end=200)
+    assert np.flatnonzero(np.isnan(curve)).tolist() == [*range(2, 12)]
+    assert set(curve[12:]) == {0.5}
 
 
 def test_what_was_logged_holds_until_the_next_entry() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pneuma import until_decided
-from pneuma.analysis.tables import looks_of
+from pneuma.analysis.tables import experiments, looks_of, looks_that_count
 from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study import execute
@@ -110,8 +110,17 @@ def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path:
     one = Selection(conditions=(study.baseline, list(study.conditions)[-1]))
     with pytest.raises(UserError, match="or --condition; looking again"):
         next(run_until_decided(study, one, 20, store, written.train))
-    longer = replace(study.in_setting("godot"), name=study.name)  # other runs
-    next(run_until_decided(longer, Selection(), 40, store, written.train))
+    others = replace(study.in_setting("godot"), name=study.name)  # other runs
+    next(run_until_decided(others, Selection(), 40, store, written.train))
+    execute.prepare(make_plan(study, Selection(seeds=tuple(range(10)))), store)
+    with pytest.raises(UserError, match="was looked at with 10, 20 seeds"):  # nor do these make it forgotten
+        next(run_until_decided(study, Selection(), 40, store, written.train))
+    again = run_until_decided(study, Selection(), 20, store, written.train)
+    assert [look.stage.seeds for look in again] == looks
+    with pytest.raises(UserError, match="was looked at with 10 seeds"):
+        next(run_until_decided(others, Selection(), 20, store, written.train))
+    record = store.selection(STUDY)
+    assert record is not None and len(experiments(record)) == 2 and looks_that_count(record) == (10, 20)
 
 
 def test_a_strangers_record_of_looks_is_no_traceback() -> None:
