@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
 from pneuma.analysis.curves import Curve
-from pneuma.analysis.references import reference_levels
+from pneuma.analysis.references import reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.crossed import factors_of, read_name
@@ -132,6 +132,7 @@ def _draw_block(
     figure: Figure, data: StudyData, name: str, curves: Sequence[Curve], band: str, block: _Block, size: Size
 ) -> None:
     look, levels = look_of(name, data.averaged_over), reference_levels(data, name)
+    shared = shared_levels(data, name)  # one line in all panels, not each condition's sample of it
     curves = as_drawn(look, curves)
     line, (width, height) = size.line_inches, figure.get_size_inches()
     figure.text(
@@ -143,7 +144,7 @@ def _draw_block(
     for axes, curve, heading in zip(panels, curves, headings, strict=True):
         _draw_others(axes, curves, curve, data.record.get("baseline"))
         draw_curve(axes, curve, band, _small(looks[curve.condition]))
-        draw_references(axes, levels.get(curve.condition, {}), highest_point(curves))
+        draw_references(axes, shared or levels.get(curve.condition, {}), highest_point(curves))
         draw_common_step(axes, common_step(data))
         set_axes(axes, look, data.budget, curves)
         axes.set_title(heading, fontsize=size.small_points, weight="normal", pad=TITLE_PAD, linespacing=1.05)
