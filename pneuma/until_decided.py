@@ -120,7 +120,9 @@ def _of_other_runs(record: Mapping[str, Any], whole: Plan) -> dict[str, Any]:
     """Return what a record keeps of looks at runs that a plan has none of."""
     own = {cell.run_id for cell in whole.cells}
     others = [
-        each["adaptive"] for each in experiments(record) if looks_of(each) and not own & looked_at(each)
+        {**each["adaptive"], "runs": sorted(looked_at(each))}
+        for each in experiments(record)
+        if looks_of(each) and not own & looked_at(each)
     ]
     return {"adaptive_before": others} if others else {}
 

@@ -61,6 +61,7 @@ class ClaimRuns:
         self._cells_of = cache(self._plan_cells)
         self._data = cache(self._open)
         self._tables = cache(self._read_tables)
+        self._unread: list[str] = []
         self._arms: dict[tuple[str, str, str], Arm] = {}
 
     def hindrance(self, claim: Claim, setting: str, a: str, b: str | None) -> str:
@@ -144,20 +145,26 @@ class ClaimRuns:
                 read_published(self._store, record["study"])  # a damaged table is no lack of runs
             return None
 
-    def _elsewhere(self, record: Mapping[str, Any], found: StudyData | None) -> StudyData | None:
-        """Add what other studies' published tables hold of a record to what its own study has.
+    def _elsewhere(self, record: Mapping[str, Any], own: StudyData | None) -> StudyData | None:
+        """Return what is had of a record where the tables of all studies count, if that is more.
 
-        A run is the same run in whichever study it was published.
+        A run is the same run in whichever study it was published. Curves are on one grid: tables of one
+        budget add up, with whatever is here.
         """
+        tables: dict[int, list[PublishedRuns]] = {}
         for table in self._tables():
-            have = {run.run_id for run in found.runs} if found else set()
-            added = [run["run_id"] for run in record["runs"] if run["run_id"] in table.finished - have]
-            if added:
-                found = _joined(record, found, table, added, str(self._store.root))
-        return found
+            tables.setdefault(table.head["budget"], []).append(table)
+        found = [_joined(self._store, record, tables[budget]) for budget in sorted(tables)]
+        return max((own, *found), key=lambda data: len(data.runs) if data else 0)
 
     def _read_tables(self) -> list[PublishedRuns]:
-        return [read_published(self._store, name) for name in published_studies(self._store)]
+        tables = []
+        for name in published_studies(self._store):
+            try:
+                tables.append(read_published(self._store, name))
+            except UserError as error:
+                self._unread.append(str(error))
+        return tables
 
     def _finished(self, claim: Claim, setting: str, condition: str) -> dict[int, FinishedRun]:
         """Return the finished ones of a condition's runs, by seed."""
@@ -174,6 +181,7 @@ class ClaimRuns:
         if len(found) == len(cells):
             return ""
         steps = f"{cells[0].run.steps:,} steps"
+        steps += "".join(f" ({told})" for told in self._unread)
         if found:
             return f"too few seeds: {condition} has {len(found)} of the {len(cells)} fixed ones with {steps}"
         reached = self._reached(claim, setting, condition, cells[0].run)
@@ -243,17 +251,21 @@ class ClaimRuns:
         return Arm(values, tuple(run.run_id for run in runs), blank, idle)
 
 
-def _joined(
-    record: Mapping[str, Any], found: StudyData | None, table: PublishedRuns, added: Sequence[str], where: str
-) -> StudyData:
-    """Return runs with those that a table adds; of curves with unlike points, whichever are more."""
-    told = {**record, "budget": table.head["budget"]}
-    if found is None:
-        return StudyData(table, told, where)
-    stored = isinstance(found.source, RunRecords)  # of which curves are had on any grid
-    if found.budget == told["budget"] or (stored and found.budget < told["budget"]):
-        return StudyData(PartlyPublished(StudyData(found.source, told, where), table, added), told, where)
-    return StudyData(table, told, where) if len(added) > len(found.runs) else found
+def _joined(store: Store, record: Mapping[str, Any], tables: Sequence[PublishedRuns]) -> StudyData | None:
+    """Return the runs of a record that are here, or in any of some tables of one budget; None without any."""
+    found: StudyData | None = None
+    told, where = {**record, "budget": tables[0].head["budget"]}, str(store.root)
+    here = RunRecords(store)
+    if any(here.status(run["run_id"]).finished for run in record["runs"]):
+        whole = StudyData(here, record, where)
+        found = StudyData(here, told, where) if whole.budget <= told["budget"] else None
+    for table in tables:
+        have = {run.run_id for run in found.runs} if found else set()
+        added = [run["run_id"] for run in record["runs"] if run["run_id"] in table.finished - have]
+        if added:
+            source = PartlyPublished(found, table, added) if found else table
+            found = StudyData(source, told, where)
+    return found
 
 
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:

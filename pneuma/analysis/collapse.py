@@ -79,9 +79,9 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
     found = _clipped(data.source.signs(run), seen)
-    told = (*found, *([FALL] if len(steps) and not run.begun else []))  # a fork's best was its parent's
-    unseen = tuple(sign for sign in SIGNS if sign not in told)
     falls = _falls(seen, steps, shares)
+    judged = falls or (len(steps) and not run.begun)  # a fork's best was its parent's
+    unseen = tuple(sign for sign in SIGNS if sign not in (*found, *([FALL] if judged else [])))
     distance = _update_steps(data, run)
     gap = GAP * seen.until + (distance or 0)
     spells = joined(_one_action(found, seen, gap, distance or 1) + falls, gap)
@@ -197,7 +197,7 @@ def _relearned(
         return None
     if recovered is None:
         return False
-    if seen.run.begun and not (steps < onset).any():  # its best before was its parent's
+    if seen.run.begun:  # its best before was its parent's
         return None
     best = max(shares[steps < onset], default=0.0)
     after = max(shares[steps > recovered], default=0.0)

@@ -1,7 +1,8 @@
-"""The fourth source of a study's data: some of its runs in the results folder, the others in its table.
+"""The fourth source of a study's data: some of its runs in the results folder, the others in a table.
 
 So it is when a part of a study is trained elsewhere, or when a clone's published runs get company. Each
 run is asked of the source that has it. Outcomes are had of all; curves are those that the table has.
+Claims, which take their runs from wherever they are, join several tables so, one after the other.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pneuma.study.store import Status
 
 
 class PartlyPublished:
-    """Runs that are here, and those of a published table that are not.
+    """Runs that are had already, and those of a published table that are not.
 
     Args:
         here: the study with the former alone, on the grid of the table.
@@ -68,7 +69,7 @@ class PartlyPublished:
         return self._source(run.run_id).signs(run)
 
     def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
-        """Return an outcome that the table keeps, of runs that are here by all their records."""
+        """Return an outcome that the table keeps, of the other runs by all that is had of them."""
         if run.run_id in self.published_ids:
             return self._published.kept_outcome(run, name)
         return outcome(self._here, run, name) if name in self._published.kept_outcomes else None

@@ -69,8 +69,8 @@ class RunView:
 def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
     """Look at a run as it stood at a step, at its own budget where none is given or it is smaller.
 
-    At a step that is given, runs of unlike budgets are compared. Each was evaluated at even parts of its own,
-    so that they have the stretch from the latest of their first evaluations on in common.
+    A step is given where runs of unlike budgets are compared. Each was evaluated at even parts of its own, so
+    that what they have in common begins at the latest of their first evaluations.
     """
     since = 0.0 if at_step is None else data.latest_first_evaluation
     return RunView(data, run, min(run.budget, at_step or run.budget), since)

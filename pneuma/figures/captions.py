@@ -94,7 +94,7 @@ def forks_told(data: StudyData) -> list[str]:
         return []
     few = f"{len(parents)} runs, several of each" if len(parents) > 1 else "one run"
     told = f"Runs are forks of {few}"
-    return [f"{told}: intervals take them for independent, and are too narrow."]
+    return [f"{told}: intervals take them for independent."]
 
 
 def looks_told(data: StudyData) -> list[str]:
@@ -126,10 +126,10 @@ def _worth(few: Sequence[Curve], band: str) -> list[str]:
         return []
     covered = {runs: coverage(band, runs) for runs in sorted({len(curve.runs) for curve in few})}
     known = [f"{worth:.0%} (n = {runs})".replace("%", " %") for runs, worth in covered.items() if worth]
-    told = f"cover the mean in as little as {' or '.join(known)} of cases at a point" if known else ""
-    none = "of two runs say little" if not all(covered.values()) else ""
-    worth = ", and those ".join(filter(None, [told, none]))
-    return [f"Bands of so few runs {worth}, so the runs are drawn too, as thin lines."]
+    told = [f"a band covers the mean in as little as {' or '.join(known)} of cases at a point"] * bool(known)
+    told += ["bands of two runs say little"] * (not all(covered.values()))
+    worth = "; ".join(told)
+    return [f"{worth[:1].upper()}{worth[1:]}; so the runs are drawn too, as thin lines."]
 
 
 def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:

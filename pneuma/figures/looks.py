@@ -56,16 +56,16 @@ def told_apart(looks: Mapping[str, dict[str, Any]], names: Sequence[str]) -> dic
 
     Conditions that are alike on purpose stay so.
     """
-    colours: dict[str, str] = {}
-    of_look: dict[str, str] = {}
+    colours: dict[str, str] = {}  # by look
+    alike = {name: str(sorted(looks[name].items(), key=str)) for name in names}
     for name in names:
-        look = str(sorted(looks[name].items(), key=str))
-        left = [colour for colour in COLOURS if colour not in of_look.values()]
-        own = looks[name]["color"]
-        if look not in of_look:
-            of_look[look] = own if own in left or not left else left[0]
-        colours[name] = of_look[look]
-    return colours
+        if looks[name]["color"] not in colours.values():
+            colours.setdefault(alike[name], looks[name]["color"])
+    left = [colour for colour in COLOURS if colour not in colours.values()]
+    for name in names:
+        if alike[name] not in colours:
+            colours[alike[name]] = left.pop(0) if left else looks[name]["color"]
+    return {name: colours[alike[name]] for name in names}
 
 
 def _places(kinds: Sequence[str]) -> dict[str, int]:

@@ -11,7 +11,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230")
-"""After Okabe and Ito: told apart by colour-blind readers. Black is left to the players at either end."""
+"""After Okabe and Ito: told apart by colour-blind readers, and from the greys that all are held against."""
 
 DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
     "-",

@@ -50,10 +50,10 @@ START: dict[str, Any] = {
     "markeredgewidth": 0.5,
 }
 WORDS = {
-    "killed": "dies of bites",
-    "drowned": "drowns",
-    "cleared": "kills every monster",
-    "time-limit": "runs out of time",
+    "killed": "die of bites",
+    "drowned": "drown",
+    "cleared": "kill every monster",
+    "time-limit": "run out of time",
 }
 
 
@@ -159,7 +159,7 @@ def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
     """Return the legend: where ways begin, and the endings that there are."""
     drawn = found.episodes["x"].map(len) > 0
     seen = set(found.episodes["ending"][drawn])
-    return {"begins": Line2D([], [], markersize=4, linestyle="", **START)} | {
+    return {"begin": Line2D([], [], markersize=4, linestyle="", **START)} | {
         WORDS[ending]: Line2D([], [], markersize=4, linewidth=1.2, **LOOKS[ending])
         for ending in ENDINGS
         if ending in seen

@@ -91,7 +91,19 @@ def test_where_no_run_collapsed_there_are_bars_alone(tmp_path: Path, figures: li
     (lone,) = [line for line in bars.get_lines() if len(np.asarray(line.get_xdata())) == 1]
     assert (lone.get_xdata(), lone.get_ydata()) == ([0], [0])
     texts = [text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text)]
-    assert not any("Left" in text or "Hollow" in text for text in texts)
+    assert not any("Left" in text or "Hollow" in text or "fork" in text for text in texts)
+
+
+def test_forks_are_said_to_be_forks(tmp_path: Path, figures: list[Figure]) -> None:
+    store = Store(tmp_path / "results")
+    cells = {("control", seed): f"{seed:016x}" for seed in range(2)}
+    for run_id in cells.values():
+        save_run(store, run_id, one_action(61), learning())
+    forked = study_record(cells, {"control": {"fork_step": 100, "parent": "f" * 16}})
+    collapse.draw_collapse(open_study(store, forked), tmp_path, "collapse")
+    caption = " ".join(text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text))
+    told = "forks of one run: intervals take them for independent. Of a fork its parent's best is not"
+    assert told in caption.replace("\n", " ")
 
 
 def test_what_cannot_be_seen_of_a_condition_is_said_of_it_alone(

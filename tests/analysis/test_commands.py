@@ -52,6 +52,19 @@ def test_collapse_as_json(results: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert [row["collapsed"] for row in document["incidence"]] == [1, 0]
 
 
+def test_a_condition_without_a_value_is_said_to_have_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, cells = Store(tmp_path / "results"), {("sound", 0): "a0" * 8, ("gone", 0): "b0" * 8}
+    save_run(store, "a0" * 8, healthy(), learning())
+    save_run(store, "b0" * 8, healthy(), learning(), end=400)  # evaluated from 500 on
+    store.save_selection("mine", study_record(cells))
+    assert call("study", "summary", "mine", "--results", store.root) == 0
+    lines = capsys.readouterr().out.splitlines()
+    place = lines.index("final-share-killed: monsters killed, last evaluation")
+    assert lines[place + 2] == "  gone   n = 0   no run has a value"
+
+
 def test_summary_in_words_and_as_json(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("study", "summary", "mine", "--results", results) == 0
     out = capsys.readouterr().out

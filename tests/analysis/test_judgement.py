@@ -163,10 +163,22 @@ def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Stor
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     clone = published_alone(store, tmp_path, study)
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
-    path = published_path(clone, study)
-    path.write_bytes(path.read_bytes()[:-1])
+
+
+def test_a_damaged_table_is_no_lack_of_runs(store: Store, tmp_path: Path) -> None:
+    """The study's own ends it; another's, which may have nothing to do with it, is told with what lacks."""
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    clone = published_alone(store, tmp_path, "another")
+    _damage(published_path(clone, "another"))
+    assert "another.parquet: damaged; take it from" in judge_one(clone, tmp_path).reason
+    _damage(published_path(published_alone(store, tmp_path), "mine"))
     with pytest.raises(UserError, match="damaged"):
         judge_one(clone, tmp_path)
+
+
+def _damage(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
 
 
 def test_runs_that_lie_in_several_places_are_judged_together(store: Store, tmp_path: Path) -> None:

@@ -179,6 +179,9 @@ def test_maps_stand_side_by_side_with_their_cells_in_rows(
         ]
         effect, place = np.concatenate(marks).T
         assert effect[np.argsort(place)] == pytest.approx([0.2, 0.0, 0.1, -0.2])
+    caption = " ".join(text.get_text() for text in saved[0].texts).replace("\n", " ")
+    assert caption.endswith(f"{found.label.capitalize()}: {robustness.MEANINGS[found.label]}.")
+    assert "learning rate" in caption and "learning_rate" not in caption
 
 
 def test_a_study_without_collapse_is_drawn_and_says_so(tmp_path: Path) -> None:

@@ -48,6 +48,7 @@ class HandMade:
         steps: int = BUDGET,
         returns: float = 1.0,
         hunter: float = 0.5,
+        random: float = 0.04,
     ) -> None:
         """Store a run that finished an episode every 50 steps and was evaluated every 250."""
         run_id = run_id or make_id(condition, seed)
@@ -58,7 +59,8 @@ class HandMade:
                 [_episode(k, seed, returns) for k in range(episodes)], EPISODE_COLUMNS
             ),
             "evaluations.parquet": to_parquet(
-                [_evaluation(k, share, hunter) for k, share in enumerate(evaluations)], EVALUATION_COLUMNS
+                [_evaluation(k, share, hunter, random) for k, share in enumerate(evaluations)],
+                EVALUATION_COLUMNS,
             ),
         }
         files["provenance.json"] = b"{}"
@@ -80,14 +82,14 @@ def _episode(k: int, seed: int, returns: float) -> dict[str, Any]:
     return {**row, "kills": 1, "hp": 0.0, "ending": "killed"}
 
 
-def _evaluation(k: int, share: float, hunter: float) -> dict[str, Any]:
+def _evaluation(k: int, share: float, hunter: float, random: float) -> dict[str, Any]:
     return {
         **dict.fromkeys(EVALUATION_COLUMNS, 0.5),
         "step": 250 * (k + 1),
         "episodes": 50,
         "argmax_starts": 6,
         "share_killed": share,
-        "random_share_killed": 0.04,
+        "random_share_killed": random,
         "hunter_share_killed": hunter,
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pneuma.figures.looks import condition_looks
+from pneuma.figures.looks import condition_looks, told_apart
 from pneuma.figures.style import COLOURS, condition_look
 
 
@@ -28,3 +28,26 @@ def test_conditions_of_one_panel_all_differ() -> None:
     crossed = [f"reward={reward}, {kind}" for reward in ("thesis", "kills") for kind in ("sword", "magic")]
     for names in (crossed, [f"order={order}, scale={scale}" for order in "ab" for scale in "xyz"]):
         assert len({str(look) for look in condition_looks(names).values()}) == len(names)
+
+
+def test_a_method_has_its_colour_tuned_or_not_in_every_study() -> None:
+    looks = condition_looks(("sgd-tuned", "sgd", "rmsprop-tuned", "rmsprop"))
+    alone = condition_looks(("stationary", "rmsprop", "sgd"))
+    for name in ("sgd", "rmsprop"):
+        assert looks[name]["color"] == looks[f"{name}-tuned"]["color"] == alone[name]["color"]
+    assert len({(look["linestyle"], look["marker"]) for look in map(_dashed, looks.values())}) == 4
+
+
+def _dashed(look: dict[str, object]) -> dict[str, object]:
+    return {**look, "linestyle": str(look["linestyle"])}
+
+
+def test_what_colour_alone_tells_apart_is_told_apart_and_the_first_keeps_its_own() -> None:
+    names = [f"condition-{place}" for place in range(9)]  # the last two begin the colours anew
+    looks = condition_looks(names)
+    colours = told_apart(looks, [names[7], names[0], names[1]])
+    assert colours == {names[7]: COLOURS[0], names[0]: COLOURS[2], names[1]: COLOURS[1]}
+    crossed = condition_looks(
+        [f"limit={limit}, {kind}" for limit in (1, 2, 3, 4) for kind in ("tanh", "relu")]
+    )
+    assert [*told_apart(crossed, list(crossed)).values()] == [*COLOURS[:2]] * 4  # alike on purpose

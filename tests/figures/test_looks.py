@@ -69,7 +69,7 @@ def test_a_band_that_reaches_below_nothing_is_said_to_be_cut_off(
     study.add("relu", 2, evaluations=(0.5, 0.1, 0.1, 0.2))  # of 0, 0 and 0.5: 0.17 ± 0.29
     study.draw(tmp_path, band="std", formats=("svg",))
     study.draw(tmp_path, band="minmax", formats=("svg",))
-    told = ["lies below 0 % is cut off" in _caption(figure) for figure in drawn]
+    told = ["Bands are cut off below 0 %." in _caption(figure) for figure in drawn]
     assert told == [False, True, False]
     low, high = drawn[1].axes[0].get_ylim()
     assert low == pytest.approx(-0.02 * high)
@@ -213,6 +213,18 @@ def test_more_than_eight_conditions_get_a_panel_each(tmp_path: Path, drawn: list
     assert legend(drawn[0])[:3] == ["the panel's condition", "the others", "condition-0 (baseline)"]
 
 
+def test_all_panels_have_one_random_player(tmp_path: Path, drawn: list[Figure]) -> None:
+    """Not each the sample of it that its condition's evaluations drew."""
+    study = HandMade(tmp_path)
+    for number in range(9):
+        study.add(f"condition-{number}", 0, random=0.04 + number / 1000)
+    study.draw(tmp_path, formats=("svg",))
+    lines = [
+        line for axes in drawn[0].axes for line in axes.get_lines() if line.get_label() == "random player"
+    ]
+    assert [line.get_ydata()[0] for line in lines] == pytest.approx([0.044] * 9)  # type: ignore[index]
+
+
 def test_a_level_above_all_panels_is_told_once(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path)
     for number in range(9):
@@ -247,7 +259,7 @@ def test_a_band_that_covers_too_rarely_is_drawn_with_its_runs_and_marked(
 ) -> None:
     study.draw(tmp_path, band="se", formats=("svg",))
     assert legend(drawn[0])[0] == "tanh (n = 2)"
-    assert "of two runs say little; so these runs are drawn too, as thin lines." in _caption(drawn[0])
+    assert "Bands of two runs say little; so the runs are drawn too, as thin lines." in _caption(drawn[0])
     assert _thin_lines(drawn[0].axes[1]) == 4
     study.draw(tmp_path, band="std", formats=("svg",))
     assert legend(drawn[1])[0] == "tanh (n = 2)"
@@ -340,7 +352,7 @@ def test_forks_of_one_run_are_told(study: HandMade, tmp_path: Path, drawn: list[
     for run in study.record["runs"]:
         run["run"]["parent"] = "a1a1a1a1a1a1a1a1"
     study.draw(tmp_path, formats=("svg",))
-    assert "Runs are forks of one run: bands and intervals take them for independent." in _caption(drawn[0])
+    assert "Runs are forks of one run: intervals take them for independent." in _caption(drawn[0])
 
 
 def test_engines_that_are_mixed_are_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:

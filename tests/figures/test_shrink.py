@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
@@ -23,6 +24,7 @@ def _save(path: Path, dots: int) -> bytes:
 
 def test_a_png_has_a_palette_and_as_many_dots_as_a_page_shows(tmp_path: Path) -> None:
     path = tmp_path / "square.png"
+    path.with_suffix(".svg").touch()
     assert _save(path, 2 * DOTS_PER_INCH) == _save(path, 2 * DOTS_PER_INCH)
     with Image.open(path) as image:
         assert (image.size, image.mode) == ((DOTS_PER_INCH,) * 2, "P")
@@ -47,11 +49,14 @@ def test_colours_of_few_dots_are_not_taken_for_others(tmp_path: Path) -> None:
     assert np.abs(shown.astype(int) - pixels).max() <= 25  # of 255: a tenth, less than two neighbouring looks
 
 
-def test_a_png_of_few_dots_keeps_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("dots", [100, 300])
+def test_a_png_of_few_dots_or_without_an_svg_keeps_them(tmp_path: Path, dots: int) -> None:
     path = tmp_path / "square.png"
-    _save(path, 100)
+    if dots < DOTS_PER_INCH:
+        path.with_suffix(".svg").touch()
+    _save(path, dots)
     with Image.open(path) as image:
-        assert image.size == (100, 100)
+        assert (image.size, image.mode) == ((dots, dots), "P")
 
 
 def test_paths_of_an_svg_lie_on_hundredths_and_nothing_else_changes() -> None:

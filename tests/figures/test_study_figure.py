@@ -57,7 +57,7 @@ def test_the_legend_says_of_how_many_runs(study: HandMade, tmp_path: Path, drawn
     study.add("tanh", 2)
     study.draw(tmp_path)
     assert legend(drawn[0])[:2] == ["tanh (n = 3)", "relu (n = 2)"]
-    told = "each point by itself, cover the mean at worst 82 % (n = 3) of the time, and those of two runs"
+    told = "covers the mean in as little as 82 % (n = 3) of cases at a point; bands of two runs say little"
     assert words(drawn[0]).replace("\n", " ").count(told) == 1
 
 

@@ -88,7 +88,7 @@ def test_an_interval_that_reaches_below_nothing_is_said_to_be_cut_off(
         for seed, share in enumerate(shares):
             study.add(condition, seed, evaluations=(0.0, share))
         draw_summary(open_study(study.store, study.record), tmp_path, ("svg",))
-    told = ["lies below 0 % is cut off" in words(figure).replace("\n", " ") for figure in drawn]
+    told = ["Intervals are cut off below 0 %." in words(figure).replace("\n", " ") for figure in drawn]
     assert told == [False, True]
 
 
