@@ -320,7 +320,7 @@ def test_equal_values_are_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
     study.draw(tmp_path, formats=("svg",))
     low, high = drawn[0].axes[0].get_ylim()
     assert low < 0 < high <= 0.1  # a line at 0 lies above the axis
-    assert "cover the mean at worst 82 % (n = 3) of the time" in _caption(drawn[0])
+    assert "covers the mean in as little as 82 % (n = 3) of cases" in _caption(drawn[0])
 
 
 def test_different_budgets_are_compared_where_all_were(
