@@ -108,6 +108,7 @@ trajectories: install  ## Let policies of the reproduction play, and keep where 
 	$(call trajectories,algorithms --condition a2c --condition a2c-no-baseline)
 	$(call trajectories,algorithms --setting godot --condition ppo --condition trpo --condition a2c --condition dqn)
 	$(call trajectories,activation --setting godot)
+	$(call trajectories,perception --setting godot)
 	$(call trajectories,optimizer --setting godot --condition stationary --condition non-stationary --condition sgd)
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop

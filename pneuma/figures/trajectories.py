@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ STEEPEST = 4.0
 """How high a panel is at most, as a multiple of its width."""
 
 SIZE = SIZES["page"]
+SMALL = 0.85 * SIZE.type_points
+"""Type below a panel."""
 WORDS_INCHES = 0.6
 """Of a panel, above and below its map."""
 
@@ -96,7 +99,8 @@ def draw_trajectories(
             backdrop.put(axes)
             _draw_episodes(axes, own)
             axes.set_title(condition)
-            axes.set_xlabel(_told(table[table["condition"] == condition]), fontsize=0.85 * SIZE.type_points)
+            told = _told(table[table["condition"] == condition], SIZE.characters(SMALL) // columns)
+            axes.set_xlabel(told, fontsize=SMALL)
         for axes in panels[len(conditions) :]:
             axes.axis("off")
         panel_inches = SIZE.width / columns * backdrop.height_by_width + WORDS_INCHES
@@ -166,12 +170,17 @@ def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
     }
 
 
-def _told(table: pd.DataFrame) -> str:
-    """Return what is written below a panel: the shares of endings, and what episodes are like."""
+def _told(table: pd.DataFrame, room: int) -> str:
+    """Return what is written below a panel: the shares of endings, and what episodes are like.
+
+    Args:
+        table: of one condition.
+        room: characters that a line has.
+    """
     means = dict(zip(table["outcome"], table["value"], strict=True))
     shares = [f"{share_told(means[name])} {WORDS[name]}" for name in ENDINGS if means.get(name)]
     an_episode = f"{means['steps']:,.0f} steps an episode, {means['kills']:.2g} monsters killed"
-    return f"{', '.join(shares)}\n{an_episode}"
+    return "\n".join([*textwrap.wrap(", ".join(shares), room), an_episode])
 
 
 def share_told(share: float) -> str:

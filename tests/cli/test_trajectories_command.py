@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
@@ -18,7 +19,7 @@ from pneuma.cli.study_summary import open_data
 from pneuma.env.level import LEVELS
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
-from pneuma.figures.trajectories import draw_trajectories
+from pneuma.figures.trajectories import _told, draw_trajectories
 from pneuma.study.store import Status, Store
 
 Captured = pytest.CaptureFixture[str]
@@ -162,3 +163,14 @@ def test_a_run_that_diverged_is_left_out_and_said(trained: Path, tmp_path: Path,
             assert main(["study", "trajectories", *GODOT, "--episodes", "1", "--results", str(results)]) == 0
             assert "Note: 1 of 4 runs diverged, and left no policy to play." in capsys.readouterr().err
     assert "every run diverged, and left no policy" in refusal(capsys, *GODOT, "--results", results)
+
+
+def test_what_stands_below_a_panel_keeps_to_its_width() -> None:
+    means = {"killed": 0.26, "drowned": 0.1, "cleared": 0.1, "time-limit": 0.54, "steps": 5309, "kills": 0.04}
+    table = pd.DataFrame({"outcome": list(means), "value": list(means.values())})
+    lines = _told(table, 40).splitlines()
+    assert lines == [
+        "26 % die of bites, 10 % drown, 10 % kill",
+        "every monster, 54 % run out of time",
+        "5,309 steps an episode, 0.04 monsters killed",
+    ]
