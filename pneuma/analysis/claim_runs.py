@@ -130,14 +130,12 @@ class ClaimRuns:
             for cell in self._cells(claim, setting, condition)
         }
         record = _record(self.study(study, setting), [*cells.values()])
-        own = self._of_study(record, [*cells])
+        own = self._of_study(record)
         return own if own and not own.left_out else self._elsewhere(record, own)
 
-    def _of_study(self, record: Mapping[str, Any], run_ids: Sequence[str]) -> StudyData | None:
+    def _of_study(self, record: Mapping[str, Any]) -> StudyData | None:
         """Return what is finished of a record here and in its study's published table."""
         published = published_path(self._store, record["study"])
-        if not published.exists() and not any(self._store.status(name).finished for name in run_ids):
-            return None
         try:
             return open_study(self._store, record)
         except UserError:
@@ -154,7 +152,8 @@ class ClaimRuns:
         tables: dict[int, list[PublishedRuns]] = {}
         for table in self._tables():
             tables.setdefault(table.head["budget"], []).append(table)
-        found = [_joined(self._store, record, tables[budget]) for budget in sorted(tables)]
+        here = _stored(self._store, record)
+        found = [_joined(here, record, tables[budget], str(self._store.root)) for budget in sorted(tables)]
         return max((own, *found), key=lambda data: len(data.runs) if data else 0)
 
     def _read_tables(self) -> list[PublishedRuns]:
@@ -251,14 +250,20 @@ class ClaimRuns:
         return Arm(values, tuple(run.run_id for run in runs), blank, idle)
 
 
-def _joined(store: Store, record: Mapping[str, Any], tables: Sequence[PublishedRuns]) -> StudyData | None:
-    """Return the runs of a record that are here, or in any of some tables of one budget; None without any."""
-    found: StudyData | None = None
-    told, where = {**record, "budget": tables[0].head["budget"]}, str(store.root)
-    here = RunRecords(store)
-    if any(here.status(run["run_id"]).finished for run in record["runs"]):
-        whole = StudyData(here, record, where)
-        found = StudyData(here, told, where) if whole.budget <= told["budget"] else None
+def _stored(store: Store, record: Mapping[str, Any]) -> StudyData | None:
+    """Return the runs of a record that are finished here; None without any."""
+    try:
+        return StudyData(RunRecords(store), record, str(store.root))
+    except UserError:
+        return None
+
+
+def _joined(
+    here: StudyData | None, record: Mapping[str, Any], tables: Sequence[PublishedRuns], where: str
+) -> StudyData | None:
+    """Return the runs that are here with those of a record in some tables of one budget; None without any."""
+    told = {**record, "budget": tables[0].head["budget"]}
+    found = StudyData(here.source, told, where) if here and here.budget <= told["budget"] else None
     for table in tables:
         have = {run.run_id for run in found.runs} if found else set()
         added = [run["run_id"] for run in record["runs"] if run["run_id"] in table.finished - have]

@@ -1,8 +1,9 @@
-"""`pneuma` itself: help, version, and how it ends."""
+"""`pneuma` itself: help, version, what it ships, and how it ends."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import subprocess
 import sys
@@ -32,6 +33,27 @@ def test_help_lists_every_group_of_commands(capsys: Captured) -> None:
 def test_every_study_command_has_help(command: str, capsys: Captured) -> None:
     assert main(["study", command, "--help"]) == 0
     assert f"study {command}" in capsys.readouterr().out
+
+
+def test_the_shipped_studies_are_listed(capsys: Captured) -> None:
+    assert main(["study", "list", "--json"]) == 0
+    names = [study["study"] for study in json.loads(capsys.readouterr().out)["studies"]]
+    assert "activation" in names
+    assert main(["study", "list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == names
+
+
+def test_show_says_what_a_study_compares(capsys: Captured) -> None:
+    assert main(["study", "show", "activation"]) == 0
+    text = capsys.readouterr().out
+    assert "activation: tanh (tanh); relu (relu); leaky-relu (leaky-relu)" in text
+    assert "Compared with: relu" in text
+    assert "gradient_limit = 0.5" in text
+    assert main(["study", "show", "activation", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["baseline"] == "relu"
+    assert list(document["conditions"]) == ["tanh", "relu", "leaky-relu"]
+    assert document["presets"]["paper"]["steps"] == 1_000_000
 
 
 def test_the_version_is_that_of_the_package(capsys: Captured) -> None:

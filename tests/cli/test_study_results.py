@@ -356,28 +356,6 @@ def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch:
     assert len(called.err.splitlines()) == 1
 
 
-# --- list, show ----------------------------------------------------------------------------------
-
-
-def test_the_shipped_studies_are_listed() -> None:
-    called = _call("study", "list", "--json")
-    assert called.code == 0
-    names = [study["study"] for study in called.document["studies"]]
-    assert "activation" in names
-    assert [line.split()[0] for line in _call("study", "list").out.splitlines()] == names
-
-
-def test_show_says_what_a_study_compares() -> None:
-    text = _call("study", "show", "activation").out
-    assert "activation: tanh (tanh); relu (relu); leaky-relu (leaky-relu)" in text
-    assert "Compared with: relu" in text
-    assert "gradient_limit = 0.5" in text
-    document = _call("study", "show", "activation", "--json").document
-    assert document["baseline"] == "relu"
-    assert list(document["conditions"]) == ["tanh", "relu", "leaky-relu"]
-    assert document["presets"]["paper"]["steps"] == 1_000_000
-
-
 @pytest.mark.slow
 def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
     plan: list[str | Path] = [

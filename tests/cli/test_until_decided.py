@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pneuma import until_decided
-from pneuma.analysis.tables import experiments, looks_of, looks_that_count
+from pneuma.analysis.adaptive import experiments, looks_of, looks_that_count
 from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study import execute
