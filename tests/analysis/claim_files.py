@@ -129,9 +129,15 @@ def save_run(
     store.save_run(run_id, Status("done", steps), files)
 
 
-def published_alone(store: Store, folder: Path, study: str = "mine", *conditions: str) -> Store:
-    """Publish what high and low have as a study's table; return a store of tables alone, as a clone has."""
-    selection = Selection("quick", tuple(range(SEEDS)), STEPS, conditions=conditions or ("high", "low"))
+def published_alone(
+    store: Store,
+    folder: Path,
+    study: str = "mine",
+    conditions: tuple[str, ...] = ("high", "low"),
+    seeds: Sequence[int] = range(SEEDS),
+) -> Store:
+    """Publish runs of high and low as a study's table; return a store of tables alone, as a clone has."""
+    selection = Selection("quick", tuple(seeds), STEPS, conditions=conditions)
     record = selection_record(make_plan(load_study(str(folder / "mine.toml")), selection))
     data, clone = open_study(store, {**record, "study": study}), Store(folder / "clone")
     clone.write(published_path(clone, study), encode_study(data))

@@ -112,7 +112,8 @@ def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path:
         next(run_until_decided(study, one, 20, store, written.train))
     others = replace(study.in_setting("godot"), name=study.name)  # other runs
     next(run_until_decided(others, Selection(), 40, store, written.train))
-    execute.prepare(make_plan(study, Selection(seeds=tuple(range(10)))), store)
+    execute.prepare(make_plan(study, Selection(seeds=tuple(range(20)))), store)
+    assert looks_that_count(store.selection(STUDY) or {}) == (10, 20)  # of its own runs, not the latest
     with pytest.raises(UserError, match="was looked at with 10, 20 seeds"):  # nor do these make it forgotten
         next(run_until_decided(study, Selection(), 40, store, written.train))
     again = run_until_decided(study, Selection(), 20, store, written.train)
