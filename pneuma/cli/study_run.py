@@ -63,7 +63,7 @@ def plan_(
     json: Json = False,
 ) -> None:
     """Say which runs are stored and which would be trained, and how long that takes; none is trained."""
-    from pneuma.study import foresight
+    from pneuma.study import calibration, foresight
 
     selection = selection or plan.Selection()
     planned = plan.make_plan(spec.load_study(name, setting), selection)
@@ -77,7 +77,7 @@ def plan_(
     measured = foresight.measured_runs(planned, statuses, store)
     paces = foresight.known_paces(measured, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
-        paces = foresight.calibrate(todo.values(), store, paces, lambda text: say(text, aside=True))
+        paces = calibration.calibrate(todo.values(), store, paces, lambda text: say(text, aside=True))
     seconds: dict[str, float | None] = {}
     for cell in planned.cells:
         pace = paces.get(foresight.kind(cell.run))

@@ -1,7 +1,7 @@
 """Foresight: how long runs take on this machine, and how much of a study is left.
 
-A run's pace is judged by finished runs like it, or by a short calibration: the first seconds of the
-run itself, trained into a folder that is thrown away.
+A run's pace is judged by finished runs like it, or by what a calibration
+(`pneuma.study.calibration`) measured on this machine.
 """
 
 from __future__ import annotations
@@ -10,29 +10,19 @@ import hashlib
 import heapq
 import json
 import statistics
-import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 from pneuma.config import Run, as_settings
 from pneuma.study.execute import Progress
-from pneuma.study.executors.base import Event, Supervision
-from pneuma.study.executors.local import run_groups
 from pneuma.study.files import read_sealed, seal
-from pneuma.study.identity import run_id
 from pneuma.study.origins import processors, stored_origins
 from pneuma.study.plan import Plan
 from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store
 
-CALIBRATION_SECONDS = 4.0
-COLD_SECONDS = 20.0
-"""A start that takes longer has compiled programs, which runs to come find compiled."""
-COMPILED = 10.0
-"""How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 BYTES_PER_STEP = 3.0
 """Room that the records of one agent step take, compressed."""
 
@@ -132,64 +122,17 @@ def _paces(rates: Mapping[str, list[float]]) -> dict[str, Pace]:
     return {name: Pace(0.0, statistics.fmean(own)) for name, own in rates.items()}
 
 
-def calibrate(
-    runs: Iterable[Run], store: Store, paces: Mapping[str, Pace], say: Callable[[str], None]
-) -> dict[str, Pace]:
-    """Measure the pace of those kinds of runs that `paces` lacks; keep it for this machine."""
-    unknown = {own: run for run in runs if (own := kind(run)) not in paces}
-    if unknown:
-        store.check_writable()  # before the time is spent
-    measured = {}
-    for i, (name, run) in enumerate(unknown.items()):
-        say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
-        pace = _measure(run)
-        if pace and pace.start > COLD_SECONDS:
-            say("it had to compile first; measuring once more …")
-            pace = _measure(run) or pace
-        if pace:
-            measured[name] = pace
-    if measured:
-        kept, here = _all_calibrations(store), _machine()
-        added = {name: (pace.start, pace.per_step) for name, pace in measured.items()}
-        paces_of = {**kept, here: {**kept.get(here, {}), **added}}
-        store.write(_calibration_path(store), seal({"paces": paces_of}))
-    return {**paces, **measured}
-
-
 def kind(run: Run) -> str:
     """Return a digest of all that decides how long a step of a run takes."""
     settings = {key: value for key, value in as_settings(run).items() if key not in _SCALARS}
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _measure(run: Run) -> Pace | None:
-    """Train the first seconds of a run and time them; None where that fails."""
-    moments: list[tuple[float, int]] = []
-    begun = time.monotonic()
-
-    def note(event: Event) -> None:
-        if event["event"] == "step":
-            moments.append((time.monotonic(), event["step"]))
-
-    with tempfile.TemporaryDirectory() as folder:
-        how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=CALIBRATION_SECONDS)
-        run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
-    if all(late <= early for (_, early), (_, late) in pairwise(moments)):
-        return None
-    first, early = moments[0]
-    per_step = _usual_pace(moments)
-    return Pace(max(0.0, first - begun - early * per_step), per_step)
-
-
-def _usual_pace(moments: Sequence[tuple[float, int]]) -> float:
-    """Return the seconds that a step takes, but for those that waited for a program to be compiled."""
-    paces = [
-        (then - before) / (late - early)
-        for (before, early), (then, late) in pairwise(moments)
-        if late > early
-    ]
-    most = COMPILED * statistics.median(paces)
-    return statistics.fmean(pace for pace in paces if pace <= most)
+def keep_calibration(store: Store, name: str, pace: Pace) -> None:
+    """Keep the pace of a kind of runs that was measured on this machine, beside what is kept already."""
+    kept, here = _all_calibrations(store), _machine()
+    paces = {**kept, here: {**kept.get(here, {}), name: [pace.start, pace.per_step]}}
+    store.write(_calibration_path(store), seal({"paces": paces}))
 
 
 def _calibration_path(store: Store) -> Path:

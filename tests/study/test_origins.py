@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from pneuma.cli import main
-from pneuma.config import as_settings, make_run
-from pneuma.study import foresight
+from pneuma.config import Run, as_settings, make_run
+from pneuma.study import calibration, foresight
 from pneuma.study.execute import selection_record
 from pneuma.study.files import seal
 from pneuma.study.identity import run_id
@@ -158,12 +158,12 @@ def test_what_other_machines_measured_is_kept(
     tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, told = Store(tmp_path), list[str]()
-    monkeypatch.setattr(foresight, "_measure", lambda run: foresight.Pace(1.0, 0.5))
+    monkeypatch.setattr(calibration, "_measure", lambda run: foresight.Pace(1.0, 0.5))
     runs = [planned.cells[0].run]
-    foresight.calibrate(runs, store, {}, told.append)
+    calibration.calibrate(runs, store, {}, told.append)
     monkeypatch.setattr(foresight, "_machine", lambda: "another")
     assert foresight.known_paces([], store) == {}
-    foresight.calibrate(runs, store, {}, told.append)
+    calibration.calibrate(runs, store, {}, told.append)
     monkeypatch.undo()
     assert foresight.known_paces([], store) == {foresight.kind(runs[0]): foresight.Pace(1.0, 0.5)}
     assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
@@ -174,12 +174,29 @@ def test_a_start_that_compiled_is_measured_again(
 ) -> None:
     """Every run of a plan would otherwise be told to take a compilation longer than it does."""
     paces = iter([foresight.Pace(60.0, 0.5), foresight.Pace(2.0, 0.5)])
-    monkeypatch.setattr(foresight, "_measure", lambda run: next(paces))
+    monkeypatch.setattr(calibration, "_measure", lambda run: next(paces))
     told: list[str] = []
     run = planned.cells[0].run
-    found = foresight.calibrate([run], Store(tmp_path), {}, told.append)
+    found = calibration.calibrate([run], Store(tmp_path), {}, told.append)
     assert found == {foresight.kind(run): foresight.Pace(2.0, 0.5)}
     assert told[1:] == ["it had to compile first; measuring once more …"]
+
+
+def test_a_run_too_slow_to_come_to_an_evaluation_is_told_its_evaluations(
+    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A start of 3 s, updates of 2 s, and 20 evaluations, every one of which takes 10."""
+    run = replace(planned.cells[0].run, steps=256 * 100)
+    asked: list[tuple[int, float | None]] = []
+
+    def moments(run: Run, seconds: float | None) -> tuple[float, list[tuple[float, int]]]:
+        asked.append((run.steps, seconds))
+        return (100.0, [(105.0, 256), (107.0, 512)]) if seconds else (200.0, [(215.0, 256)])
+
+    monkeypatch.setattr(calibration, "_moments", moments)
+    (pace,) = calibration.calibrate([run], Store(tmp_path), {}, lambda text: None).values()
+    assert asked == [(run.steps, calibration.MEASURED_SECONDS), (256, None)]
+    assert pace.seconds(run.steps) == pytest.approx(3 + 100 * 2 + 20 * 10)
 
 
 def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Plan) -> None:
@@ -193,7 +210,7 @@ def test_a_pace_leaves_out_what_waited_for_a_compilation_and_nothing_else() -> N
     """Steps of 0.001 s, an evaluation that doubles one of them, and one that waited 20 s."""
     seconds = [0.256, 0.256, 0.512, 20.0, 0.256]
     moments = [(sum(seconds[:i]), 256 * i) for i in range(6)]
-    assert foresight._usual_pace(moments) == pytest.approx((4 * 0.256 + 0.256) / 4 / 256)
+    assert calibration._usual_pace(moments) == pytest.approx((4 * 0.256 + 0.256) / 4 / 256)
 
 
 @pytest.mark.parametrize("strange", [3, {"here": 3}, {"here": {"kind": 3}}, {"here": {"kind": ["a", "b"]}}])
