@@ -337,6 +337,6 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
         return
     try:
         print(text, file=sys.stderr if aside else sys.stdout)
-    except BrokenPipeError:
+    except OSError:  # nobody reads any more, or the terminal was closed
         if not aside:
             raise

@@ -75,7 +75,8 @@ class ProgressDisplay:
     ) -> None:
         """Leave the last state on the screen."""
         if self._live:
-            self._bars.stop()
+            with suppress(OSError):  # the terminal was closed
+                self._bars.stop()
 
     def update(self, progress: Progress) -> None:
         """Take one event of `execute`."""
@@ -137,7 +138,8 @@ class ProgressDisplay:
     def _print_note(self, progress: Progress) -> None:
         line = f"{progress.cell.condition} seed {progress.cell.seed}: {progress.note}"
         if self._live:
-            self._bars.console.print(line, highlight=False, markup=False)
+            with suppress(OSError):  # training goes on when its terminal was closed
+                self._bars.console.print(line, highlight=False, markup=False)
         else:
             _tell(line)
 

@@ -237,7 +237,14 @@ def _grouped(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _print_provenance(run: StoredRun) -> None:
     about = run.provenance
-    print("\nProvenance" if about else "\nIts provenance is missing or damaged.")
+    ended = run.status.finished or run.status.name == "damaged"
+    print(
+        "\nProvenance"
+        if about
+        else "\nIts provenance is missing or damaged."
+        if ended
+        else "\nNo provenance: it is written when a run has ended."
+    )
     rows = {
         "imported": about.get("imported"),
         "started": about.get("started"),

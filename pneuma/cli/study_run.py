@@ -311,8 +311,10 @@ def _tell_outcomes(
         trace = store.run_folder(outcome.cell.run_id) / "error.txt"
         if state.name == "diverged":
             say(f"{told} diverged at step {state.step:,}; its records count", as_json)
+        elif state.name in UNWELL and outcome.reason:  # what an error.txt has may be older
+            say(f"{told} {state.name}: {plain(outcome.reason)}{_traced(trace)}", as_json)
         elif state.name in ("crashed", "killed") and trace.is_file():
-            say(f"{told} {state.name}: {plain(_cause(trace))}({trace})", as_json)
+            say(f"{told} {state.name}: {plain(_cause(trace))}{_traced(trace)}", as_json)
         elif state.name in UNWELL:
             say(f"{told} {state.name} at step {state.step:,}", as_json)
     trained = sum(outcome.trained for outcome in outcomes)
@@ -328,4 +330,9 @@ def _tell_outcomes(
 def _cause(trace: Path) -> str:
     """Return the last line of a traceback."""
     lines = trace.read_text(errors="replace").strip().splitlines()
-    return f"{lines[-1]} " if lines else ""
+    return lines[-1] if lines else ""
+
+
+def _traced(trace: Path) -> str:
+    """Return where the whole of a traceback is, if it was kept."""
+    return f" ({trace})" if trace.is_file() else ""

@@ -1,7 +1,7 @@
 """Calibration: how fast this machine trains a kind of runs that nobody has timed here.
 
 The first seconds of a run are trained, into a folder that is thrown away. A slow run does not come to its
-first evaluation in that time; then one update and one evaluation are trained as well.
+first evaluation in that time; then two updates are trained, and evaluated, as well.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
 from pneuma.config import Run
 from pneuma.engines.base import evaluation_updates
+from pneuma.study.compiling import COMPILES
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.local import run_groups
 from pneuma.study.foresight import Pace, keep_calibration, kind
@@ -23,8 +24,6 @@ from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 
 MEASURED_SECONDS = 4.0
-COLD_SECONDS = 20.0
-"""A start that takes longer has compiled programs, which runs to come find compiled."""
 COMPILED = 10.0
 """How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 
@@ -39,54 +38,69 @@ def calibrate(
     known = dict(paces)
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
-        pace = _measure(run)
-        if pace and pace.start > COLD_SECONDS:
+        pace, compiled = _measure(run)
+        if pace and compiled:  # runs to come find the programs compiled
             say("it had to compile first; measuring once more …")
-            pace = _measure(run) or pace
+            pace = _measure(run)[0] or pace
         if pace:
             known[name] = _with_evaluations(run, pace)
             keep_calibration(store, name, known[name])
     return known
 
 
-def _measure(run: Run) -> Pace | None:
-    """Train the first seconds of a run and time them; None where that fails."""
-    begun, moments = _moments(run, MEASURED_SECONDS)
-    if all(late <= early for (_, early), (_, late) in pairwise(moments)):
-        return None
-    first, early = moments[0]
-    per_step = _usual_pace(moments)
-    return Pace(max(0.0, first - begun - early * per_step), per_step)
+def _measure(run: Run) -> tuple[Pace | None, bool]:
+    """Time the first seconds of a run, None where that fails; tell whether it had to compile."""
+    timed = _time(run, MEASURED_SECONDS)
+    if all(late <= early for (_, early), (_, late) in pairwise(timed.moments)):
+        return None, timed.compiled
+    first, early = timed.moments[0]
+    per_step = _usual_pace(timed.moments)
+    return Pace(max(0.0, first - timed.begun - early * per_step), per_step), timed.compiled
 
 
 def _with_evaluations(run: Run, pace: Pace) -> Pace:
     """Return the pace of a run with its evaluations, if it was too slow to come to one while it was timed.
 
-    An evaluation takes what a run of a single update takes beyond that update.
+    Both updates of a run of two are evaluated; what the second takes beyond an update is an evaluation.
     """
     judged = evaluation_updates(run)
     if min(judged) * run.steps_per_update * pace.per_step <= MEASURED_SECONDS:
         return pace
-    begun, moments = _moments(replace(run, steps=run.steps_per_update), None)
-    if not moments:
+    moments = _time(replace(run, steps=2 * run.steps_per_update), None).moments
+    if len(moments) < 2:
         return pace
-    evaluation = max(0.0, moments[0][0] - begun - pace.seconds(run.steps_per_update))
+    evaluation = max(0.0, moments[1][0] - moments[0][0] - run.steps_per_update * pace.per_step)
     return Pace(pace.start, pace.per_step + len(judged) * evaluation / run.steps)
 
 
-def _moments(run: Run, seconds: float | None) -> tuple[float, list[tuple[float, int]]]:
-    """Train a run, for so long at most; return when that began, and when it had taken how many steps."""
-    moments: list[tuple[float, int]] = []
-    begun = time.monotonic()
+@dataclass
+class _Timed:
+    """A training that was watched.
 
-    def note(event: Event) -> None:
+    Attributes:
+        begun: when, on the monotonic clock.
+        moments: when it had taken how many steps.
+        compiled: whether it had to compile its programs.
+    """
+
+    begun: float
+    moments: list[tuple[float, int]] = field(default_factory=list)
+    compiled: bool = False
+
+    def note(self, event: Event) -> None:
+        """Take an event of the training."""
         if event["event"] == "step":
-            moments.append((time.monotonic(), event["step"]))
+            self.moments.append((time.monotonic(), event["step"]))
+        self.compiled |= event.get("text") == COMPILES
 
+
+def _time(run: Run, seconds: float | None) -> _Timed:
+    """Watch a run train, for so long at most."""
+    timed = _Timed(time.monotonic())
     with tempfile.TemporaryDirectory() as folder:
         how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=seconds)
-        run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
-    return begun, moments
+        run_groups([{run_id(run): run}], Store(Path(folder)), how, timed.note)
+    return timed
 
 
 def _usual_pace(moments: Sequence[tuple[float, int]]) -> float:

@@ -18,17 +18,26 @@ from pneuma.config import Run, as_settings, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
+from pneuma.study.files import CHECKPOINTS
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one cell stands after `execute`; `trained` says whether this call trained it."""
+    """How one cell stands after `execute`.
+
+    Attributes:
+        cell: the cell.
+        status: its run's.
+        trained: whether this call trained it.
+        reason: why it went wrong, where its executor knows.
+    """
 
     cell: Cell
     status: Status
     trained: bool
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,7 +103,23 @@ def prepare(
     store.check_writable()
     store.save_selection(plan.study.name, {**selection_record(plan), **_looked_at(recorded)})
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
-    return Todo(todo, kept, (*_notes(plan, statuses, todo), *([told] if told else [])))
+    notes = [*_notes(plan, statuses, todo), *_without_checkpoints(plan, statuses, store)]
+    return Todo(todo, kept, (*notes, *([told] if told else [])))
+
+
+def _without_checkpoints(plan: Plan, statuses: Mapping[str, Status], store: Store) -> list[str]:
+    """Say which stored runs cannot be forked, though the study keeps checkpoints: another trained them."""
+    if not plan.study.keep_checkpoints:
+        return []
+    bare = [
+        name
+        for name, status in statuses.items()
+        if status.finished and not any((store.run_folder(name) / CHECKPOINTS).glob("*"))
+    ]
+    if not bare:
+        return []
+    told = f"{counted(len(bare), 'stored run')} kept no checkpoints, as this study would: to fork one, as "
+    return [f"{told}{bare[0]}, remove its folder in {store.root / 'runs'} and give this command again"]
 
 
 def _looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -161,7 +186,7 @@ def _outcome(cell: Cell, stored: Status, end: Event | None) -> Outcome:
     """Return how a cell stands; an end that could not be stored counts as it was told."""
     if end and not stored.finished:
         stored = Status(end["status"], stored.step)
-    return Outcome(cell, stored, bool(end and end["trained"]))
+    return Outcome(cell, stored, bool(end and end["trained"]), end.get("reason", "") if end else "")
 
 
 def kept_step(run: Run, status: Status) -> int:

@@ -27,13 +27,13 @@ BYTES_PER_STEP = 3.0
 """Room that the records of one agent step take, compressed."""
 
 _SCALARS = (
-    "seed", "steps", "learning_rate", "clip_range", "gamma", "gae_lambda", "value_coefficient",
+    "seed", "learning_rate", "clip_range", "gamma", "gae_lambda", "value_coefficient",
     "entropy_coefficient", "gradient_limit", "betas", "epsilon", "momentum", "dampening", "smoothing",
     "utility_decay", "noise",
     "weight_decay", "activation", "value_baseline", "target_kl", "exploration", "exploration_fraction",
     "learning_starts", "target_every", "action_slip", "reward_noise", "parent", "fork_step", "fork_reset",
 )  # fmt: skip
-"""Settings that hardly change how long an update takes."""
+"""Settings that hardly change how long a step takes. The budget does: runs of all are evaluated as often."""
 
 
 @dataclass(frozen=True)

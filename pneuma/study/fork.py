@@ -140,7 +140,7 @@ def _parent_run(store: Store, parent: str, trust: bool) -> Run:
 def elsewhere(store: Store, parent: str) -> list[str]:
     """Say in what this machine differs from the one that trained the parent."""
     earlier = read_document(store, parent, "provenance.json")
-    changed = differences(earlier) if earlier else []
+    changed = differences(earlier, but="device") if earlier else []  # this process computes on none
     if not changed:
         return []
     return [f"the parent was trained with another {', '.join(changed)}: what follows may have other bits"]
@@ -148,19 +148,23 @@ def elsewhere(store: Store, parent: str) -> list[str]:
 
 def _checkpoint_step(store: Store, parent: str, at: int, end: int) -> int:
     """Return the step of the parent's checkpoint nearest before `at`, which leaves something to train."""
-    from pneuma.study.checkpoints import checkpoint_files
+    from pneuma.study.checkpoints import checkpoint_files, read_checkpoint
 
     if at >= end:
         raise UserError(f"--at {at}: run {parent} ends at step {end}, so nothing would be left to train")
-    steps = sorted(file.step for file in checkpoint_files(store.run_folder(parent)))
-    if not steps:
+    files = sorted(checkpoint_files(store.run_folder(parent)), key=lambda file: file.step, reverse=True)
+    if not files:
         raise UserError(
-            f"run {parent} kept no checkpoints: put keep_checkpoints = 20 at the top of its study's file, "
-            f"remove {store.run_folder(parent)} and run the study again; it ends with the same bits"
+            f"run {parent} kept no checkpoints: remove {store.run_folder(parent)} and run a study of it "
+            "whose file has keep_checkpoints = 20 at the top; it ends with the same bits"
         )
-    if steps[0] > at:
-        raise UserError(f"--at {at}: the first checkpoint of run {parent} is at step {steps[0]}")
-    return max(step for step in steps if step <= at)
+    before = [file for file in files if file.step <= at]
+    if not before:
+        raise UserError(f"--at {at}: the first checkpoint of run {parent} is at step {files[-1].step}")
+    sound = next((file.step for file in before if read_checkpoint(file)), None)
+    if sound is None:
+        raise UserError(f"--at {at}: the checkpoints of run {parent} up to there are damaged")
+    return sound
 
 
 def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -139,16 +139,20 @@ def machine(threads: int) -> dict[str, Any]:
     }
 
 
-def differences(earlier: Mapping[str, Any]) -> list[str]:
+def differences(earlier: Mapping[str, Any], but: str = "") -> list[str]:
     """Say in what this machine, its packages and its code differ from earlier ones, so that bits may differ.
 
     A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same.
+
+    Args:
+        earlier: a provenance.
+        but: what is not to be compared.
     """
     here = machine(1)
     changed = [
         f"{key} ({earlier.get(key)}, now {here[key]})"
         for key in ("python", "commit", "system", "cpu", "device")
-        if earlier.get(key) != here[key]
+        if key != but and earlier.get(key) != here[key]
     ]
     told = earlier.get("packages")
     before = told if isinstance(told, dict) else {}

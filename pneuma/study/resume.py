@@ -47,7 +47,7 @@ class Resume:
                 self._note_resume(checkpoint.step)
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
-            self.discard()
+            self._discard()
         return self._parents() if self._run.parent else None
 
     def _parents(self) -> Checkpoint:
@@ -62,8 +62,14 @@ class Resume:
                 return read[0]
         raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
 
-    def discard(self) -> bool:
-        """Give up the latest checkpoint; return whether there was one."""
+    def give_up(self, why: Exception) -> bool:
+        """Give up the latest checkpoint, from which the engine cannot go on; return whether there was one."""
+        if file := self._kept.latest:
+            self._say(f"the checkpoint at step {file.step:,} is given up: {why}")
+        return self._discard()
+
+    def _discard(self) -> bool:
+        """Remove the latest checkpoint; return whether there was one."""
         self.history = {"attempts": [], "resumes": []}
         return self._kept.drop_latest()
 

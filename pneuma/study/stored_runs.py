@@ -51,7 +51,8 @@ class StoredRun:
     Attributes:
         run_id: its whole name.
         status: status and step, every checksum compared.
-        settings: the resolved configuration as it was written; empty where that is damaged.
+        settings: the resolved configuration as it was written; empty where that is damaged. No checksum
+            vouches for that of a run that has not ended.
         provenance: what produced it; empty where that is missing or damaged.
         holders: the studies that hold it.
         files: what is in its folder, and what should be.
@@ -137,7 +138,7 @@ def stored_run(store: Store, run_id: str) -> StoredRun:
     return StoredRun(
         run_id=run_id,
         status=store.status(run_id),
-        settings=stored_settings(store, run_id),
+        settings=_settings_now(store, run_id),
         provenance=read_document(store, run_id, "provenance.json"),
         holders=holders(store).get(run_id, ()),
         files=_files(store, run_id),
@@ -147,6 +148,14 @@ def stored_run(store: Store, run_id: str) -> StoredRun:
 def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
     """Return a run's resolved configuration as it was written; empty where that is damaged."""
     settings = read_document(store, run_id, "run.json").get("run")
+    return settings if isinstance(settings, dict) else {}
+
+
+def _settings_now(store: Store, run_id: str) -> dict[str, Any]:
+    """Return a run's resolved configuration, even while it has not ended and no checksum is there."""
+    if "run.json" in store.file_names(run_id):
+        return stored_settings(store, run_id)
+    settings = _json(store.run_folder(run_id) / "run.json").get("run")
     return settings if isinstance(settings, dict) else {}
 
 

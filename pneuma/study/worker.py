@@ -145,8 +145,8 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
     while True:
         try:
             return _train_once(job.store, name, run, resume, reporter, stop)
-        except CheckpointError:
-            if not resume.discard():
+        except CheckpointError as error:
+            if not resume.give_up(error):
                 raise
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import io
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from pneuma.cli import progress
+from pneuma.cli.options import say
 from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay, duration
+from pneuma.cli.study_run import _tell_outcomes
 from pneuma.config import Run
 from pneuma.study import foresight
-from pneuma.study.execute import Progress
+from pneuma.study.execute import Outcome, Progress
 from pneuma.study.foresight import TimeLeft, kind, wall_seconds
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store
 
 Captured = pytest.CaptureFixture[str]
 
@@ -101,6 +105,39 @@ def test_a_terminal_gets_a_bar_for_each_condition(plan: Plan, monkeypatch: pytes
     text = "\n".join(last[-4:])
     assert "tanh" in text and "1/1 runs" in text and "2560/2560" in text
     assert "relu" in text and "0/1 runs" in text and "1280/2560" in text
+
+
+def test_training_outlives_its_terminal(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its window was closed: whatever is written to it fails (EIO)."""
+    screen = _Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+
+    def gone(_: str) -> int:
+        raise OSError(5, "Input/output error")
+
+    with ProgressDisplay(plan, _runs(plan), 1, quiet=False) as display:
+        display._bars.live.auto_refresh = False  # its thread's own mistakes would be shown by this one
+        monkeypatch.setattr(screen, "write", gone)
+        display.update(Progress(plan.cells[0], 0, note="goes on from step 256"))
+        display.update(Progress(plan.cells[0], 2560, "done"))
+    say("Stopped.", aside=True)
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_why_a_run_went_wrong_is_told_by_who_knows_it_now(
+    plan: Plan, traced: bool, tmp_path: Path, capsys: Captured
+) -> None:
+    """An error.txt that lies there may be of an earlier try."""
+    store, cell = Store(tmp_path), plan.cells[0]
+    trace = store.run_folder(cell.run_id) / "error.txt"
+    if traced:
+        store.write(trace, b"OSError: of yesterday")
+    end = Outcome(cell, Status("crashed"), True, "r: cannot be written (No space left on device)")
+    _tell_outcomes(plan, [end], store, as_json=False, quiet=False)
+    told = capsys.readouterr().out.splitlines()[0]
+    where = f" ({trace})" if traced else ""
+    assert told == f"tanh seed 0 crashed: r: cannot be written (No space left on device){where}"
 
 
 def test_beside_bars_the_time_left_is_judged_once_a_second_and_at_every_end(

@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.policy import Policy
 from pneuma.study.execute import selection_record
 from pneuma.study.files import checksum, seal
+from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -196,6 +198,17 @@ def test_the_document_of_show_is_complete(store: Store, plan: Plan, capsys: Capt
         "provenance.json": "sound",
         "policy.safetensors": "sound",
     }
+
+
+def test_a_run_that_has_not_ended_is_not_called_damaged(store: Store, plan: Plan, capsys: Captured) -> None:
+    run = replace(plan.cells[0].run, seed=11)
+    name = run_id(run)
+    store.write(store.run_folder(name) / "run.json", run_document(run, name))
+    told = call(capsys, "run", "show", name)
+    assert "damaged" not in told
+    assert "No provenance: it is written when a run has ended." in told
+    document = json.loads(call(capsys, "run", "show", name, "--json"))
+    assert document["settings"]["seed"] == 11
 
 
 def test_a_resume_that_could_give_other_bits_is_flagged(store: Store, capsys: Captured) -> None:

@@ -16,8 +16,8 @@ from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.sb3_state import take_checkpoint
 from pneuma.engines.team import policy_files
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import encode, file_name
-from pneuma.study.fork import plan_fork
+from pneuma.study.checkpoints import checkpoint_files, encode, file_name
+from pneuma.study.fork import elsewhere, plan_fork
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store, run_document
@@ -183,6 +183,17 @@ def test_what_cannot_be_forked_is_refused(store: Store, settings: dict[str, Any]
         plan(store, **settings)
 
 
+def test_a_damaged_checkpoint_is_passed_over_for_the_sound_one_before(store: Store) -> None:
+    (parent,) = store.runs()
+    files = sorted(checkpoint_files(store.run_folder(parent)), key=lambda file: file.step)
+    for file in files[1:]:
+        file.path.write_bytes(file.path.read_bytes()[:-1])
+    assert {c.run.fork_step for c in plan(store, files[-1].step, gamma=0.9).cells} == {files[0].step}
+    files[0].path.write_bytes(b"")
+    with pytest.raises(UserError, match="checkpoints of run .* up to there are damaged"):
+        plan(store, files[-1].step, gamma=0.9)
+
+
 def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
     (parent,) = store.runs()
     document = json.loads(store.read_file(parent, "run.json"))
@@ -234,3 +245,8 @@ def test_a_fork_on_another_machine_than_its_parents_is_flagged(tmp_path: Path) -
     notes = [plan_fork(store, parent, AT, {"gamma": 0.9}, "", [0]).notes for parent in (same, other)]
     assert len(notes[0]) == 1
     assert "trained with another cpu (abacus, now" in notes[1][1]
+
+
+def test_what_the_parent_computed_on_is_not_judged_where_nothing_is_computed(tmp_path: Path) -> None:
+    parent = stored(Store(tmp_path), make_run(SMALL), **{**machine(1), "device": "gpu: an abacus"})
+    assert elsewhere(Store(tmp_path), parent) == []

@@ -158,7 +158,7 @@ def test_what_other_machines_measured_is_kept(
     tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, told = Store(tmp_path), list[str]()
-    monkeypatch.setattr(calibration, "_measure", lambda run: foresight.Pace(1.0, 0.5))
+    monkeypatch.setattr(calibration, "_measure", lambda run: (foresight.Pace(1.0, 0.5), False))
     runs = [planned.cells[0].run]
     calibration.calibrate(runs, store, {}, told.append)
     monkeypatch.setattr(foresight, "_machine", lambda: "another")
@@ -173,7 +173,7 @@ def test_a_start_that_compiled_is_measured_again(
     tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every run of a plan would otherwise be told to take a compilation longer than it does."""
-    paces = iter([foresight.Pace(60.0, 0.5), foresight.Pace(2.0, 0.5)])
+    paces = iter([(foresight.Pace(6.0, 0.5), True), (foresight.Pace(2.0, 0.5), False)])
     monkeypatch.setattr(calibration, "_measure", lambda run: next(paces))
     told: list[str] = []
     run = planned.cells[0].run
@@ -189,14 +189,23 @@ def test_a_run_too_slow_to_come_to_an_evaluation_is_told_its_evaluations(
     run = replace(planned.cells[0].run, steps=256 * 100)
     asked: list[tuple[int, float | None]] = []
 
-    def moments(run: Run, seconds: float | None) -> tuple[float, list[tuple[float, int]]]:
+    def watch(run: Run, seconds: float | None) -> calibration._Timed:
         asked.append((run.steps, seconds))
-        return (100.0, [(105.0, 256), (107.0, 512)]) if seconds else (200.0, [(215.0, 256)])
+        if seconds:
+            return calibration._Timed(100.0, [(105.0, 256), (107.0, 512)])
+        return calibration._Timed(200.0, [(218.0, 256), (230.0, 512)])  # 3 s more were spent once
 
-    monkeypatch.setattr(calibration, "_moments", moments)
+    monkeypatch.setattr(calibration, "_time", watch)
     (pace,) = calibration.calibrate([run], Store(tmp_path), {}, lambda text: None).values()
-    assert asked == [(run.steps, calibration.MEASURED_SECONDS), (256, None)]
+    assert asked == [(run.steps, calibration.MEASURED_SECONDS), (512, None)]
     assert pace.seconds(run.steps) == pytest.approx(3 + 100 * 2 + 20 * 10)
+
+
+def test_runs_of_other_budgets_have_other_paces(planned: Plan) -> None:
+    """All are evaluated as often, so that a step of a short run takes longer."""
+    run = planned.cells[0].run
+    assert foresight.kind(run) == foresight.kind(replace(run, seed=7))
+    assert foresight.kind(run) != foresight.kind(replace(run, steps=2 * run.steps))
 
 
 def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Plan) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress
-from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.records import Records
 from pneuma.errors import UserError
 from pneuma.study import provenance, resume
@@ -128,6 +128,17 @@ def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store, 
         "goes on from step 256",
     ]
     assert begin(store).latest() is not None
+
+
+def test_one_that_the_engine_refuses_is_given_up_aloud(store: Store, clock: _Clock) -> None:
+    for step in (256, 512):
+        tell(begin(store), step, at_once=True)
+    said: list[str] = []
+    own = begin(store, said=said)
+    assert own.give_up(CheckpointError("another layout"))
+    assert steps(store) == [256] and said == ["the checkpoint at step 512 is given up: another layout"]
+    assert own.give_up(CheckpointError("another layout")) and not own.give_up(CheckpointError("none"))
+    assert len(said) == 2
 
 
 def test_without_a_whole_one_a_run_starts_anew(store: Store, clock: _Clock) -> None:

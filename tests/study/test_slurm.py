@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -131,6 +132,28 @@ def test_runs_that_another_command_collected_are_not_waited_for(
 
     monkeypatch.setattr(slurm_queue, "submit", submit_and_lose)
     assert ends(collect([group(7, 8)], store)) == {done: "done", lost: "killed"}
+
+
+def test_a_run_that_was_submitted_anew_is_not_ended_by_what_its_first_job_told(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It crashed once, in a submission whose other job still runs."""
+    (name,), (other,) = group(5), group(6)
+    monkeypatch.setattr(time, "strftime", lambda _: "20200101-000000")
+    before = new_submission(store, [[name], [other]], 1)
+    monkeypatch.undo()
+    end = {"event": "end", "run_id": name, "step": 500, "trained": True}
+    before.events_path(0).write_text(json.dumps({**end, "status": "crashed"}) + "\n")
+    queue = Queue(monkeypatch)
+
+    def submit(submission: Submission, works: Sequence[Mapping[str, Any]], *_: object) -> None:
+        queue.submitted.append((submission, works))
+        submission.events_path(0).write_text(json.dumps({**end, "status": "done"}) + "\n")
+
+    monkeypatch.setattr(slurm_queue, "submit", submit)
+    monkeypatch.setattr(slurm_queue, "jobs_of", lambda _: {(before.name, 1): Job("7_1", "RUNNING")})
+    assert ends(collect([group(5)], store)) == {name: "done"}
+    assert len(queue.submitted) == 1
 
 
 def test_half_a_line_that_a_killed_job_left_harms_no_other(

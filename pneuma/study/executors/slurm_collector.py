@@ -47,6 +47,7 @@ class Collector:
         self._waiting = dict(runs)
         self._on_event = on_event
         self._followed: list[_Followed] = []
+        self._newest: dict[str, str] = {}
         self._told_silence = False
 
     def work(self) -> None:
@@ -68,13 +69,18 @@ class Collector:
         known = {each.submission.name for each in self._followed}
         for submission in open_submissions(self._store):
             if submission.name not in known and any(n in self._waiting for g in submission.groups for n in g):
-                self._followed.append(_Followed(submission))
+                self._follow(submission)
         followed = {name for each in self._followed for group in each.submission.groups for name in group}
         for name in [name for name in self._waiting if name not in followed]:
             if not self._collect(name):
                 text = "another command was done with its job; the same command goes on"
                 end = {"event": "end", "run_id": name, "status": "killed", "step": 0, "trained": True}
                 self._end({**end, "reason": text})
+
+    def _follow(self, submission: Submission) -> None:
+        """Follow a submission that is newer than those followed so far."""
+        self._followed.append(_Followed(submission))
+        self._newest |= {name: submission.name for group in submission.groups for name in group}
 
     def _look_at_queue(self) -> None:
         """See to jobs that have gone; a queue that cannot be asked now is asked later."""
@@ -162,7 +168,8 @@ class Collector:
             followed.over.discard(group)
         for name in again:
             self._note(name, f"{what}; tried once more")
-        self._followed += [_Followed(submission) for submission in made]
+        for submission in made:
+            self._follow(submission)
 
     def _lives(self, followed: _Followed, group: int) -> bool:
         """Ask the queue for a job once more, while nobody submits any."""
@@ -197,10 +204,12 @@ class Collector:
             followed.read[group] = followed.read.get(group, 0) + len(whole + newline)
             for line in whole.splitlines():
                 if event := read_event(line):  # a job that was killed while it wrote leaves half a line
-                    self._take(event)
+                    self._take(event, followed.submission)
 
-    def _take(self, event: Event) -> None:
-        if event["run_id"] not in self._waiting:
+    def _take(self, event: Event, told_by: Submission) -> None:
+        """Hand on an event of a run that is waited for, unless it was submitted anew since."""
+        name = event["run_id"]
+        if name not in self._waiting or told_by.name != self._newest[name]:
             return
         if event["event"] != "end":
             self._on_event(event)
