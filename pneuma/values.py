@@ -43,6 +43,7 @@ class Number:
         """Return the number, or raise ValueError."""
         if self.optional and (value is None or value == "none"):
             return None
+        value = _plain(value)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError
         try:
@@ -96,6 +97,7 @@ class Flag:
 
     def read(self, value: object) -> bool:
         """Return the flag, or raise ValueError."""
+        value = _plain(value)
         if not isinstance(value, bool):
             raise ValueError
         return value
@@ -117,7 +119,10 @@ class Text:
 
 @dataclass(frozen=True)
 class Names:
-    """A name, or a list of names with one for each player; always a tuple in the end."""
+    """A name, or a list of names with one for each player; always a tuple in the end.
+
+    As a text its names have commas between them, which no name has.
+    """
 
     pattern: str
     allowed: str
@@ -126,7 +131,7 @@ class Names:
 
     def read(self, value: object) -> tuple[str, ...]:
         """Return the names, or raise ValueError."""
-        names = [value] if isinstance(value, str) else value
+        names = value.split(",") if isinstance(value, str) else value
         if not isinstance(names, (list, tuple)) or not 1 <= len(names) <= MOST_NAMES:
             raise ValueError
         if not all(isinstance(name, str) and re.fullmatch(self.pattern, name) for name in names):
@@ -168,6 +173,13 @@ class Several:
         if self.shortest == self.longest:
             return f"{self.shortest} of: {self.each.allowed}"
         return f"a list in brackets of {self.shortest} to {self.longest}, each: {self.each.allowed}"
+
+
+def _plain(value: object) -> object:
+    """Return a NumPy number or truth value as Python's; anything else as it is."""
+    if type(value).__module__ != "numpy" or getattr(value, "ndim", None) != 0:
+        return value
+    return value.item()  # type: ignore[attr-defined]
 
 
 Reader = Number | Choice | Flag | Text | Several | Names | Matching

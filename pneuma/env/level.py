@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules, tiled
-from pneuma.env.tiled import WATER, Entity, Header, Layers
+from pneuma.env.tiled import GROUNDS, WATER, Entity, Header, Layers
 from pneuma.env.tiled_map import read_tmx
 from pneuma.errors import UserError, unknown_name
 from pneuma.values import Number, Reader, Several, Text
@@ -294,13 +294,15 @@ def _read_header(folder: Path) -> Header:
 def _header_value(key: str, value: Any, where: str) -> Any:
     """Check one key of `level.toml`; the table [ground] becomes the set of its codes."""
     allowed = {name: reader.allowed for name, reader in _HEADER.items()}
-    allowed["ground"] = 'a table of code = "name"'
+    allowed["ground"] = f'a table of code = "name", each name one of {", ".join(GROUNDS)}'
     if key not in allowed:
         raise UserError(f"{where}: {unknown_name('key', key, allowed)}")
     try:
         if key in _HEADER:
             return _HEADER[key].read(value)
-        return frozenset(int(code) for code in {**value})
+        if not all(name in GROUNDS for name in {**value}.values()):
+            raise ValueError
+        return frozenset(int(code) for code in value)
     except (ValueError, TypeError):
         shown = json.dumps(value, default=str)
         raise UserError(f"{where}: {key} = {shown} is not allowed: {allowed[key]}") from None

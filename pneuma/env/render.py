@@ -19,6 +19,7 @@ from pneuma.env import rules, sprites
 from pneuma.env.level import LEVELS, Level
 from pneuma.env.panel import Panel, filled_part
 from pneuma.env.showing import CAMERAS
+from pneuma.env.tiled import GROUNDS
 from pneuma.errors import UserError, unknown_name
 
 if TYPE_CHECKING:
@@ -254,19 +255,18 @@ class Renderer:
 
 
 def ground_kinds(level: Level) -> np.ndarray:
-    """Return what every tile of a level is made of, (rows, columns) of indices into `sprites.GROUNDS`.
+    """Return what every tile of a level is made of, (rows, columns) of indices into `GROUNDS`.
 
     The level's `level.toml` may name the codes in its table `[ground]`; without, they are those of
     the shipped level. Any other code is grass, and where the land ends there is always water.
     """
     kinds = np.full(level.ground.shape, sprites.GRASS)
     for code, name in _ground_names(level.name).items():
-        if name in sprites.GROUNDS:
-            kinds[level.ground == code] = sprites.GROUNDS.index(name)
+        kinds[level.ground == code] = GROUNDS.index(name)
     return np.where(level.terrain == rules.COAST, sprites.WATER, kinds)
 
 
-def _ground_names(name: str) -> dict[int, object]:
+def _ground_names(name: str) -> dict[int, str]:
     """Return the names of a level's ground codes."""
     for folder in (LEVELS / name, Path(name)):
         header = folder / "level.toml"
@@ -274,7 +274,7 @@ def _ground_names(name: str) -> dict[int, object]:
             names = tomllib.loads(header.read_text(encoding="utf-8-sig")).get("ground")
             if names:
                 return {int(code): name for code, name in names.items()}
-    return dict(enumerate(sprites.GROUNDS))
+    return dict(enumerate(GROUNDS))
 
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:

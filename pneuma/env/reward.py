@@ -24,9 +24,10 @@ where no monster lives.
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,8 @@ def load_reward(name: str) -> RewardFunction:
     if added:
         sys.path.insert(0, path)
     try:
-        module = importlib.import_module(module_name)
+        with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
+            module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is read
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:

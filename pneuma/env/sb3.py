@@ -35,6 +35,7 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         seed: with a number of slots, world i is seeded seed + i; otherwise as the system pleases.
         env_id: whose presets to start from.
         render_mode: `rgb_array`, of which `render` makes one picture; or `human`, a window.
+        camera: `map`, or `follow` for a view of the player.
         settings: the fields of `pneuma.config.EnvConfig`.
 
     Raises:
@@ -49,6 +50,7 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         seed: int | None = None,
         env_id: str = ENVIRONMENTS[0],
         render_mode: str | None = None,
+        camera: str = "map",
         **settings: object,
     ) -> None:
         if config is None:
@@ -60,7 +62,7 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         self.state.seed(each)
         self.slots = Slots(self.state)
         self._begun = False
-        self._set_up_rendering(render_mode)
+        self._set_up_rendering(render_mode, camera)
         VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
         self.metadata = {**ShowsWorld.metadata, **self.metadata}  # type: ignore[misc]
         self.keep_finished = False

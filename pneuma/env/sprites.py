@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 
 from pneuma.env import sprite_art as art
+from pneuma.env.tiled import GROUNDS
 
 TILE = 16
 """Art pixels along a tile."""
@@ -204,7 +205,6 @@ def _kept(picture: np.ndarray) -> np.ndarray:
 
 # --- The ground ----------------------------------------------------------------------------------
 
-GROUNDS = ("water", "snow", "grass", "sand", "bridge")
 WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
 
 _SOFT = (WATER, SNOW, GRASS, SAND)

@@ -7,7 +7,9 @@ give the same bits for the same seeds and actions.
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,9 +19,10 @@ from gymnasium.utils import seeding
 
 from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
-from pneuma.env.level import Level, load_level, room_for_bodies
+from pneuma.env.level import RANDOM, Level, load_level, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.places import refuse_bad_places
+from pneuma.env.random_level import parse_name
 from pneuma.env.reward import custom_rewards, load_reward, present, reward_code
 from pneuma.errors import UserError
 
@@ -72,7 +75,11 @@ class Worlds:
         self.levels = _load_levels(config, characters.monster_codes(cast), self.player_stats)
         rewards = _one_each(config.reward, config)
         self.player_stats["reward"] = [reward_code(name) for name in rewards]
-        self._custom = [(p, name, load_reward(name)) for p, name in enumerate(rewards) if ":" in name]
+        self._custom = [
+            (name, load_reward(name), [p for p, own in enumerate(rewards) if own == name])
+            for name in dict.fromkeys(rewards)
+            if ":" in name
+        ]
         self.monster_stats = np.stack(
             [characters.monster_stats(cast, level, self.player_stats, config.magic) for level in self.levels]
         )
@@ -225,9 +232,9 @@ class Worlds:
             actions: (N, P) whole numbers of the action space, trusted.
         """
         ended = int(rules.step_worlds(self._handle, actions, False))
-        for player, name, function in self._custom:
+        for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
-            self.events["reward"][:, player] = rewards[:, player]
+            self.events["reward"][:, players] = rewards[:, players]
         return ended
 
     def _try_rewards(self) -> None:
@@ -241,8 +248,9 @@ class Worlds:
         places = np.arange(players.shape[1]) % len(self.level.starts)
         players["x"], players["y"] = self.level.starts[places].T
         players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
-        for _, name, function in self._custom:
-            custom_rewards(function, name, *map(_read_only, (events, players, self.player_stats)))
+        for name, function, _ in self._custom:
+            with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
+                custom_rewards(function, name, *map(_read_only, (events, players, self.player_stats)))
 
     @property
     def present(self) -> np.ndarray:
@@ -370,7 +378,8 @@ _SEEN_OR_PAID = (
 def _load_levels(config: EnvConfig, codes: dict[int, str], players: np.ndarray) -> list[Level]:
     """Load the level, or as many random ones as asked for, numbered from the first on."""
     body = 2 * float(players["half_width"].max()), 2 * float(players["half_height"].max())
-    first, _, number = config.level.rpartition(":")
-    if config.random_levels == 1 or not number.isdecimal():  # loading says what is wrong with the name
+    if config.random_levels == 1:
         return [load_level(config.level, codes, body)]
-    return [load_level(f"{first}:{int(number) + i}", codes, body) for i in range(config.random_levels)]
+    split, first = parse_name(config.level)
+    names = (f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels))
+    return [load_level(name, codes, body) for name in names]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from pneuma.env import check
 from pneuma.env.agreement import check_faces, check_restore
 from pneuma.env.check import check_environment
 from pneuma.env.parallel import PneumaParallelEnv
@@ -171,6 +173,15 @@ def test_a_reward_that_raises_is_named_with_its_line(
     problem = found["observations inside"]
     assert f"reward 'late_{kind.lower()}:pay'" in problem and kind in problem
     assert f"late_{kind.lower()}.py, line 6" in problem
+
+
+def test_no_window_is_asked_for_where_pygame_is_not_installed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is an extra: `pneuma env check` is there for every installation."""
+    monkeypatch.setitem(sys.modules, "pygame", None)  # importing it fails, and finding it
+    monkeypatch.setattr(check, "find_spec", lambda name: None)
+    assert problems(THESIS)["Gymnasium"] == ""
 
 
 def test_drivers_of_the_screen_are_left_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -126,6 +126,25 @@ def test_two_players_may_have_two_of_them(folder: Path, arena: str) -> None:
     assert rewards(worlds) == [1.5, 2.5]
 
 
+def test_it_is_called_once_a_step_however_many_players_have_it(folder: Path, arena: str) -> None:
+    own = write(folder, "pay.calls = getattr(pay, 'calls', 0) + 1\nreturn np.full(events.shape, pay.calls)")
+    players = [(0.0, 0.0), (100.0, 0.0), (200.0, 0.0)]
+    worlds = stage(arena, players=players, settings={"reward": [own, "thesis", own]})
+    play(worlds, STAND)
+    assert rewards(worlds) == [2.0, -1.0, 2.0]  # the first call tried it
+
+
+def test_what_it_prints_stays_out_of_a_commands_document(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = write(folder, "print('called')\nreturn np.zeros(events.shape)")
+    path = folder / f"{own.partition(':')[0]}.py"
+    path.write_text(path.read_text() + "\n\nprint('imported')\n")
+    Worlds(1, make_env_config({"reward": own}))
+    told = capsys.readouterr()
+    assert told.out == "" and told.err.split() == ["imported", "called"]
+
+
 def test_what_it_pays_the_dead_is_not_used(folder: Path, arena: str) -> None:
     own = write(folder, 'return np.where(events["present"] > 0, 1.0, 99.0)')
     worlds = stage(arena, (-30.0, 0.0), players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own})

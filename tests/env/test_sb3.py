@@ -253,6 +253,15 @@ def test_a_picture_holds_a_picture_of_every_world() -> None:
     assert env.metadata["render_fps"] == 8
 
 
+def test_its_camera_may_follow() -> None:
+    sizes = {}
+    for camera in ("map", "follow"):
+        env = PneumaVecEnv(1, seed=0, render_mode="rgb_array", camera=camera)
+        env.reset()
+        sizes[camera] = env.get_images()[0].shape
+    assert sizes["map"] != sizes["follow"]
+
+
 def test_seed_takes_effect_at_the_next_reset_and_only_there() -> None:
     env, seeded = PneumaVecEnv([9, 4, 9]), PneumaVecEnv([20, 21, 22])
     env.reset()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pneuma import env_settings, values
@@ -33,13 +34,29 @@ def test_a_name_that_is_none_is_told_the_right_ones(key: str, value: object, tol
     ("level", "told"),
     [
         ("random:train:x", "level 'random:train:x' is not allowed: the form is random:train:17,"),
+        ("random:train:017", "level 'random:train:017' is not allowed: the form is random:train:17,"),
         ("random:tran:3", "level 'random:tran:3' is not allowed (did you mean train?): the form is"),
     ],
 )
-def test_of_a_random_levels_name_the_part_that_is_wrong_is_told(level: str, told: str) -> None:
+@pytest.mark.parametrize("count", [1, 5])
+def test_of_a_random_levels_name_the_part_that_is_wrong_is_told(level: str, told: str, count: int) -> None:
     with pytest.raises(UserError) as caught:
-        Worlds(1, make_env_config({"level": level}))
+        Worlds(1, make_env_config({"level": level, "random_levels": count}))
     assert str(caught.value).startswith(told)
+
+
+def test_names_may_be_one_text_with_commas_as_the_command_line_has_them() -> None:
+    config = make_env_config({"players": 2, "classes": "tank,mage", "reward": "thesis,kills"})
+    assert (config.classes, config.reward) == (("tank", "mage"), ("thesis", "kills"))
+
+
+def test_numbers_may_be_numpys() -> None:
+    given = {"episode_steps": np.int64(500), "magic": np.bool_(True), "ending_cost": np.float32(0.25)}
+    assert make_env_config(given) == make_env_config(
+        {"episode_steps": 500, "magic": True, "ending_cost": 0.25}
+    )
+    with pytest.raises(UserError, match="episode_steps = "):
+        make_env_config({"episode_steps": np.array([500])})
 
 
 def test_a_configuration_made_by_hand_is_checked_and_filled_as_well() -> None:

@@ -169,7 +169,13 @@ def test_files_that_are_no_text_are_named(folder: Path, name: str) -> None:
     assert complaint(folder) == f"{folder / name}: cannot be read: it is not UTF-8 text"
 
 
-@pytest.mark.parametrize("line", ["ground = 3", 'ground = "12"', "[ground]\ngrass = 1", "obstacles = [-1]"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ground = 3", 'ground = "12"', "[ground]\ngrass = 1", '[ground]\n0 = "watre"', "[ground]\n0 = 7",
+        "obstacles = [-1]",
+    ],
+)  # fmt: skip
 def test_values_of_the_header_that_cannot_be_are_named_with_their_line(folder: Path, line: str) -> None:
     write_folder(folder)
     (folder / "level.toml").write_text(f'title = "A"\n{line}\n')
