@@ -93,8 +93,8 @@ def run_until_decided(
         record = execute.selection_record(planned)
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
-        now = {"adaptive": _as_record(stages, others, looks, planned)}
-        store.save_selection(study.name, {**record, **now, **before})
+        now = _of_same_looks(recorded, plans[-1], _as_record(stages, others, looks, planned))
+        store.save_selection(study.name, {**record, "adaptive": now, **before})
         yield looks[-1]
         if looks[-1].decided:
             return
@@ -115,6 +115,15 @@ def _refuse_another_plan(
                 "--max-seeds or --condition; looking again would spend its error rate twice: give the same "
                 "ones, or fix --seeds"
             )
+
+
+def _of_same_looks(record: Mapping[str, Any], whole: Plan, now: dict[str, Any]) -> dict[str, Any]:
+    """Return what is to be kept of looks at a plan's runs: those before, while fewer are repeated so far."""
+    own = {cell.run_id for cell in whole.cells}
+    for each in experiments(record):
+        if own & looked_at(each) and len(looks_of(each)) > len(now["looks"]):
+            return dict(each["adaptive"])
+    return now
 
 
 def _of_other_runs(record: Mapping[str, Any], whole: Plan) -> dict[str, Any]:

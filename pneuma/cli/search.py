@@ -149,7 +149,7 @@ def plot(
 
         if what:
             raise UserError(f"--what {what[0]}: does not go with --sensitivity, which is one figure")
-        data, document = _sensitivity(store, stem)
+        data, document = _sensitivity(store, stem, search_run.called_by_file(name, setting))
         paths = draw_files(store, out, lambda folder: draw_sensitivity(data, document, folder, formats))
     else:
         from pneuma.figures.search import draw_search
@@ -177,12 +177,12 @@ def _why_nothing(record: Mapping[str, Any], wanted: Sequence[str]) -> str:
     return "not drawn: " + "; ".join(f"{name} needs {NEEDS[name]}" for name in wanted)
 
 
-def _sensitivity(store: Store, search: str) -> tuple[StudyData, dict[str, Any]]:
+def _sensitivity(store: Store, search: str, called: str) -> tuple[StudyData, dict[str, Any]]:
     """Return the runs of a search's sensitivity study, and what its conditions are."""
     from pneuma.analysis.sources import open_study
     from pneuma.search.sensitivity import read_points, sensitivity_study
 
-    document = read_points(store, search)
+    document = read_points(store, search, called)
     return open_study(store, study_record(store, sensitivity_study(search), None)), document
 
 

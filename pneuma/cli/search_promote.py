@@ -77,7 +77,7 @@ def promote(
     if json:
         print_json({**_document(search, chosen, path, planned, gains), "diverged": diverged})
         return 0
-    _tell(search, record, chosen, planned, gains)
+    _tell(search, chosen, planned, gains)
     for arm, count in diverged.items():
         if count:
             print(f"  {count} of the {arm}'s {len(planned.seeds)} runs diverged, and count as in a search")
@@ -223,7 +223,6 @@ def _document(
 
 def _tell(
     search: Search,
-    record: Mapping[str, Any],
     chosen: Mapping[str, Any],
     planned: plan.Plan,
     gains: Mapping[str, Gain],
@@ -246,8 +245,8 @@ def _tell(
         flattered = _flattered(search, objective.name, gains)
         print(
             f"    luck               {flattered:+.4f}: by how much the search's seeds had flattered it"
-            if own.same_steps
-            else f"    luck               cannot be told: runs of the search had {record['steps']:,} steps"
+            if math.isfinite(flattered)
+            else f"    luck               cannot be told: {own.incomparable or 'some run has no value'}"
         )
 
 

@@ -29,6 +29,7 @@ from pneuma.cli.plain_text import command
 from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
+from pneuma.study.conditions import does_nothing, unread_settings
 from pneuma.study.definition import TEXT, check_setting, in_setting
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.plan import Plan
@@ -83,11 +84,18 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
+    replace: Annotated[
+        bool,
+        typer.Option(
+            "--replace", help="Begin anew where Optuna, rules or engines are others than the trials' were."
+        ),
+    ] = False,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:
     """Search for hyperparameters, going on where the search was stopped."""
+    from pneuma.search.record import record_replaced
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Task
 
@@ -95,6 +103,7 @@ def run(
     over = {**read_settings_options(set_), **({"engine": engine} if engine else {})}
     if over:
         search = search.with_settings(_checked(over))
+        _refuse_unread(search, over)
     task = Task(search, read_budget(search, preset, trials, seeds, steps))
     store = Store(results)
     if place.detach:
@@ -107,6 +116,8 @@ def run(
         from pneuma.cli.search_promote import run_sensitivity
 
         return run_sensitivity(task, store, how, retry_failed, json, quiet)
+    if note := record_replaced(store, task, replace):
+        say(f"Note: {note}.", aside=True, quiet=quiet)
     return _search(task, store, storage, how, retry_failed, json, quiet)
 
 
@@ -158,12 +169,19 @@ def read_search_seeds_option(text: str) -> tuple[int, ...]:
 def _checked(over: Mapping[str, Any]) -> dict[str, Any]:
     """Check what is set over every trial: fields of the run."""
     from pneuma.config import Run, read_setting
-    from pneuma.search.spec import FIXABLE
+    from pneuma.search.space_file import FIXABLE
 
     for key in over:
         if key not in FIXABLE:
             raise unknown_name("key of --set", key, FIXABLE)
     return {key: read_setting(Run, key, value) for key, value in over.items()}
+
+
+def _refuse_unread(search: Search, over: Mapping[str, Any]) -> None:
+    """Refuse what is set over every trial and read by none."""
+    runs = [run for _, run in search.space.corners()]
+    for key in unread_settings(runs, [key for key in over if key != "engine"]):
+        raise UserError(f"--set {key}: {does_nothing(key, runs)}")
 
 
 def _search(

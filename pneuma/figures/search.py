@@ -249,7 +249,7 @@ FIGURES: dict[str, Callable[[_Seen], Figure | None]] = {
 }
 NEEDS = {
     "history": "a complete trial",
-    "importances": f"{LEAST_TRIALS} complete trials that differ in value",
+    "importances": f"{LEAST_TRIALS} complete trials, five of them better than the worst",
     "slices": "a complete trial",
     "parallel": "a complete trial",
     "contour": "4 complete trials with two ranges that all of them have",

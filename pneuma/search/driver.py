@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
@@ -11,11 +12,11 @@ import numpy as np
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import StudyData
-from pneuma.errors import UserError, install_extra
+from pneuma.errors import UserError, counted, install_extra
 from pneuma.search.database import Database
 from pneuma.search.record import check_folder, lock_folder, save_record
 from pneuma.search.trials import Task, Told, Train, conduct, make_trial_plan
-from pneuma.study.execute import selection_record
+from pneuma.study.execute import check_environments, selection_record
 from pneuma.study.locks import RunLock
 from pneuma.study.plan import Cell
 from pneuma.study.store import Store
@@ -41,6 +42,7 @@ def run_search(
         Unfinished: where a run crashed; what ended before is stored.
     """
     check_outcomes(task)
+    check_environments([run for _, run in task.search.space.corners()])
     store.check_writable()
     check_folder(store)
     with _alone(task, store):
@@ -76,8 +78,23 @@ def check_outcomes(task: Task) -> None:
             raise UserError("sampler cma-es: goes with one objective alone; tpe and nsga-ii take several")
         if find_spec("cmaes") is None:
             raise UserError(f"sampler cma-es: needs an extra package: {install_extra('cmaes')}")
-    if search.pruner["name"] == "wilcoxon" and search.objectives[0].over_seeds == "deviation":
-        raise UserError("pruner wilcoxon: compares seed by seed, which a deviation does not have")
+    if search.pruner["name"] == "wilcoxon":
+        if search.objectives[0].over_seeds == "deviation":
+            raise UserError("pruner wilcoxon: compares seed by seed, which a deviation does not have")
+        _refuse_too_few_pairs(len(task.budget.seeds), search.pruner["threshold"])
+
+
+def _refuse_too_few_pairs(seeds: int, threshold: float) -> None:
+    """Refuse a signed-rank test that can never give a trial up.
+
+    It is made before the last seed, and the least p-value of n pairs is 2**-n.
+    """
+    least = math.floor(-math.log2(threshold)) + 2
+    if seeds < least:
+        raise UserError(
+            f"pruner wilcoxon: {counted(seeds, 'seed')} cannot give a trial up at threshold {threshold:g}; "
+            f"it needs {least} at least"
+        )
 
 
 @contextmanager

@@ -6,6 +6,7 @@ all of them lie. The best are a tenth, but never fewer than five.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +24,7 @@ def importances(record: Mapping[str, Any], space: Space) -> dict[str, float]:
     """Return the importance of every parameter that all complete trials have, summing to 1.
 
     Of several objectives, that for the first. Empty with fewer than `LEAST_TRIALS` complete trials, or
-    where all have one value.
+    where no best ones can be told from the others: too many of them share the worst value.
     """
     import optuna
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
@@ -32,11 +33,12 @@ def importances(record: Mapping[str, Any], space: Space) -> dict[str, float]:
 
     complete = [trial for trial in record["trials"] if trial["state"] == "complete"]
     values = [trial_values(trial)[0] for trial in complete]
-    if len(complete) < LEAST_TRIALS or len(set(values)) < 2:
+    best_share = max(BEST_SHARE, BEST_TRIALS / max(len(complete), 1))
+    direction = record["identity"]["objectives"][0]["direction"]
+    ordered = sorted(values, reverse=direction == "maximize")
+    if len(complete) < LEAST_TRIALS or ordered[math.ceil(best_share * len(complete)) - 1] == ordered[-1]:
         return {}
-    study = optuna.create_study(
-        storage=optuna.storages.InMemoryStorage(), direction=record["identity"]["objectives"][0]["direction"]
-    )
+    study = optuna.create_study(storage=optuna.storages.InMemoryStorage(), direction=direction)
     for trial, value in zip(complete, values, strict=True):
         study.add_trial(
             optuna.trial.create_trial(
@@ -47,7 +49,7 @@ def importances(record: Mapping[str, Any], space: Space) -> dict[str, float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         evaluator = PedAnovaImportanceEvaluator(
-            target_quantile=max(BEST_SHARE, BEST_TRIALS / len(complete)),
+            target_quantile=best_share,
             region_quantile=1.0,
             evaluate_on_local=True,
         )

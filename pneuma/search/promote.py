@@ -16,7 +16,7 @@ import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
 from pneuma.config import Run, as_settings, make_run
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.search.driver import Outcomes
 from pneuma.search.record import trial_values
 from pneuma.search.spec import Budget, Search
@@ -40,7 +40,7 @@ class Gain:
         fresh, fresh_baseline: the same over the fresh seeds.
         difference: of the means over the fresh seeds; NaN where some run has no finite value.
         interval: of that difference, 95 %; NaN there, and where the seeds are too few.
-        same_steps: whether fresh runs were trained for as long as those of the search.
+        incomparable: why the search's value cannot be held against the fresh one; empty where it can.
     """
 
     seen: float
@@ -49,12 +49,12 @@ class Gain:
     fresh_baseline: float
     difference: float
     interval: tuple[float, float]
-    same_steps: bool = True
+    incomparable: str = ""
 
     @property
     def luck(self) -> float:
-        """By how much the winner's value fell on fresh seeds; NaN where these had other steps."""
-        return self.seen - self.fresh if self.same_steps else float("nan")
+        """By how much the winner's value fell on fresh seeds; NaN where the two cannot be compared."""
+        return float("nan") if self.incomparable else self.seen - self.fresh
 
 
 def winner(record: Mapping[str, Any], number: int | None) -> dict[str, Any]:
@@ -148,8 +148,17 @@ def gains(
         won, lost = (np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in arms)
         fresh = [objective_value(objective, arm, outcomes.read, outcomes.diverged) for arm in arms]
         seen = [trial_values(own)[place] if own else float("nan") for own in (trial, base)]
-        found[objective.name] = gain((seen[0], seen[1]), (fresh[0], fresh[1]), won, lost, same_steps)
+        why = "" if same_steps else f"runs of the search had {record['steps']:,} steps"
+        why = why or _unlike_estimates(objective.over_seeds, len(record["seeds"]), len(planned.seeds))
+        found[objective.name] = gain((seen[0], seen[1]), (fresh[0], fresh[1]), won, lost, why)
     return found
+
+
+def _unlike_estimates(over_seeds: str, seen: int, fresh: int) -> str:
+    """Say why a value over some seeds is none over others: the least of many is less, without any luck."""
+    if seen == fresh or over_seeds not in ("least", "deviation"):
+        return ""
+    return f"a {over_seeds} over {counted(seen, 'seed')} and one over {fresh} differ by themselves"
 
 
 def _as_searched(run: Run, record: Mapping[str, Any]) -> Run:
@@ -165,7 +174,11 @@ def _baseline_trial(run: Run, record: Mapping[str, Any]) -> Mapping[str, Any] | 
 
 
 def gain(
-    seen: tuple[float, float], fresh: tuple[float, float], won: np.ndarray, base: np.ndarray, same_steps: bool
+    seen: tuple[float, float],
+    fresh: tuple[float, float],
+    won: np.ndarray,
+    base: np.ndarray,
+    incomparable: str = "",
 ) -> Gain:
     """Return what a winner gained.
 
@@ -174,13 +187,13 @@ def gain(
         fresh: their values over the fresh seeds.
         won: its outcomes on these, (seeds,).
         base: the baseline's.
-        same_steps: whether fresh runs were trained for as long as those of the search.
+        incomparable: as `Gain` has it.
     """
     if not (np.isfinite(won).all() and np.isfinite(base).all()):  # a threshold that some run never reaches
-        return Gain(*seen, *fresh, math.nan, (math.nan, math.nan), same_steps)
+        return Gain(*seen, *fresh, math.nan, (math.nan, math.nan), incomparable)
     found = difference_interval(won, base)
     difference = float(won.mean() - base.mean())
-    return Gain(*seen, *fresh, difference, (found.low, found.high), same_steps)
+    return Gain(*seen, *fresh, difference, (found.low, found.high), incomparable)
 
 
 def own_settings(search: Search, trial: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,12 +6,13 @@ what it came to, without what is true of one machine alone. It is read wherever 
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search.record_shape import is_record
 from pneuma.search.spec import Search, list_searches
 from pneuma.search.trials import Task, Told
@@ -21,6 +22,8 @@ from pneuma.study.store import Store
 
 PUBLISHED = Path("published", "searches")
 """Where published records are, in a results folder."""
+VERSIONS = ("optuna", "rules", "engines")
+"""What of a search's identity is nobody's choice."""
 
 
 def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, optuna_study: str) -> None:
@@ -62,6 +65,36 @@ def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, op
         "best": best_number(told, task.search),
     }
     store.write(_path(store, search.name), seal(document))
+
+
+def record_replaced(store: Store, task: Task, begin_anew: bool) -> str:
+    """Say what a search is about to take the record's place of; empty where it goes on, or nothing is there.
+
+    Args:
+        store: the results folder.
+        task: the search with its budget.
+        begin_anew: whether trials that other versions asked for may leave the record.
+
+    Raises:
+        UserError: where the same command would have gone on with these versions, and cannot.
+    """
+    held = _held(_path(store, task.search.name), task.search.name)
+    if not held or held["digest"] == task.digest or not held["trials"]:
+        return ""
+    own = json.loads(to_json(task.identity))
+    changed = [key for key in own if held["identity"].get(key) != own[key]]
+    count = counted(len(held["trials"]), "trial")
+    versions = [key for key in changed if key in VERSIONS]
+    if versions == changed and not begin_anew:
+        told = ", ".join(f"{key} {held['identity'].get(key)}, now {own[key]}" for key in versions)
+        raise UserError(
+            f"search {task.search.name}: other versions asked for its {count} ({told}), and these would ask "
+            "for others: --replace begins anew"
+        )
+    return (
+        f"the {count} so far had other {', '.join(changed) or 'files'}, and leave the record; "
+        "their runs stay, and the same command as then brings them back"
+    )
 
 
 def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:

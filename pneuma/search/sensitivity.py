@@ -111,8 +111,13 @@ def save_points(store: Store, task: Task) -> None:
     store.write(_path(store, task.search.name), seal(document))
 
 
-def read_points(store: Store, search: str) -> dict[str, Any]:
+def read_points(store: Store, search: str, called: str = "") -> dict[str, Any]:
     """Return what `save_points` wrote.
+
+    Args:
+        store: the results folder.
+        search: what its record is called.
+        called: what a person called it, where that is the path of its file.
 
     Raises:
         UserError: where there is none.
@@ -121,7 +126,7 @@ def read_points(store: Store, search: str) -> dict[str, Any]:
     if document is None or not are_points(document):
         raise UserError(
             f"search {search}: its sensitivity was not trained in {store.root}: "
-            f"run `pneuma search run {search} --sensitivity` first"
+            f"run `pneuma search run {called or search} --sensitivity` first"
         )
     return document
 

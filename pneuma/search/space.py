@@ -109,7 +109,7 @@ class Space:
         """Have a value suggested for every parameter that counts; return them by name."""
         params: dict[str, Any] = {}
         for parameter in self.parameters:
-            if parameter.counts({**self._start, **params}):
+            if parameter.counts(self._known(params)):
                 params[parameter.name] = suggest(parameter)
         return params
 
@@ -140,26 +140,40 @@ class Space:
         Raises:
             UserError: naming the parameters, their values, and what a run allows.
         """
+        for _ in self.corners():
+            pass
+
+    def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
+        """Yield every end of every range, and every two together, as parameters, with the run they make.
+
+        Raises:
+            UserError: as `check`.
+        """
         for own in self._corners():
             params = {**self._usual(), **self._enabling(own), **own}
+            if not all(self.parameter(name).counts(self._known(params)) for name in own):
+                continue
             settings = self.settings({p.name: params[p.name] for p in self.parameters if p.name in params})
             try:
-                make_run(join_settings(self.base, settings))
+                run = make_run(join_settings(self.base, settings))
             except UserError as error:
                 told = ", ".join(f"{name} = {value}" for name, value in own.items())
                 raise UserError(f"{told}: {error}") from None
+            yield own, run
 
     @property
     def _start(self) -> dict[str, Any]:
         return usual_settings(self.base, self.fixed)
 
+    def _known(self, params: Params) -> dict[str, Any]:
+        """Return what a `when` may name: fields as they are beside parameters, and these themselves."""
+        return {**self._start, **self.settings(params), **params}
+
     def _corners(self) -> Iterator[dict[str, Any]]:
         singles = [(parameter,) for parameter in self.parameters]
         for group in [*singles, *combinations(self.parameters, 2)]:
             for values in product(*(parameter.domain.extremes for parameter in group)):
-                own = {parameter.name: value for parameter, value in zip(group, values, strict=True)}
-                if all(set(self.parameter(name).when) - {*own} or self._fits(name, own) for name in own):
-                    yield own
+                yield {parameter.name: value for parameter, value in zip(group, values, strict=True)}
 
     def _usual(self) -> dict[str, Any]:
         """Return a value inside the space for each parameter that hangs on no other: the base's if it can."""
@@ -170,14 +184,18 @@ class Space:
             if not parameter.when
         }
 
-    def _fits(self, name: str, own: Params) -> bool:
-        return self.parameter(name).counts({**self._start, **own})
-
     def _enabling(self, own: Params) -> dict[str, Any]:
         """Return values for the parameters on which those of `own` hang, so that they count."""
-        needed = [item for name in own for item in self.parameter(name).when.items()]
-        names = {parameter.name for parameter in self.parameters}
-        return {name: values[0] for name, values in needed if name in names}
+        found = {}
+        for key, values in [item for name in own for item in self.parameter(name).when.items()]:
+            for parameter in self.parameters:
+                if parameter.name == key:
+                    found[key] = values[0]
+                elif isinstance(parameter.domain, Choices):  # of bundles, one may set the field
+                    for choice, settings in parameter.domain.settings_of.items():
+                        if key in settings and as_tuple(settings[key]) in values:
+                            found.setdefault(parameter.name, choice)
+        return found
 
 
 def usual_settings(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,17 +8,17 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import BASES, FORK_SETTINGS, Run, read_setting
+from pneuma.config import BASES
 from pneuma.errors import UserError, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.search.options import PRUNERS, SAMPLERS, read_options
-from pneuma.search.space import Choices, Parameter, Range, Space, usual_settings
+from pneuma.search.space import Space, usual_settings
+from pneuma.search.space_file import read_by, read_space, read_value
 from pneuma.study.definition import PUBLISHED_CODE, check_setting
 from pneuma.study.spec import (
     GODOT,
@@ -30,18 +30,12 @@ from pneuma.study.spec import (
     split_setting,
     studies_folder,
 )
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
-from pneuma.values import Choice, Flag, Number
+from pneuma.study.toml_file import TomlFile, read_toml, shown
+from pneuma.values import Choice, Number
 
 OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
-SETTABLE = tuple(f.name for f in fields(Run) if f.name not in ("seed", "steps", "engine", *FORK_SETTINGS))
-"""Fields of a run that a search may vary."""
-
-FIXABLE = (*SETTABLE, "engine")
-"""Those that it may fix for all its trials."""
-
 _TOP_KEYS = (
     "title", "section", "about", "base", "start", "generation", "run", "objectives", "space", "sampler",
     "pruner", "presets",
@@ -178,7 +172,7 @@ def read_search(file: TomlFile) -> Search:
     texts = {key: _text(file, key) for key in ("title", "section", "about", "base")}
     if texts["base"] not in BASES:
         raise file.mistake((), f"base: {unknown_name('base', texts['base'], BASES)}", "base")
-    space = _read_space(file, texts["base"])
+    space = read_space(file, texts["base"])
     objectives = tuple(_read_objective(file, name) for name in file.table(("objectives",)))
     if not objectives:
         raise file.mistake((), "a search needs at least one objective", "objectives")
@@ -193,7 +187,7 @@ def read_search(file: TomlFile) -> Search:
         objectives=objectives,
         start=start,
         start_names=names,
-        generation=int(_read(file, (), "generation", file.data.get("generation", 8), _GENERATION)),
+        generation=int(read_by(file, (), "generation", file.data.get("generation", 8), _GENERATION)),
         sampler=read_options(file, "sampler", SAMPLERS, "tpe"),
         pruner=read_options(file, "pruner", PRUNERS, ""),
         presets={name: _read_budget(file, name) for name in file.table(("presets",))},
@@ -220,134 +214,6 @@ def _text(file: TomlFile, key: str) -> str:
     return value
 
 
-def _read(file: TomlFile, where: Where, key: str, value: Any, reader: Number | Choice | Flag) -> Any:
-    try:
-        return reader.read(value)
-    except (ValueError, TypeError):
-        message = f"{key} = {shown(value)} is not allowed: {reader.allowed}"
-        raise file.mistake(where, message, key) from None
-
-
-def _read_space(file: TomlFile, base: str) -> Space:
-    fixed = _read_settings(file, ("run",))
-    parameters: list[Parameter] = []
-    for name in file.table(("space",)):
-        parameters.append(_read_parameter(file, name, parameters))
-    if not parameters:
-        raise file.mistake((), "a search needs at least one parameter", "space")
-    for parameter in parameters:
-        for key in parameter.keys:
-            if key in fixed:
-                raise file.mistake(("run",), f"{key} is searched by [space.{parameter.name}]", key)
-    space = Space(tuple(parameters), fixed, base)
-    try:
-        space.check()
-    except UserError as error:
-        name = str(error).split(" = ", 1)[0]
-        raise file.mistake(("space", name) if name in file.table(("space",)) else (), str(error)) from None
-    return space
-
-
-def _read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:
-    where = ("space", name)
-    table = file.table(where)
-    file.refuse_unknown(where, table, ("low", "high", "log", "choices", "when"))
-    when = _read_when(file, where, before)
-    if "choices" in table:
-        for key in ("low", "high", "log"):
-            if key in table:
-                raise file.mistake(where, f"{key} does not go with choices", key)
-        return Parameter(name, _read_choices(file, where, name), when)
-    return Parameter(name, _read_range(file, where, name), when)
-
-
-def _read_range(file: TomlFile, where: Where, name: str) -> Range:
-    table = file.table(where)
-    _refuse_unknown_field(file, where, name)
-    for key in ("low", "high"):
-        if key not in table:
-            raise file.mistake(where, f"the key {key!r} is missing (or give choices)")
-    low, high = (_read_value(file, where, key, name, table[key]) for key in ("low", "high"))
-    log = _read(file, where, "log", table.get("log", False), Flag())
-    if isinstance(low, bool) or not isinstance(low, int | float) or not isinstance(high, int | float):
-        raise file.mistake(where, f"{name} is no number: give choices")
-    if not low < high:
-        message = f"low = {shown(low)} is not below high = {shown(high)}: an empty range"
-        raise file.mistake(where, message, "low")
-    if log and low <= 0:
-        raise file.mistake(where, f"low = {shown(low)} is not allowed with log: above 0", "low")
-    return Range(low, high, log, whole=isinstance(low, int))
-
-
-def _read_choices(file: TomlFile, where: Where, name: str) -> Choices:
-    given = file.table(where)["choices"]
-    if isinstance(given, dict):
-        tables = {choice: _read_settings(file, (*where, "choices", choice)) for choice in given}
-        if len(tables) < 2 or not all(tables.values()):
-            raise file.mistake(where, "choices must be two tables or more, each with settings", "choices")
-        return Choices(tables)
-    _refuse_unknown_field(file, where, name)
-    if not isinstance(given, list) or len(given) < 2:
-        message = f"choices = {shown(given)} is not allowed: a list of two values or more, or tables"
-        raise file.mistake(where, message, "choices")
-    values = [_read_value(file, where, "choices", name, value) for value in given]
-    if len({shown(value) for value in values}) < len(values):
-        raise file.mistake(where, "choices repeat a value", "choices")
-    return Choices({_name(value): {name: value} for value in values})
-
-
-def _name(value: Any) -> str:
-    return "none" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
-
-
-def _read_when(file: TomlFile, where: Where, before: Sequence[Parameter]) -> dict[str, tuple[Any, ...]]:
-    place, domains = (*where, "when"), {parameter.name: parameter.domain for parameter in before}
-    read = {}
-    for name, given in file.table(place).items():
-        if name not in domains and name in file.table(("space",)):
-            raise file.mistake(place, f"{name} is searched, too: [space.{name}] must stand before it", name)
-        if name not in domains and name not in SETTABLE:
-            problem = unknown_name("parameter before it, or field of the run,", name, [*domains, *SETTABLE])
-            raise file.mistake(place, str(problem), name)
-        values = given if isinstance(given, list) else [given]
-        read[name] = tuple(_read_condition(file, place, name, domains.get(name), value) for value in values)
-        if not values:
-            raise file.mistake(place, f"{name} = [] is not allowed: one value or more", name)
-    return read
-
-
-def _read_condition(
-    file: TomlFile, where: Where, name: str, domain: Range | Choices | None, value: Any
-) -> Any:
-    """Read a value at which another parameter counts: the name of a choice, or what a field may be."""
-    if not isinstance(domain, Choices):
-        return _read_value(file, where, name, name, value)
-    choices = list(domain.settings_of)
-    if _name(value) not in choices:
-        message = f"{name} = {shown(value)} is no choice of [space.{name}]: {', '.join(choices)}"
-        raise file.mistake(where, message, name)
-    return _name(value)
-
-
-def _refuse_unknown_field(file: TomlFile, where: Where, name: str) -> None:
-    if name not in SETTABLE:
-        told = f"{unknown_name('parameter', name, SETTABLE)}; or give it choices of settings"
-        raise file.mistake(where, told)
-
-
-def _read_value(file: TomlFile, where: Where, key: str, name: str, value: Any) -> Any:
-    try:
-        return read_setting(Run, name, value)
-    except UserError as error:
-        raise file.mistake(where, str(error), key) from None
-
-
-def _read_settings(file: TomlFile, where: Where) -> dict[str, Any]:
-    settings = file.table(where)
-    file.refuse_unknown(where, settings, FIXABLE if where == ("run",) else SETTABLE)
-    return {key: _read_value(file, where, key, key, value) for key, value in settings.items()}
-
-
 def _read_objective(file: TomlFile, name: str) -> Objective:
     where = ("objectives", name)
     table = file.table(where)
@@ -357,8 +223,8 @@ def _read_objective(file: TomlFile, name: str) -> Objective:
     return Objective(
         name,
         table["outcome"],
-        _read(file, where, "over_seeds", table.get("over_seeds", "mean"), Choice(OVER_SEEDS)),
-        _read(file, where, "direction", table.get("direction", "maximize"), Choice(DIRECTIONS)),
+        read_by(file, where, "over_seeds", table.get("over_seeds", "mean"), Choice(OVER_SEEDS)),
+        read_by(file, where, "direction", table.get("direction", "maximize"), Choice(DIRECTIONS)),
     )
 
 
@@ -392,7 +258,7 @@ def _read_budget(file: TomlFile, name: str) -> Budget:
         message = f"seeds = {shown(table['seeds'])} is not allowed: {SEEDS_ALLOWED}"
         raise file.mistake(where, message, "seeds") from None
     return Budget(
-        int(_read(file, where, "trials", table["trials"], _COUNT)),
+        int(read_by(file, where, "trials", table["trials"], _COUNT)),
         seeds,
-        int(_read_value(file, where, "steps", "steps", table["steps"])),
+        int(read_value(file, where, "steps", "steps", table["steps"])),
     )

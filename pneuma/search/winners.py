@@ -13,6 +13,7 @@ from itertools import count, islice
 from os.path import commonprefix
 from typing import Any
 
+from pneuma.config import make_run
 from pneuma.errors import UserError
 from pneuma.search import promote
 from pneuma.search.promote import (
@@ -25,7 +26,7 @@ from pneuma.search.promote import (
 )
 from pneuma.search.record import refuse_unfinished
 from pneuma.search.spec import Search
-from pneuma.study.definition import split_setting
+from pneuma.study.definition import join_settings, split_setting
 
 TUNED = "tuned"
 SEEDS = 10
@@ -113,9 +114,18 @@ def _check_alike(winners: Sequence[Winner], names: Sequence[str]) -> None:
             ("seeds", first.record["seeds"], winner.record["seeds"]),
             ("steps", first.record["steps"], winner.record["steps"]),
             ("objectives", _sought(first), _sought(winner)),
+            ("settings", first.search.setting, winner.search.setting),
+            ("worlds", _of_start(first, "env"), _of_start(winner, "env")),
+            ("engines", _of_start(first, "engine"), _of_start(winner, "engine")),
         ):
             if one != other:
                 raise UserError(f"{told} are not tuned alike: {what} {one} and {other}; run both the same")
+
+
+def _of_start(winner: Winner, key: str) -> str:
+    """Return a setting of the run that a winner was tuned from."""
+    space = winner.search.space
+    return str(getattr(make_run(join_settings(space.base, space.fixed)), key))
 
 
 def _sought(winner: Winner) -> str:

@@ -106,7 +106,9 @@ def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path:
     with pytest.raises(UserError, match="was looked at with 10, 20 seeds by another --max-seeds"):
         next(run_until_decided(study, Selection(), 40, store, written.train))
     again = run_until_decided(study, Selection(), 20, store, written.train)
-    assert [look.stage.seeds for look in again] == looks  # the same looks at the same runs
+    assert next(again).stage.seeds == 10
+    assert looks_of(store.selection(STUDY) or {}) == (10, 20)  # the second look was made, repeated or not
+    assert [10, *(look.stage.seeds for look in again)] == looks  # the same looks at the same runs
     one = Selection(conditions=(study.baseline, list(study.conditions)[-1]))
     with pytest.raises(UserError, match="or --condition; looking again"):
         next(run_until_decided(study, one, 20, store, written.train))

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.promote import BASELINE, WINNER, gain, promoted_study, refuse_seen_seeds, winner
+from pneuma.search.promote import (
+    BASELINE,
+    WINNER,
+    _unlike_estimates,
+    gain,
+    promoted_study,
+    refuse_seen_seeds,
+    winner,
+)
 from pneuma.search.record import read_record, save_record
 from pneuma.search.spec import Budget, list_searches, load_search
 from pneuma.search.trials import Task, Told
@@ -109,14 +117,30 @@ def test_seeds_of_the_search_are_refused(searched: Searched) -> None:
 
 def test_gain_and_luck_by_hand() -> None:
     won, base = np.array([0.5, 0.7]), np.array([0.4, 0.4])
-    found = gain((0.9, math.nan), (0.6, 0.4), won, base, same_steps=True)
+    found = gain((0.9, math.nan), (0.6, 0.4), won, base)
     assert (found.fresh, found.fresh_baseline, found.difference) == pytest.approx((0.6, 0.4, 0.2))
     assert found.luck == pytest.approx(0.3)
-    assert math.isnan(gain((0.9, math.nan), (0.6, 0.4), won, base, same_steps=False).luck)
+    assert math.isnan(gain((0.9, math.nan), (0.6, 0.4), won, base, "other steps").luck)
+
+
+@pytest.mark.parametrize(
+    ("over_seeds", "seen", "fresh", "told"),
+    [
+        ("mean", 2, 10, ""),
+        ("least", 10, 10, ""),
+        ("least", 2, 10, "a least over 2 seeds and one over 10 differ by themselves"),
+        ("deviation", 3, 10, "a deviation over 3 seeds and one over 10 differ by themselves"),
+    ],
+)
+def test_luck_is_not_told_of_what_hangs_on_the_number_of_seeds(
+    over_seeds: str, seen: int, fresh: int, told: str
+) -> None:
+    """The least of ten is below that of two on average, though nobody was lucky."""
+    assert _unlike_estimates(over_seeds, seen, fresh) == told
 
 
 def test_a_run_that_never_gets_there_leaves_the_gain_unknown() -> None:
     never = np.array([1e4, math.inf, 2e4])
-    found = gain((0.5, 0.4), (0.5, 0.4), never, np.full(3, math.inf), same_steps=True)
+    found = gain((0.5, 0.4), (0.5, 0.4), never, np.full(3, math.inf))
     assert math.isnan(found.difference) and all(map(math.isnan, found.interval))
     assert found.luck == 0

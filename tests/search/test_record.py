@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import optuna
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.record import known_searches, publish_record, read_record, save_record
+from pneuma.search.record import (
+    known_searches,
+    publish_record,
+    read_record,
+    record_replaced,
+    save_record,
+)
 from pneuma.search.record_shape import are_points
 from pneuma.search.recorded import begun_runs, recorded_search
+from pneuma.search.spec import Budget
 from pneuma.search.trials import Task, make_trial_plan
 from pneuma.study.execute import selection_record
 from pneuma.study.files import seal
@@ -49,6 +58,29 @@ def test_another_search_of_the_name_takes_its_place(make_task: MakeTask, solve: 
     save(store, make_task(8), flat(solve(make_task(8))))
     other = make_task(8, '[sampler]\nname = "random"')
     assert save(store, other, [])["trials"] == []
+
+
+def test_whoever_puts_another_search_in_its_place_is_told(
+    make_task: MakeTask, solve: Solve, store: Store
+) -> None:
+    assert record_replaced(store, make_task(8), begin_anew=False) == ""
+    save(store, make_task(8), flat(solve(make_task(8))))
+    assert record_replaced(store, make_task(12), begin_anew=False) == ""
+    other = replace(make_task(8), budget=Budget(8, (0, 1), 4096))
+    told = record_replaced(store, other, begin_anew=False)
+    assert told.startswith("the 8 trials so far had other seeds, steps, and leave the record")
+
+
+def test_other_versions_put_nothing_in_its_place_unasked(
+    make_task: MakeTask, solve: Solve, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(store, make_task(8), flat(solve(make_task(8))))
+    was = optuna.__version__
+    monkeypatch.setattr(optuna, "__version__", "9.9.9")
+    with pytest.raises(UserError, match=rf"8 trials \(optuna {was}, now 9.9.9\), .*--replace begins anew"):
+        record_replaced(store, make_task(8), begin_anew=False)
+    assert "had other optuna, and" in record_replaced(store, make_task(8), begin_anew=True)
+    assert len(read_record(store, "formula")["trials"]) == 8
 
 
 @pytest.mark.parametrize(

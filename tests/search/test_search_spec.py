@@ -116,6 +116,8 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("seeds = 2", "seeds = [3, 3]", "seeds = [3, 3] is not allowed"),
         ("generation = 4", "genration = 4", "unknown key 'genration' (did you mean generation?)"),
         ('outcome = "final-share-killed"', 'over_seeds = "mean"', "the key 'outcome' is missing"),
+        ("gradient_limit = 0.5", "smoothing = 0.5", "smoothing does nothing: adam reads"),
+        ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing: adam reads"),
         ("[presets.quick]", '[sampler]\nname = "tpa"\n[presets.quick]', "sampler 'tpa' (did you mean tpe?)"),
         ("[presets.quick]", '[sampler]\nname = ["tpe"]\n[presets.quick]', "unknown sampler"),
         ("[presets.quick]", "[sampler]\nstartup = 3\n[presets.quick]", "unknown key 'startup'"),
@@ -173,6 +175,34 @@ def test_what_hangs_on_a_field_that_is_a_list_counts_with_the_bases_own(write: L
     hanging = '[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { reward = "thesis" }\n'
     space = write(GOOD.replace("[presets.quick]", f"{hanging}[presets.quick]")).space
     assert "gamma" in space.ask(lambda parameter: parameter.domain.extremes[0])
+
+
+def test_what_hangs_on_a_field_counts_where_a_bundle_sets_it(write: Load) -> None:
+    bundles = (
+        '[space.method.choices.adam]\noptimizer = "adam"\n[space.method.choices.sgd]\noptimizer = "sgd"\n'
+    )
+    space = write(GOOD.replace('[space.optimizer]\nchoices = ["adam", "sgd"]\n', bundles)).space
+    for method in ("adam", "sgd"):
+
+        def suggest(parameter: Parameter, chosen: str = method) -> object:
+            return chosen if parameter.name == "method" else parameter.domain.extremes[-1]
+
+        assert ("momentum" in space.ask(suggest)) == (method == "sgd")
+    (momentum, *_) = [run for own, run in space.corners() if own == {"momentum": 0.9}]
+    assert (momentum.optimizer, momentum.momentum) == ("sgd", 0.9)
+
+
+def test_parameters_of_one_field_are_two_only_where_they_never_meet(write: Load) -> None:
+    apart = (
+        '[space.actor]\nchoices = [[8], [16]]\nwhen = { optimizer = "adam" }\n'
+        "[space.tiny.choices.one]\nactor = [1]\n[space.tiny.choices.two]\nactor = [2]\n"
+        '[space.tiny.when]\noptimizer = "sgd"\n'
+    )
+    text = GOOD.replace("actor = [32]\n", "").replace("actor = [128]\n", "")
+    assert len(write(text.replace("[presets.quick]", f"{apart}[presets.quick]")).space.parameters) == 7
+    meeting = apart.replace('optimizer = "sgd"', 'optimizer = ["sgd", "adam"]')
+    with pytest.raises(UserError, match=r"\[space.tiny\] actor is searched by \[space.actor\], too"):
+        write(text.replace("[presets.quick]", f"{meeting}[presets.quick]"))
 
 
 def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:

@@ -82,6 +82,20 @@ def test_searches_that_sought_different_things_share_no_study(winners: list[Winn
         winners_study([first, _changed(second, identity=identity)])
 
 
+def test_searches_in_different_worlds_or_by_different_engines_share_no_study(winners: list[Winner]) -> None:
+    first, second = winners
+    there = replace(second, search=replace(second.search, setting="godot"))
+    with pytest.raises(UserError, match="not tuned alike: settings text and godot"):
+        winners_study([first, there])
+    for key, value, told in (
+        ("env", "pneuma/PneumaGodot-v0", "worlds pneuma/Pneuma-v0 and pneuma/PneumaGodot-v0"),
+        ("engine", "sb3", "engines batched and sb3"),
+    ):
+        space = replace(second.search.space, fixed={**second.search.space.fixed, key: value})
+        with pytest.raises(UserError, match=f"not tuned alike: {told}"):
+            winners_study([first, replace(second, search=replace(second.search, space=space))])
+
+
 def test_a_search_that_has_not_ended_has_no_winner(winners: list[Winner]) -> None:
     asked = {**winners[0].record, "trials_asked": 16}
     with pytest.raises(UserError, match="has 8 of 16 trials; `pneuma search run` it to its end first"):
