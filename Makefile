@@ -20,10 +20,12 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@touch $@
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset and draw its figure
+	$(call takes_results_alone)
 	$(BIN)/pneuma study run activation --results "$(RESULTS)"
 	$(BIN)/pneuma study plot activation --results "$(RESULTS)"
 
 figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md
+	$(call takes_results_alone)
 	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)"
 	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md --results "$(RESULTS)"
 

@@ -217,10 +217,11 @@ def _studies() -> Finding:
 
 
 def _kernel_cache() -> Finding:
-    """Look for numba's compiled kernels: beside the code, or where the environment says."""
+    """Look for numba's compiled kernels: where the environment says, beside the code, or the user's own."""
     own = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(cache_from_source(str(Path(__file__).parent / "env" / "rules.py"))).parent
-    folder = Path(own) if own else beside
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
+    folder = Path(own) if own else beside if can_write(beside) else users
     warm = any(folder.rglob("rules.*.nbi")) if folder.is_dir() else False
     return _cache("compiled world", folder, warm, "the first step compiles for some seconds")
 

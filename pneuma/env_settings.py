@@ -22,6 +22,8 @@ SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
 MAX_PLAYERS = MOST_NAMES
+MOST_STEPS = 1_000_000
+"""Agent steps that an episode may last."""
 PERCEIVE = "all, nearest:K for the K nearest, or kind:NAME,… for monsters of some kinds"
 
 
@@ -69,7 +71,7 @@ class EnvConfig:
     xp_scope: str = setting("episode", Choice(("episode", "forever")))
     ending_cost: float = setting(0.0, Number(0, 1000))
     """XP lost when an episode ends otherwise than at sea."""
-    episode_steps: int = setting(1000, Number(1, 1_000_000, whole=True))
+    episode_steps: int = setting(1000, Number(1, MOST_STEPS, whole=True))
     """Time limit of an episode in agent steps of 8 ticks."""
     time_limit: str = setting("truncate", Choice(("truncate", "terminate")))
     end_on_clear: bool = setting(False, Flag())

@@ -133,6 +133,20 @@ def test_a_compile_cache_is_warm_once_it_holds_something(
         assert _find(check, tmp_path).told.endswith("warm") is filled
 
 
+def test_where_the_code_cannot_be_written_kernels_are_the_users_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As numba itself falls back, where Pneuma is installed for all."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(doctor, "can_write", lambda folder: tmp_path in folder.parents)
+    kernel = tmp_path / "numba" / "env_1" / "rules.step-1.py311.nbi"
+    kernel.parent.mkdir(parents=True)
+    kernel.touch()
+    found = _find("compiled world", tmp_path)
+    assert (found.state, found.told) == (GOOD, f"{tmp_path / 'numba'}: warm")
+
+
 # --- The command -----------------------------------------------------------------------------------
 
 

@@ -96,7 +96,7 @@ def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None
     assert trained == [load_search(names[0]).presets["paper"].steps for names in searched]
 
 
-@pytest.mark.parametrize("target", ["trajectories", "tuning"])
+@pytest.mark.parametrize("target", ["study", "figures", "trajectories", "tuning"])
 def test_a_target_that_has_no_plan_refuses_to_be_asked_for_one(target: str) -> None:
     told = subprocess.run(
         ["make", "--dry-run", "--assume-old=install", target, "DO=plan"],

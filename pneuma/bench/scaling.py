@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError
+from pneuma.study.spec import MOST_SEEDS
 
 STUDY = "bench-scaling"
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -48,6 +49,11 @@ def bench_scaling(runs: int, conditions: int, steps: int, folder: Path | None) -
     """
     if runs < conditions:
         raise UserError(f"--runs {runs}: fewer than the {conditions} conditions that share them")
+    if runs // conditions > MOST_SEEDS:
+        raise UserError(
+            f"--runs {runs}: more than {MOST_SEEDS:,} seeds for each of the {conditions} conditions; "
+            "give more --conditions"
+        )
     with tempfile.TemporaryDirectory(dir=folder) as own:
         results = Path(own) / "results"
         file = Path(own) / f"{STUDY}.toml"
@@ -77,7 +83,8 @@ def _measured(case: str, words: list[str]) -> tuple[dict[str, Any], str]:
     """
     begun = time.perf_counter()
     with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as said:
-        process = subprocess.Popen([sys.executable, *words], stdout=printed, stderr=said)
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        process = subprocess.Popen([sys.executable, *words], stdout=printed, stderr=said, env=environment)
         _, code, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(code)
         seconds = time.perf_counter() - begun

@@ -124,6 +124,24 @@ SettingName = Annotated[
         help="The thesis's text (default), or godot: the published code, literally.",
     ),
 ]
+OnlySetting = Annotated[
+    str | None,
+    typer.Option(
+        "--setting",
+        metavar="|".join(SETTINGS),
+        help="The thesis's text alone, or godot: the published code's (default: both, and the logs).",
+    ),
+]
+"""Of a command that judges all there is, the logs among it."""
+NamedSetting = Annotated[
+    str | None,
+    typer.Option(
+        "--setting",
+        metavar="|".join(SETTINGS),
+        help="The thesis's text (default with NAME; without, both), or godot: the published code's.",
+    ),
+]
+"""Of commands that take all studies where none is named."""
 
 Selected = Selection | None
 """What `selects` hands to a command; None when no selecting option was given."""

@@ -11,7 +11,7 @@ import typer
 from pneuma import __version__
 from pneuma.cli.options import Json, Quiet, Results, print_json, read_path, say
 from pneuma.cli.plain_text import plain
-from pneuma.cli.report_contents import studies_to_report, study_section
+from pneuma.cli.report_contents import anywhere, studies_to_report, study_section
 from pneuma.errors import UserError, counted
 from pneuma.study.store import Store, write_whole
 
@@ -39,11 +39,14 @@ def report(
     from pneuma.figures.judged import judged_claims
     from pneuma.figures.report import Report, report_page
 
+    try:
+        claims, note = judged_claims(store, studies)
+    except UserError as error:  # a damaged published table: the page says so, and shows the rest
+        claims, note = [], anywhere(store, error)
     sections = []
     for place, study in enumerate(studies, 1):
         say(f"{place}/{len(studies)} {plain(study)}", aside=True, quiet=quiet)
         sections.append(study_section(store, study))
-    claims, note = judged_claims(store, studies)
     page = report_page(Report(claims, sections, note, __version__))
     try:
         write_whole(out, page)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.cli.options import selecting_words
+from pneuma.cli.plain_text import command
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
 from pneuma.config import BASES, ENVIRONMENTS, as_settings, make_run
 from pneuma.errors import UserError, counted
@@ -113,7 +114,7 @@ def _part(store: Store, study: str, setting: str) -> Part:
         record = study_record(store, name, None)
         states = run_states(store, record)
     except UserError as error:
-        return Part(name, title, (_anywhere(store, error),), mend)
+        return Part(name, title, (anywhere(store, error),), mend if study in spec.list_studies() else "")
     return _recorded_part(store, study, Part(name, title, mend=mend), record, states)
 
 
@@ -179,7 +180,7 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
             origins=tuple(_origins(data)),
         )
     except UserError as error:
-        return replace(part, notes=(*part.notes, _anywhere(store, error)))
+        return replace(part, notes=(*part.notes, anywhere(store, error)))
 
 
 def _effects(data: StudyData) -> pd.DataFrame | None:
@@ -199,7 +200,7 @@ def _trajectories(store: Store, data: StudyData) -> tuple[StudyTrajectories | No
     try:
         found = read_trajectories(store.root, data.study)
     except UserError as error:
-        return None, (_anywhere(store, error),)
+        return None, (anywhere(store, error),)
     own = found and found.of_runs({run.run_id for run in data.runs})
     if own is None or not len(own.episodes):
         return None, ()
@@ -247,7 +248,7 @@ def _extent(record: Mapping[str, Any]) -> str:
 def _command(study: str, setting: str) -> str:
     """Return the command that makes a study's runs."""
     name = study if study in spec.list_studies() else f"{study}.toml"
-    return f"pneuma study run {name}" + ("" if setting == spec.TEXT else f" --setting {setting}")
+    return command("study", "run", name, *([] if setting == spec.TEXT else ["--setting", setting]))
 
 
 def _same_again(study: str, record: Mapping[str, Any]) -> str:
@@ -262,7 +263,7 @@ def _same_again(study: str, record: Mapping[str, Any]) -> str:
     return " ".join([_command(study, setting), shlex.join(options)]).strip()
 
 
-def _anywhere(store: Store, error: UserError) -> str:
+def anywhere(store: Store, error: UserError) -> str:
     """Return an error's words without this machine's folder: the page is for others to read."""
     root = str(store.root)
     if root == ".":

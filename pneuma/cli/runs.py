@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.algorithms import TABULAR
 from pneuma.cli.fork import fork
 from pneuma.cli.options import Json, Results, print_json, read_path
 from pneuma.cli.plain_text import plain
@@ -167,7 +168,9 @@ def _exported(
     except UserError as error:
         raise UserError(f"run {run.run_id}: {error}") from None
     if suffix == ".onnx":
-        about = {"run_id": run.run_id, "env": settings.env, "observation": settings.observation}
+        about = {"run_id": run.run_id, "env": settings.env}
+        if settings.algorithm not in TABULAR:
+            about["observation"] = settings.observation
         return exports.to_onnx(policy, about), ""
     space = exports.observation_space(policy, settings, trust)
     bounded = trust or exports.reads_only_shipped_files(settings)

@@ -21,9 +21,10 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records, tell_step
+from pneuma.config import Run, read_setting
 from pneuma.errors import UserError
 from pneuma.study.store import Store
-from pneuma.values import shown_level, shown_setting
+from pneuma.values import as_tuple, shown_level, shown_setting
 
 if TYPE_CHECKING:
     from pneuma.analysis.robustness import Map
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 PRIMARY = "final-share-killed"
+
+Contrasted = tuple[str, Any, Any]
+"""A setting, its value that is said to do better, and the other."""
 
 
 @selects
@@ -60,8 +64,9 @@ def robustness(
 ) -> None:
     """Compare two values of a setting in every combination of a study's other factors."""
     formats = read_figures_asked(out, format)
-    key, better, worse = _read_contrast(contrast)
+    readings = _read_contrast(contrast)
     data = open_data(Store(results), name, selection, setting)
+    key, better, worse = _meant(readings, data)
     from pneuma.analysis.robustness import robustness_map
     from pneuma.analysis.run_view import common_step
 
@@ -76,15 +81,32 @@ def robustness(
     return None
 
 
-def _read_contrast(text: str) -> tuple[str, Any, Any]:
-    """Read KEY=A:B; a value may be a list, as in betas=0.9,0.9:0.9,0.999."""
-    key, equals, values = text.partition("=")
-    better, colon, worse = values.partition(":")
-    if not (key.strip() and equals and colon and better.strip() and worse.strip()):
+def _read_contrast(text: str) -> list[Contrasted]:
+    """Read KEY=A:B, once for every colon that may stand between the two: a value may have colons too.
+
+    It may also be a list, as in betas=0.9,0.9:0.9,0.999.
+    """
+    key, equals, values = (part.strip() for part in text.partition("="))
+    places = [place for place, letter in enumerate(values) if letter == ":"]
+    pairs = [(values[:place].strip(), values[place + 1 :].strip()) for place in places]
+    pairs = [(better, worse) for better, worse in pairs if better and worse]
+    if not (key and equals and pairs):
         raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
-    key = key.strip()
-    read = (read_settings_options([f"{key}={value}"])[key] for value in (better, worse))
-    return key, next(read), next(read)
+    read = [[read_settings_options([f"{key}={value}"])[key] for value in pair] for pair in pairs]
+    return [(key, better, worse) for better, worse in read]
+
+
+def _meant(readings: list[Contrasted], data: StudyData) -> Contrasted:
+    """Return the reading both of whose values a study's conditions have; the first where there is none."""
+
+    def had(key: str, value: Any) -> bool:
+        try:
+            own = as_tuple(read_setting(Run, key, value))
+        except UserError:
+            return False
+        return any(as_tuple(run["run"].get(key)) == own for run in data.record["runs"])
+
+    return next((r for r in readings if had(r[0], r[1]) and had(r[0], r[2])), readings[0])
 
 
 def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> list[Path]:

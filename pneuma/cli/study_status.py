@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, Selected, SettingName, print_json, say, selects
+from pneuma.cli.options import Json, NamedSetting, Results, Selected, print_json, say, selects
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import RunState, each_study, known_studies, run_states, study_record
 from pneuma.errors import UserError
@@ -80,7 +80,7 @@ def status(
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
     selection: Selected = None,
-    setting: SettingName = None,
+    setting: NamedSetting = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:

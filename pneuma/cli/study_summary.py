@@ -26,7 +26,7 @@ from pneuma.cli.options import (
     say,
     selects,
 )
-from pneuma.cli.plain_text import plain
+from pneuma.cli.plain_text import command, plain
 from pneuma.cli.study_output import tell_left_out
 from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
@@ -117,8 +117,9 @@ def collapse(
         print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, figures))})
         return 0
     _print_collapses(data, found, incidence(data))
-    if found["collapsed"].any():
-        say(f"To show the cause: pneuma study collapse {plain(data.study)} --fork", quiet=quiet)
+    if any(store.has_checkpoints(run_id) for run_id in found["run_id"][found["collapsed"]]):
+        again = command("study", "collapse", data.study, "--fork", "--results", store.root)
+        say(f"To show the cause: {again}", quiet=quiet)
     for path in figures:
         print(f"wrote {plain(str(path))}")
     return 0

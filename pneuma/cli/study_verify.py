@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, SettingName, print_json, read_path
+from pneuma.cli.options import Json, OnlySetting, Results, print_json, read_path
 from pneuma.cli.plain_text import plain
 from pneuma.errors import unknown_name
 from pneuma.study.definition import SETTINGS, check_setting
@@ -28,7 +28,7 @@ def verify(
     claims: Annotated[
         list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
     ] = None,
-    setting: SettingName = None,
+    setting: OnlySetting = None,
     file: Annotated[
         Path | None,
         typer.Option("--claims", metavar="FILE", parser=read_path, help="Other claims than the thesis's."),

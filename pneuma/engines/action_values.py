@@ -14,6 +14,7 @@ import numpy as np
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.env.worlds import Worlds
+from pneuma.env_settings import MOST_STEPS
 
 WEIGHT_LEFT_OUT = 0.01
 """What is earned beyond a truncated episode counts until its discount is less than this."""
@@ -40,7 +41,7 @@ class ActionValues:
     def measure(self, policy: Policy) -> dict[str, float]:
         """Return means over all visited states of `q_estimate` and `q_true`.
 
-        Both are NaN where nothing discounts a future that has no end.
+        Both are NaN where nothing discounts a future that has no end, or hardly anything.
         """
         estimates, rewards, counted = self._play(policy)
         if self.worlds.truncated.any() and not self._known:
@@ -75,7 +76,10 @@ def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:
 
 
 def _steps_beyond(run: Run) -> int | None:
-    """Return how many steps past the time limit must be played; None where none would be enough."""
+    """Return how many steps past the time limit must be played; None where no episode is long enough."""
     if run.time_limit == "terminate" or run.gamma == 0:
         return 0
-    return math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma)) if run.gamma < 1 else None
+    if run.gamma == 1:
+        return None
+    beyond = math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma))
+    return beyond if run.episode_steps + beyond <= MOST_STEPS else None

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from torch import nn
 
-from pneuma.algorithms import TABULAR
+from pneuma.algorithms import MAILMAN, TABULAR
 from pneuma.config import (
     ACTION_NAMES,
     REWARDS,
@@ -29,6 +29,7 @@ from pneuma.config import (
 )
 from pneuma.engines.policy import LEAKY_SLOPE, Policy
 from pneuma.engines.sb3_learners import make_model
+from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
 from pneuma.env_settings import are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
@@ -74,6 +75,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps
+    if policy.exploration is not None:
+        model.exploration_rate = policy.exploration
     with torch.no_grad():
         for layers, modules in _networks(policy, model):
             linear = [module for module in modules if isinstance(module, nn.Linear)]
@@ -188,7 +191,8 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     model = helper.make_model(
         graph, producer_name="pneuma", ir_version=ONNX_IR_VERSION, opset_imports=[opset]
     )
-    names = (ACTION_NAMES + SPELL_NAMES)[:actions]
+    known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else ACTION_NAMES + SPELL_NAMES
+    names = known[:actions]
     helper.set_model_props(model, {**about, "actions": json.dumps(names)})
     checker.check_model(model)
     return model.SerializeToString(deterministic=True)

@@ -41,8 +41,8 @@ Learner = PPO | A2C | TRPO | DQN
 def make_model(run: Run, env: VecEnv) -> Any:
     """Set a run's learner up, one of `Learner`.
 
-    Each of torch's and NumPy's global generators serves one purpose from its own stream: torch the
-    initial weights, then the actions; NumPy the order of minibatches.
+    Each of torch's and NumPy's global generators has a stream of its own: torch's gives the initial
+    weights, then the actions, and where TRPO's conjugate gradient begins; NumPy's the minibatches.
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
     model = _MAKE[run.algorithm](run, env)

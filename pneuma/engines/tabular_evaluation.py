@@ -28,7 +28,7 @@ class TableEvaluation:
         self.best = optimal_values(self.process, run.gamma)
 
     def evaluate(self, tables: np.ndarray, step: int) -> dict[str, Any]:
-        """Return one row: returns and lengths as played, explored as in training; values as computed.
+        """Return one row: returns and lengths as played, explored as at training's end; values as computed.
 
         `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
         post office and letters, the latter of the greedy route's discounted value; `q_error` is the

@@ -13,6 +13,7 @@ from pneuma.errors import UserError
 POST_OFFICE, LETTERS, HOME = 0, 1, 2
 GO_ON, GO_HOME = 0, 1
 PLACES, ACTIONS = 3, 2
+ACTION_NAMES = ("go on", "go home")
 REWARDS = {(POST_OFFICE, LETTERS): 0.0, (LETTERS, HOME): 1.0, (POST_OFFICE, HOME): -1.0}
 """Delivering pays 1; going straight home gets him fired. The figure states no numbers."""
 

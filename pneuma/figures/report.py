@@ -32,7 +32,8 @@ class Report:
     Attributes:
         claims: with their verdicts, in the order of the table.
         studies: in the order of the page.
-        claims_note: which list of claims was judged, with its checksum, and at which error rate.
+        claims_note: which list of claims was judged, with its checksum, and at which error rate; or why
+            none could be.
         version: of Pneuma.
     """
 
@@ -52,7 +53,7 @@ def report_page(report: Report) -> bytes:
     ]
     runs = {run.run_id for study in report.studies for part in study.parts for run in part.runs}
     verdicts = [verdicts_html(report.claims, names, runs)]
-    if report.claims and report.claims_note:
+    if report.claims_note:
         verdicts.append(paragraph(text(report.claims_note), "note"))
     main = [
         element("h1", text(TITLE)),

@@ -18,7 +18,6 @@ from pneuma.config import Run, as_settings, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
-from pneuma.study.files import CHECKPOINTS
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
@@ -111,11 +110,7 @@ def _without_checkpoints(plan: Plan, statuses: Mapping[str, Status], store: Stor
     """Say which stored runs cannot be forked, though the study keeps checkpoints: another trained them."""
     if not plan.study.keep_checkpoints:
         return []
-    bare = [
-        name
-        for name, status in statuses.items()
-        if status.finished and not any((store.run_folder(name) / CHECKPOINTS).glob("*"))
-    ]
+    bare = [name for name, status in statuses.items() if status.finished and not store.has_checkpoints(name)]
     if not bare:
         return []
     told = f"{counted(len(bare), 'stored run')} kept no checkpoints, as this study would: to fork one, as "

@@ -31,7 +31,7 @@ CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
     "magic", "observation", "perceive", "slots", "learners", "horizon", "actor", "critic", "buffer_size",
-    "seed",
+    "learning_starts", "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""
 

@@ -129,6 +129,10 @@ class Store:
             raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
         return self.root / "runs" / run_id
 
+    def has_checkpoints(self, run_id: str) -> bool:
+        """Tell whether a run has checkpoints; one that has ended can then be forked."""
+        return any((self.run_folder(run_id) / CHECKPOINTS).glob("*"))
+
     def lock(self, run_id: str) -> RunLock:
         """Return the lock that whoever trains a run must hold.
 
@@ -291,6 +295,7 @@ def _is_record(document: Mapping[str, Any]) -> bool:
     runs, same = document.get("runs"), document.get("same")
     return (
         isinstance(runs, list)
+        and bool(runs)
         and all(isinstance(run, dict) and _is_cell(run) for run in runs)
         and all(isinstance(document.get(key), str) for key in ("study", "title", "figure", "baseline"))
         and isinstance(same, list)

@@ -39,9 +39,14 @@ def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(
     assert "a1" * 8 in lines[0]
     assert lines[1].endswith("1 of 2 runs collapsed, 95 % interval 1% to 99%")
     assert lines[2].endswith("0 of 2 runs collapsed, 95 % interval 0% to 84%")
-    assert lines[3:] == ["To show the cause: pneuma study collapse mine --fork"]
+    assert lines[3:] == []  # nothing to fork from
+    Store(results).write(Store(results).run_folder("a1" * 8) / "checkpoints" / "one", b"")
+    assert call("study", "collapse", "mine", "--results", results) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        *lines, f"To show the cause: pneuma study collapse mine --fork --results {results}"
+    ]  # fmt: skip
     assert call("study", "collapse", "mine", "--quiet", "--results", results) == 0
-    assert capsys.readouterr().out.splitlines() == lines[:3]
+    assert capsys.readouterr().out.splitlines() == lines
 
 
 def test_collapse_as_json(results: Path, capsys: pytest.CaptureFixture[str]) -> None:

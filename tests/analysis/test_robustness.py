@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pneuma.analysis.robustness import Map, _contrast, map_table, robustness_map
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
-from pneuma.cli import main
+from pneuma.cli import main, study_map
 from pneuma.errors import UserError
 from pneuma.figures import robustness
 from pneuma.figures.collapse import draw_collapse
@@ -139,8 +139,26 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path, capsys: pytest.Cap
     pdf = ("--out", str(tmp_path / "printed"), "--format", "pdf")
     assert main(["study", "robustness", "mine", *options, *pdf]) == 0
     assert [path.name for path in (tmp_path / "printed").iterdir()] == ["fig-mine-activation.pdf"]
-    for wrong in ("activation", "activation=tanh", "=tanh:relu"):
+    for wrong in ("activation", "activation=tanh", "=tanh:relu", "activation=:relu"):
         assert main(["study", "robustness", "mine", "--contrast", wrong, *options[2:]]) == 2
+
+
+@pytest.mark.parametrize(
+    ("contrast", "meant"),
+    [
+        ("perceive=nearest:5:all", ("perceive", "nearest:5", "all")),
+        ("perceive=all:nearest:5", ("perceive", "all", "nearest:5")),
+        ("perceive=nearest:5:nearest:3", ("perceive", "nearest:5", "nearest:3")),
+    ],
+)
+def test_values_of_a_contrast_may_have_colons(tmp_path: Path, contrast: str, meant: tuple[str, ...]) -> None:
+    store, seen = Store(tmp_path), ("nearest:5", "nearest:3", "all")
+    cells = {(perceive, 0): f"{place:016x}" for place, perceive in enumerate(seen)}
+    record = study_record(cells, {perceive: {"perceive": perceive} for perceive in seen})
+    for run_id in cells.values():
+        save_run(store, run_id, healthy(), learning())
+    data = open_study(store, record)
+    assert study_map._meant(study_map._read_contrast(contrast), data) == meant
 
 
 # --- Figures --------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import pytest
 from pneuma.analysis.sources import open_study
 from pneuma.bench import scaling
 from pneuma.bench.synthetic import store_study
+from pneuma.errors import UserError
 from pneuma.study.store import Store
 
 
@@ -32,3 +33,8 @@ def test_every_command_is_measured(tmp_path: Path) -> None:
     assert [row["case"] for row in rows] == ["store", *scaling.COMMANDS]
     assert all(row["seconds"] > 0 and row["peak_megabytes"] > 20 for row in rows)
     assert not list(tmp_path.iterdir())
+
+
+def test_more_seeds_than_a_study_may_have_are_refused_by_the_options_name(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="--runs 100000: more than 10,000 seeds for each of the 8 conditions"):
+        next(scaling.bench_scaling(runs=100_000, conditions=8, steps=256, folder=tmp_path))

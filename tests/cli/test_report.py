@@ -300,6 +300,15 @@ def test_damaged_trajectories_are_said_and_the_rest_is_shown(store: Store, make:
     assert "activation.parquet: damaged" in _words(page) and str(store.root) not in _words(page)
 
 
+def test_a_damaged_table_costs_the_verdicts_alone(store: Store, make: Callable[..., Any]) -> None:
+    _record(store, "activation", TWO)
+    path = store.root / "published" / "optimizer.parquet"
+    store.write(path, b"PAR1")
+    words = _words(make("activation"))
+    assert "optimizer.parquet" in words and str(store.root) not in words
+    assert "2 conditions" in words
+
+
 def test_a_damaged_provenance_is_said(store: Store, make: Callable[..., Any]) -> None:
     record = _record(store, "activation", TWO)
     for run in record["runs"]:

@@ -56,6 +56,13 @@ def test_show_says_what_a_study_compares(capsys: Captured) -> None:
     assert document["presets"]["paper"]["steps"] == 1_000_000
 
 
+def test_the_shim_says_what_it_needs_where_that_is_not_installed() -> None:
+    done = subprocess.run([sys.executable, "-S", str(CLI), "--help"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.endswith("is not installed: pip install -c constraints.txt .")
+
+
 def test_the_version_is_that_of_the_package(capsys: Captured) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"pneuma {version('pneuma')}\n"

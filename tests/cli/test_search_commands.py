@@ -250,7 +250,8 @@ def test_a_figure_that_the_trials_are_too_few_for_says_what_it_needs(
     arguments = ["search", "plot", str(path), "--results", str(results), "--out", str(tmp_path)]
     assert main([*arguments, "--what", "importances", "--what", "front"]) == 0
     assert capsys.readouterr().err == (
-        "not drawn: importances needs 10 complete trials that differ in value; front needs two objectives\n"
+        "not drawn: importances needs 10 complete trials, five of them better than the worst; "
+        "front needs two objectives\n"
     )
     assert main([*arguments, "--what", "history", "--what", "front"]) == 0
     assert capsys.readouterr().err == "not drawn: front needs two objectives\n"

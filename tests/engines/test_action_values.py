@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pneuma.config import make_run
-from pneuma.engines.action_values import ActionValues, discounted
+from pneuma.engines.action_values import ActionValues, _steps_beyond, discounted
 from pneuma.engines.policy import Policy
 
 
@@ -55,6 +55,13 @@ def test_a_time_limit_that_terminates_is_an_end(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(values.worlds, "step", paid)
     assert values.measure(always(1, 0.5))["q_true"] == pytest.approx((1.5 + 1) / 2)
+
+
+def test_a_future_that_is_hardly_discounted_is_too_long_to_be_played() -> None:
+    """At 0.999999 a hundredth is left after 4.6 million steps: more than an episode may have."""
+    assert _steps_beyond(make_run({"algorithm": "dqn", "gamma": 0.999999})) is None
+    assert _steps_beyond(make_run({"algorithm": "dqn", "gamma": 0.99})) == 459  # ln 0.01 / ln 0.99 = 458.2
+    ActionValues(make_run({"algorithm": "dqn", "gamma": 0.999999}), 1)
 
 
 def test_without_a_discount_a_truncated_future_has_no_value() -> None:

@@ -116,6 +116,8 @@ def test_the_zip_of_another_algorithm_acts_as_the_policy_does(algorithm: str) ->
     chosen, _ = model.predict(observations, deterministic=True)
     np.testing.assert_array_equal(chosen, policy.best(observations))
     assert len(set(chosen.tolist())) > 1
+    if policy.exploration is not None:
+        assert model.exploration_rate == policy.exploration  # or it would never explore when it plays
     assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
 
 
@@ -261,6 +263,13 @@ def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
     names = '["down", "left", "up", "right", "attack", "flame", "heal"]'
     assert about == {"run_id": "0123456789abcdef", "actions": names}
     assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
+
+
+def test_onnx_of_a_table_has_the_mailmans_actions() -> None:
+    onnx = pytest.importorskip("onnx")
+    table = Policy("tanh", ((np.eye(3, 2, dtype=np.float32), np.zeros(2, np.float32)),), (), 0.1)
+    model = onnx.load_from_string(to_onnx(table, {"env": MAILMAN}))
+    assert {each.key: each.value for each in model.metadata_props}["actions"] == '["go on", "go home"]'
 
 
 def test_without_the_extra_onnx_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -191,8 +191,17 @@ def test_an_ended_episode_is_worth_its_last_reward() -> None:
 def test_a_buffer_of_one_minibatch_holds_the_newest_transitions_alone() -> None:
     run = run_of("dqn", buffer_size=32)
     model = sb3.make_model(run, sb3.make_env(run))
-    model.learn(run.steps, log_interval=None)
-    assert model.replay_buffer.observations.shape[0] == 32 == model.replay_buffer.size()
+    seen: list[np.ndarray] = []
+
+    def note(local: dict[str, Any], _: dict[str, Any]) -> bool:
+        seen.append(local["self"]._last_obs[0].copy())
+        return True
+
+    model.learn(run.steps, callback=note, log_interval=None)
+    buffer = model.replay_buffer
+    assert buffer.observations.shape[0] == 32 == buffer.size()
+    at = np.roll(np.arange(32), -buffer.pos)  # from the oldest to the newest
+    np.testing.assert_array_equal(buffer.observations[at, 0], seen[-32:])
 
 
 def test_a_target_copied_at_every_step_is_the_online_network() -> None:

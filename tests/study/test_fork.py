@@ -167,6 +167,7 @@ def test_another_parent_or_step_makes_another_fork(store: Store) -> None:
         ({"learning_rate": 3e-4}, "is 0.0003 in run"),
         ({"actor": [64]}, "cannot change at a fork"),
         ({"parent": "0" * 16}, "cannot change at a fork"),
+        ({"learning_starts": 150_000}, "cannot change at a fork"),
         ({"characters": "pygame"}, "cannot change at a fork"),
         ({"learning_rat": 1}, "did you mean learning_rate"),
         ({"optimizer": "sgd"}, "needs --reset optimizer"),

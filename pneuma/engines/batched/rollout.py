@@ -313,7 +313,7 @@ def _forward(weights: Any, widths: Any, activation: int, x: Any, scratch: Any) -
 def advantages(
     rewards: Any, values: Any, starts: Any, last_values: Any, last_ends: Any, gamma: Any, decay: Any
 ) -> Any:
-    """Return generalised advantages, (S, T) float32 (Schulman et al. 2016; thesis Eq. 3.15).
+    """Return generalised advantages, (S, T) float32 (Schulman et al. 2016; thesis Eq. 4.14).
 
     Args:
         rewards: (S, T) float32, as all that follows.

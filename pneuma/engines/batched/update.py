@@ -1,6 +1,6 @@
 """One update: everything that a run learns from a rollout, in two compiled calls.
 
-The arithmetic is that of Stable-Baselines3's PPO (Schulman et al. 2017; thesis section 4.3): advantages
+The arithmetic is that of Stable-Baselines3's PPO (Schulman et al. 2017; thesis section 4.4): advantages
 normalised in each minibatch by the sample deviation, a value loss without one half, one norm limit
 over actor and critic or one for each. What is only a number is data, so that runs that differ in
 numbers alone share one compiled program; shapes, activation and optimizer make another.
