@@ -19,7 +19,7 @@ from pneuma.cli.options import (
     read_selection,
     say,
 )
-from pneuma.cli.study_output import check_folder
+from pneuma.cli.out_files import check_folder
 from pneuma.errors import UserError
 from pneuma.study.store import Store
 

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from pneuma.cli.study_output import check_choice, check_folder
+from pneuma.cli.out_files import check_folder
+from pneuma.cli.study_output import check_choice
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.store import Store

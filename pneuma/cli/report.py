@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -10,10 +9,11 @@ import typer
 
 from pneuma import __version__
 from pneuma.cli.options import Json, Quiet, Results, print_json, read_path, say
+from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import plain
 from pneuma.cli.report_contents import anywhere, studies_to_report, study_section
 from pneuma.errors import UserError, counted
-from pneuma.study.store import Store, write_whole
+from pneuma.study.store import Store
 
 RESULTS = Path("results")
 ENDINGS = (".html", ".htm")
@@ -33,7 +33,7 @@ def report(
     json: Json = False,
 ) -> None:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
-    _check_out(out)
+    check_file(out, ENDINGS)
     store = Store(results)
     studies = studies_to_report(store, names or [])
     from pneuma.figures.judged import judged_claims
@@ -48,10 +48,7 @@ def report(
         say(f"{place}/{len(studies)} {plain(study)}", aside=True, quiet=quiet)
         sections.append(study_section(store, study))
     page = report_page(Report(claims, sections, note, __version__))
-    try:
-        write_whole(out, page)
-    except OSError as error:
-        raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
+    write_file(out, page)
     if json:
         document = {"schema": 1, "file": str(out), "bytes": len(page)}
         return print_json({**document, "studies": len(sections), "claims": len(claims)})
@@ -62,18 +59,3 @@ def report(
 
 def _studies(count: int) -> str:
     return "1 study" if count == 1 else f"{count} studies"
-
-
-def _check_out(out: Path) -> None:
-    """Refuse a file that cannot be written, before any work is done."""
-    if out.is_dir():
-        raise UserError(f"--out {out}: is a folder; name a file")
-    if out.suffix.lower() not in ENDINGS:
-        raise UserError(f"--out {out}: must end in {' or '.join(ENDINGS)}")
-    if not out.parent.is_dir():
-        raise UserError(f"--out {out}: there is no folder {out.parent}")
-    try:
-        with tempfile.TemporaryFile(dir=out.parent):
-            pass
-    except OSError as error:
-        raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None

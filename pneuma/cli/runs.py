@@ -13,12 +13,13 @@ import typer
 from pneuma.algorithms import TABULAR
 from pneuma.cli.fork import fork
 from pneuma.cli.options import Json, Results, print_json, read_path
+from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import plain
 from pneuma.config import EnvConfig, Run, make_run
-from pneuma.errors import UserError, nearest_name
+from pneuma.errors import UserError
 from pneuma.study import stored_runs
 from pneuma.study.origins import stored_origins, unusual_origins
-from pneuma.study.store import Store, write_whole
+from pneuma.study.store import Store
 from pneuma.study.stored_runs import Holder, StoredRun
 from pneuma.values import shown_setting
 
@@ -121,14 +122,11 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
-    _check_out(out)
+    check_file(out, EXPORTS)
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
     data, note = _exported(store, run, out.suffix.lower(), trust, player)
-    try:
-        write_whole(out, data)
-    except OSError as error:
-        raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
+    write_file(out, data)
     if json:
         return print_json(
             {"schema": 1, "run_id": run.run_id, "file": str(out), "bytes": len(data), "note": note}
@@ -140,17 +138,6 @@ def export(
 
 
 # --- Export ----------------------------------------------------------------------------------------
-
-
-def _check_out(out: Path) -> None:
-    """Refuse a file that cannot be written, before anything heavy is loaded."""
-    if out.suffix.lower() not in EXPORTS:
-        hint = nearest_name(out.suffix, EXPORTS) if out.suffix else ""
-        raise UserError(f"--out {out}: must end in {' or '.join(EXPORTS)}{hint}")
-    if out.is_dir():
-        raise UserError(f"--out {out}: is a folder; name a file")
-    if not out.parent.is_dir():
-        raise UserError(f"--out {out}: there is no folder {out.parent}")
 
 
 def _exported(

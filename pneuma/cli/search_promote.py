@@ -24,13 +24,13 @@ from pneuma.cli.options import (
     read_workers,
     say,
 )
+from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.search_run import RunSteps, SearchName, called_by_file, record_name, recorded
 from pneuma.cli.study_run import exit_code, train, train_cells
 from pneuma.errors import UserError
 from pneuma.study import plan, spec
 from pneuma.study.executors.base import Supervision
-from pneuma.study.files import write_whole
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -101,13 +101,12 @@ def winners(
     """Write a study of several searches' winners, each beside what it was tuned from."""
     from pneuma.search.winners import find_winner, winners_study
 
-    if out.suffix != ".toml":
-        raise UserError(f"--out {out}: must end in .toml, as study files do")
+    check_file(out, (".toml",))
     if out.exists():
         raise UserError(f"--out {out}: is there already; name another, or remove it first")
     store = Store(results)
     found = [find_winner(*_recorded(store, name, setting)) for name in names]
-    write_whole(out, winners_study(found).encode())
+    write_file(out, winners_study(found).encode())
     if json:
         trials = {winner.search.name: winner.trial["number"] for winner in found}
         return print_json({"schema": 1, "study": str(out), "trials": trials})

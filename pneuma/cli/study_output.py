@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -30,10 +29,11 @@ from pneuma.cli.options import (
     say,
     selects,
 )
+from pneuma.cli.out_files import check_folder, write_file
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import study_record
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.store import Store, write_whole
+from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     from pneuma.analysis.published import PublishedRuns
@@ -89,11 +89,7 @@ def export(
     if str(out) == "-":
         sys.stdout.buffer.write(encoded)
         return None
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, encoded)
-    except OSError as error:
-        raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
+    write_file(out, encoded)
     if json:
         return print_json({"schema": 1, "file": str(out), "rows": rows})
     print(f"wrote {out}: {rows:,} rows")
@@ -247,12 +243,3 @@ def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
     """Refuse a value of an option that is none of those allowed."""
     if value not in allowed:
         raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
-
-
-def check_folder(option: str, folder: Path) -> None:
-    """Refuse a folder that cannot be written, or made, before any work is done; make none yet."""
-    there = next((path for path in (folder, *folder.resolve().parents) if path.exists()), folder)
-    try:
-        TemporaryFile(dir=there).close()
-    except OSError as error:
-        raise UserError(f"{option} {folder}: cannot be written ({error.strerror})") from None
