@@ -41,13 +41,15 @@ def report(
 
     try:
         claims, note = judged_claims(store, studies)
+        unjudged = ""
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
-        claims, note = [], anywhere(store, error)
+        claims, note, unjudged = [], "", anywhere(store, error)
+        say(f"Note: {error}; no claim is judged.", aside=True)
     sections = []
     for place, study in enumerate(studies, 1):
         say(f"{place}/{len(studies)} {plain(study)}", aside=True, quiet=quiet)
         sections.append(study_section(store, study))
-    page = report_page(Report(claims, sections, note, __version__))
+    page = report_page(Report(claims, sections, note, __version__, unjudged))
     write_file(out, page)
     if json:
         document = {"schema": 1, "file": str(out), "bytes": len(page)}

@@ -227,14 +227,12 @@ def _grouped(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _print_provenance(run: StoredRun) -> None:
     about = run.provenance
-    ended = run.status.finished or run.status.name == "damaged"
-    print(
-        "\nProvenance"
-        if about
-        else "\nIts provenance is missing or damaged."
-        if ended
-        else "\nNo provenance: it is written when a run has ended."
-    )
+    if about:
+        print("\nProvenance")
+    elif run.status.finished or run.status.name == "damaged":
+        print("\nIts provenance is missing or damaged.")
+    else:
+        print("\nNo provenance: it is written when a run has ended.")
     rows = {
         "imported": about.get("imported"),
         "started": about.get("started"),

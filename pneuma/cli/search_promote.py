@@ -101,6 +101,8 @@ def winners(
     """Write a study of several searches' winners, each beside what it was tuned from."""
     from pneuma.search.winners import find_winner, winners_study
 
+    if out.suffix != ".toml":
+        raise UserError(f"--out {out}: must end in .toml, as study files do")
     check_file(out, (".toml",))
     if out.exists():
         raise UserError(f"--out {out}: is there already; name another, or remove it first")

@@ -180,7 +180,7 @@ def _checked(over: Mapping[str, Any]) -> dict[str, Any]:
 def _refuse_unread(search: Search, over: Mapping[str, Any]) -> None:
     """Refuse what is set over every trial and read by none."""
     runs = [run for _, run in search.space.corners()]
-    for key in unread_settings(runs, [key for key in over if key != "engine"]):
+    for key in unread_settings(runs, over):
         raise UserError(f"--set {key}: {does_nothing(key, runs)}")
 
 

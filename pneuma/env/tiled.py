@@ -28,9 +28,9 @@ OBSTACLE_CODE = 395
 EMPTY = -1
 WATER_CODE = 0
 WATER = "water"
+"""What ground of that code is, and the name by which a level may call other codes so."""
 GROUNDS = (WATER, "snow", "grass", "sand", "bridge")
 """What a tile of the ground may be, by its code where no `[ground]` names the codes."""
-"""What ground of that code is, and the name by which a level may call other codes so."""
 MAX_SIDE = 1000
 MAX_CODE = 2**24 - 1
 TILE_PIXELS = Number(8, 4096)

@@ -32,15 +32,16 @@ class Report:
     Attributes:
         claims: with their verdicts, in the order of the table.
         studies: in the order of the page.
-        claims_note: which list of claims was judged, with its checksum, and at which error rate; or why
-            none could be.
+        claims_note: which list of claims was judged, with its checksum, and at which error rate.
         version: of Pneuma.
+        unjudged: why no claim could be judged; empty where they were.
     """
 
     claims: Sequence[Claim]
     studies: Sequence[StudySection]
     claims_note: str = ""
     version: str = ""
+    unjudged: str = ""
 
 
 def report_page(report: Report) -> bytes:
@@ -53,7 +54,9 @@ def report_page(report: Report) -> bytes:
     ]
     runs = {run.run_id for study in report.studies for part in study.parts for run in part.runs}
     verdicts = [verdicts_html(report.claims, names, runs)]
-    if report.claims_note:
+    if report.unjudged:
+        verdicts = [paragraph(text(f"No claim could be judged: {report.unjudged}"), "missing")]
+    if report.claims and report.claims_note:
         verdicts.append(paragraph(text(report.claims_note), "note"))
     main = [
         element("h1", text(TITLE)),

@@ -40,6 +40,7 @@ class Gain:
         fresh, fresh_baseline: the same over the fresh seeds.
         difference: of the means over the fresh seeds; NaN where some run has no finite value.
         interval: of that difference, 95 %; NaN there, and where the seeds are too few.
+        same_steps: whether fresh runs were trained for as long as those of the search.
         incomparable: why the search's value cannot be held against the fresh one; empty where it can.
     """
 
@@ -49,6 +50,7 @@ class Gain:
     fresh_baseline: float
     difference: float
     interval: tuple[float, float]
+    same_steps: bool = True
     incomparable: str = ""
 
     @property
@@ -150,7 +152,8 @@ def gains(
         seen = [trial_values(own)[place] if own else float("nan") for own in (trial, base)]
         why = "" if same_steps else f"runs of the search had {record['steps']:,} steps"
         why = why or _unlike_estimates(objective.over_seeds, len(record["seeds"]), len(planned.seeds))
-        found[objective.name] = gain((seen[0], seen[1]), (fresh[0], fresh[1]), won, lost, why)
+        own = gain((seen[0], seen[1]), (fresh[0], fresh[1]), won, lost, why)
+        found[objective.name] = replace(own, same_steps=same_steps)
     return found
 
 
@@ -190,10 +193,10 @@ def gain(
         incomparable: as `Gain` has it.
     """
     if not (np.isfinite(won).all() and np.isfinite(base).all()):  # a threshold that some run never reaches
-        return Gain(*seen, *fresh, math.nan, (math.nan, math.nan), incomparable)
+        return Gain(*seen, *fresh, math.nan, (math.nan, math.nan), incomparable=incomparable)
     found = difference_interval(won, base)
     difference = float(won.mean() - base.mean())
-    return Gain(*seen, *fresh, difference, (found.low, found.high), incomparable)
+    return Gain(*seen, *fresh, difference, (found.low, found.high), incomparable=incomparable)
 
 
 def own_settings(search: Search, trial: Mapping[str, Any]) -> dict[str, Any]:

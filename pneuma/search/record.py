@@ -85,16 +85,16 @@ def record_replaced(store: Store, task: Task, begin_anew: bool) -> str:
     changed = [key for key in own if held["identity"].get(key) != own[key]]
     count = counted(len(held["trials"]), "trial")
     versions = [key for key in changed if key in VERSIONS]
-    if versions == changed and not begin_anew:
+    if versions and versions == changed and not begin_anew:
         told = ", ".join(f"{key} {held['identity'].get(key)}, now {own[key]}" for key in versions)
         raise UserError(
             f"search {task.search.name}: other versions asked for its {count} ({told}), and these would ask "
             "for others: --replace begins anew"
         )
-    return (
-        f"the {count} so far had other {', '.join(changed) or 'files'}, and leave the record; "
-        "their runs stay, and the same command as then brings them back"
+    told = (
+        f"the {count} so far had other {', '.join(changed) or 'files'}, and leave the record; their runs stay"
     )
+    return told if versions else f"{told}, and the same command as then brings them back"
 
 
 def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:

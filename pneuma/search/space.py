@@ -186,9 +186,12 @@ class Space:
 
     def _enabling(self, own: Params) -> dict[str, Any]:
         """Return values for the parameters on which those of `own` hang, so that they count."""
-        found = {}
+        wanted: dict[str, list[Any]] = {}
         for key, values in [item for name in own for item in self.parameter(name).when.items()]:
-            for parameter in self.parameters:
+            wanted[key] = [value for value in wanted.get(key, values) if value in values]
+        found: dict[str, Any] = {}
+        for key, values in wanted.items():
+            for parameter in self.parameters if values else ():  # without one in common they never meet
                 if parameter.name == key:
                     found[key] = values[0]
                 elif isinstance(parameter.domain, Choices):  # of bundles, one may set the field

@@ -6,14 +6,13 @@ A range, a choice between values or between bundles of fields, and what hangs on
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from itertools import combinations
 from typing import Any
 
 from pneuma.config import FORK_SETTINGS, Run, read_setting
 from pneuma.errors import UserError, unknown_name
-from pneuma.search.space import Choices, Parameter, Range, Space
+from pneuma.search.space import Choices, Parameter, Params, Range, Space
 from pneuma.study.conditions import does_nothing, unread_settings
 from pneuma.study.toml_file import TomlFile, Where, shown
 from pneuma.values import Choice, Flag, Number
@@ -41,13 +40,13 @@ def read_space(file: TomlFile, base: str) -> Space:
         for key in parameter.keys:
             if key in fixed:
                 raise file.mistake(("run",), f"{key} is searched by [space.{parameter.name}]", key)
-    _refuse_twice(file, parameters)
     space = Space(tuple(parameters), fixed, base)
     try:
         corners = list(space.corners())
     except UserError as error:
         name = str(error).split(" = ", 1)[0]
         raise file.mistake(("space", name) if name in file.table(("space",)) else (), str(error)) from None
+    _refuse_twice(file, space, (own for own, _ in corners if len(own) > 1))
     for parameter in parameters:
         runs = [run for own, run in corners if parameter.name in own]
         for key in unread_settings(runs, parameter.keys) if runs else ():
@@ -58,13 +57,13 @@ def read_space(file: TomlFile, base: str) -> Space:
     return space
 
 
-def _refuse_twice(file: TomlFile, parameters: Sequence[Parameter]) -> None:
-    """Refuse two parameters that set one field, unless one of them counts only where the other does not."""
-    for one, other in combinations(parameters, 2):
-        for key in {*one.keys} & {*other.keys}:
-            shared = {*one.when} & {*other.when}
-            if all({*one.when[name]} & {*other.when[name]} for name in shared):
-                raise file.mistake(("space", other.name), f"{key} is searched by [space.{one.name}], too")
+def _refuse_twice(file: TomlFile, space: Space, pairs: Iterable[Params]) -> None:
+    """Refuse two parameters that set one field beside each other."""
+    for own in pairs:
+        one, other = ({*space.parameter(name).domain.settings(name, value)} for name, value in own.items())
+        for key in sorted(one & other):
+            first, second = own
+            raise file.mistake(("space", second), f"{key} is searched by [space.{first}], too")
 
 
 def _read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, islice
 from os.path import commonprefix
 from typing import Any
 
-from pneuma.config import make_run
+from pneuma.config import EnvConfig, Run, as_settings, env_config, make_run
 from pneuma.errors import UserError
 from pneuma.search import promote
 from pneuma.search.promote import (
@@ -115,17 +115,28 @@ def _check_alike(winners: Sequence[Winner], names: Sequence[str]) -> None:
             ("steps", first.record["steps"], winner.record["steps"]),
             ("objectives", _sought(first), _sought(winner)),
             ("settings", first.search.setting, winner.search.setting),
-            ("worlds", _of_start(first, "env"), _of_start(winner, "env")),
-            ("engines", _of_start(first, "engine"), _of_start(winner, "engine")),
+            ("environments", _start(first).env, _start(winner).env),
+            ("engines", _start(first).engine, _start(winner).engine),
         ):
             if one != other:
                 raise UserError(f"{told} are not tuned alike: {what} {one} and {other}; run both the same")
+        one_world, other_world = as_settings(_world(first)), as_settings(_world(winner))
+        if unlike := [key for key, value in one_world.items() if other_world[key] != value]:
+            raise UserError(f"{told} are not tuned alike: {', '.join(unlike)} differ; run both the same")
 
 
-def _of_start(winner: Winner, key: str) -> str:
-    """Return a setting of the run that a winner was tuned from."""
+def _start(winner: Winner) -> Run:
+    """Return the run that a winner was tuned from."""
     space = winner.search.space
-    return str(getattr(make_run(join_settings(space.base, space.fixed)), key))
+    return make_run(join_settings(space.base, space.fixed))
+
+
+def _world(winner: Winner) -> EnvConfig:
+    """Return that run's world, but for what the search varied of it."""
+    searched = {key: None for parameter in winner.search.space.parameters for key in parameter.keys}
+    usual = EnvConfig()
+    world = env_config(_start(winner))
+    return replace(world, **{key: getattr(usual, key) for key in searched if hasattr(usual, key)})
 
 
 def _sought(winner: Winner) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from pneuma.config import Run
 from pneuma.engines.base import evaluation_updates
-from pneuma.study.compiling import COMPILES
+from pneuma.study.compiling import COMPILES, WAITS
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.local import run_groups
 from pneuma.study.foresight import Pace, keep_calibration, kind
@@ -24,6 +24,8 @@ from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 
 MEASURED_SECONDS = 4.0
+COLD_SECONDS = 30.0
+"""A start that takes longer may have compiled without a word; or drawn the weights of a big network."""
 COMPILED = 10.0
 """How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 
@@ -39,7 +41,7 @@ def calibrate(
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
         pace, compiled = _measure(run)
-        if pace and compiled:  # runs to come find the programs compiled
+        if pace and (compiled or pace.start > COLD_SECONDS):  # runs to come find the programs compiled
             say("it had to compile first; measuring once more …")
             pace = _measure(run)[0] or pace
         if pace:
@@ -80,7 +82,7 @@ class _Timed:
     Attributes:
         begun: when, on the monotonic clock.
         moments: when it had taken how many steps.
-        compiled: whether it had to compile its programs.
+        compiled: whether it had to compile its programs, or to wait for another to do so.
     """
 
     begun: float
@@ -91,7 +93,7 @@ class _Timed:
         """Take an event of the training."""
         if event["event"] == "step":
             self.moments.append((time.monotonic(), event["step"]))
-        self.compiled |= event.get("text") == COMPILES
+        self.compiled |= event.get("text") in (COMPILES, WAITS)
 
 
 def _time(run: Run, seconds: float | None) -> _Timed:

@@ -33,7 +33,7 @@ _SCALARS = (
     "weight_decay", "activation", "value_baseline", "target_kl", "exploration", "exploration_fraction",
     "learning_starts", "target_every", "action_slip", "reward_noise", "parent", "fork_step", "fork_reset",
 )  # fmt: skip
-"""Settings that hardly change how long a step takes. The budget does: runs of all are evaluated as often."""
+"""Settings that hardly change how long a step takes. The budget does: a short run has as many evaluations."""
 
 
 @dataclass(frozen=True)

@@ -305,6 +305,7 @@ def test_a_damaged_table_costs_the_verdicts_alone(store: Store, make: Callable[.
     path = store.root / "published" / "optimizer.parquet"
     store.write(path, b"PAR1")
     words = _words(make("activation"))
+    assert "No claim could be judged: " in words and "No claim bears" not in words
     assert "optimizer.parquet" in words and str(store.root) not in words
     assert "2 conditions" in words
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from pneuma.errors import UserError
+from pneuma.search import promote
 from pneuma.search.promote import (
     BASELINE,
     WINNER,
@@ -22,7 +24,7 @@ from pneuma.search.promote import (
 from pneuma.search.record import read_record, save_record
 from pneuma.search.spec import Budget, list_searches, load_search
 from pneuma.search.trials import Task, Told
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import SETTINGS, load_study
 from pneuma.study.store import Store
 
@@ -137,6 +139,39 @@ def test_luck_is_not_told_of_what_hangs_on_the_number_of_seeds(
 ) -> None:
     """The least of ten is below that of two on average, though nobody was lucky."""
     assert _unlike_estimates(over_seeds, seen, fresh) == told
+
+
+class Played:
+    """Stands in for stored runs: every winner's run is worth 0.5, every other 0.25."""
+
+    def read(self, cell: Cell, outcome: str) -> float:
+        return 0.5 if cell.condition == WINNER else 0.25
+
+    def diverged(self, cell: Cell) -> bool:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("over_seeds", "fresh", "known"), [("mean", 3, True), ("least", 3, False), ("least", 2, True)]
+)
+def test_gains_say_where_luck_cannot_be_told(
+    searched: Searched,
+    over_seeds: str,
+    fresh: int,
+    known: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task, _, record = searched
+    monkeypatch.setattr(promote, "Outcomes", lambda *_: Played())
+    (objective,) = task.search.objectives
+    search = replace(task.search, objectives=(replace(objective, over_seeds=over_seeds),))
+    chosen, path = winner(record, None), tmp_path / "promoted.toml"
+    path.write_text(promoted_study(search, record, chosen))
+    planned = make_plan(load_study(str(path)), Selection(seeds=tuple(range(fresh)), steps=record["steps"]))
+    (found,) = promote.gains(search, record, chosen, planned, Store(tmp_path)).values()
+    assert (found.fresh, found.difference, found.same_steps) == (0.5, 0.25, True)
+    assert bool(found.incomparable) is not known and math.isnan(found.luck) is not known
 
 
 def test_a_run_that_never_gets_there_leaves_the_gain_unknown() -> None:

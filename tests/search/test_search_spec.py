@@ -205,6 +205,32 @@ def test_parameters_of_one_field_are_two_only_where_they_never_meet(write: Load)
         write(text.replace("[presets.quick]", f"{meeting}[presets.quick]"))
 
 
+def test_a_bundle_and_a_field_meet_only_where_the_bundle_sets_it(write: Load) -> None:
+    bundles = (
+        '[space.method.choices.plain]\noptimizer = "adam"\n'
+        '[space.method.choices.fast]\noptimizer = "sgd"\nepochs = 1\n'
+    )
+    text = GOOD.replace('[space.optimizer]\nchoices = ["adam", "sgd"]\n', "").replace(
+        "[space.learning_rate]", f"{bundles}[space.learning_rate]"
+    )
+    with pytest.raises(UserError, match=r"\[space.epochs\] epochs is searched by \[space.method\], too"):
+        write(text)
+    apart = text.replace("high = 10\n", 'high = 10\nwhen = { method = "plain" }\n')
+    assert len(write(apart).space.parameters) == 5
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_ends_that_hang_on_one_choice_are_checked_together(write: Load, turned: bool) -> None:
+    """In whichever order they stand: momentum counts with two optimizers, smoothing with one of these."""
+    momentum = '[space.momentum]\nlow = 0.0\nhigh = 0.9\nwhen = { optimizer = ["sgd", "rmsprop"] }\n'
+    smoothing = '[space.smoothing]\nlow = 0.5\nhigh = 0.9\nwhen = { optimizer = "rmsprop" }\n'
+    both = smoothing + momentum if turned else momentum + smoothing
+    old = '[space.momentum]\nlow = 0.0\nhigh = 0.9\nwhen = { optimizer = "sgd" }\n'
+    text = GOOD.replace('["adam", "sgd"]', '["adam", "sgd", "rmsprop"]').replace(old, both)
+    pairs = [own for own, _ in write(text).space.corners() if {*own} == {"momentum", "smoothing"}]
+    assert len(pairs) == 4
+
+
 def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:
     fixed = GOOD.replace("gradient_limit = 0.5", "gradient_limit = 0.5\nhorizon = 32")
     space = fixed.replace("[presets.quick]", "[space.minibatch]\nchoices = [16, 32]\n[presets.quick]")

@@ -88,7 +88,8 @@ def test_searches_in_different_worlds_or_by_different_engines_share_no_study(win
     with pytest.raises(UserError, match="not tuned alike: settings text and godot"):
         winners_study([first, there])
     for key, value, told in (
-        ("env", "pneuma/PneumaGodot-v0", "worlds pneuma/Pneuma-v0 and pneuma/PneumaGodot-v0"),
+        ("env", "pneuma/PneumaGodot-v0", "environments pneuma/Pneuma-v0 and pneuma/PneumaGodot-v0"),
+        ("reward", ("kills",), "reward differ; run both the same"),
         ("engine", "sb3", "engines batched and sb3"),
     ):
         space = replace(second.search.space, fixed={**second.search.space.fixed, key: value})
