@@ -115,6 +115,8 @@ def _part(store: Store, study: str, setting: str) -> Part:
         states = run_states(store, record)
     except UserError as error:
         return Part(name, title, (anywhere(store, error),), mend if study in spec.list_studies() else "")
+    if not record["runs"]:  # a stranger's
+        return Part(name, title, ("No runs yet.",), mend)
     return _recorded_part(store, study, Part(name, title, mend=mend), record, states)
 
 

@@ -295,7 +295,6 @@ def _is_record(document: Mapping[str, Any]) -> bool:
     runs, same = document.get("runs"), document.get("same")
     return (
         isinstance(runs, list)
-        and bool(runs)
         and all(isinstance(run, dict) and _is_cell(run) for run in runs)
         and all(isinstance(document.get(key), str) for key in ("study", "title", "figure", "baseline"))
         and isinstance(same, list)

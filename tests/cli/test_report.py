@@ -300,6 +300,12 @@ def test_damaged_trajectories_are_said_and_the_rest_is_shown(store: Store, make:
     assert "activation.parquet: damaged" in _words(page) and str(store.root) not in _words(page)
 
 
+def test_a_record_without_runs_is_said_to_have_none(store: Store, make: Callable[..., Any]) -> None:
+    record = _record(store, "own", TWO)
+    store.save_selection("own", {**record, "runs": []})
+    assert "No runs yet." in _words(make("own"))
+
+
 def test_a_damaged_table_costs_the_verdicts_alone(store: Store, make: Callable[..., Any]) -> None:
     _record(store, "activation", TWO)
     path = store.root / "published" / "optimizer.parquet"

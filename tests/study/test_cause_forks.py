@@ -73,7 +73,7 @@ def test_a_run_without_a_checkpoint_before_its_collapse_is_left_out_and_said(tmp
     plan = plan_cause_forks(store, "mine", {stored(store, 64): 100, late: 100, without: 100}, [0])
     assert len({cell.run.parent for cell in plan.cells}) == 1
     assert any("first checkpoint" in note for note in plan.notes)
-    assert any("kept no checkpoints: put keep_checkpoints = 20" in note for note in plan.notes)
+    assert any("kept no checkpoints: remove" in note for note in plan.notes)
     with pytest.raises(UserError, match="kept no checkpoints"):
         plan_cause_forks(store, "mine", {without: 100}, [0])
 
