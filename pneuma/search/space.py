@@ -190,13 +190,13 @@ class Space:
         for key, values in [item for name in own for item in self.parameter(name).when.items()]:
             wanted[key] = [value for value in wanted.get(key, values) if value in values]
         found: dict[str, Any] = {}
-        for key, values in wanted.items():
-            for parameter in self.parameters if values else ():  # without one in common they never meet
+        for key, shared in wanted.items():
+            for parameter in self.parameters if shared else ():  # without one in common they never meet
                 if parameter.name == key:
-                    found[key] = values[0]
+                    found[key] = shared[0]
                 elif isinstance(parameter.domain, Choices):  # of bundles, one may set the field
                     for choice, settings in parameter.domain.settings_of.items():
-                        if key in settings and as_tuple(settings[key]) in values:
+                        if key in settings and as_tuple(settings[key]) in shared:
                             found.setdefault(parameter.name, choice)
         return found
 
