@@ -116,32 +116,25 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="Set a field of the run in every condition (may be repeated)."
     ),
 ]
+
+
+def _setting_option(told: str) -> Any:
+    return typer.Option("--setting", metavar="|".join(SETTINGS), help=told)
+
+
 SettingName = Annotated[
-    str | None,
-    typer.Option(
-        "--setting",
-        metavar="|".join(SETTINGS),
-        help="The thesis's text (default), or godot: the published code, literally.",
-    ),
+    str | None, _setting_option("The thesis's text (default), or godot: the published code, literally.")
 ]
-OnlySetting = Annotated[
-    str | None,
-    typer.Option(
-        "--setting",
-        metavar="|".join(SETTINGS),
-        help="The thesis's text alone, or godot: the published code's (default: both, and the logs).",
-    ),
-]
-"""Of a command that judges all there is, the logs among it."""
 NamedSetting = Annotated[
     str | None,
-    typer.Option(
-        "--setting",
-        metavar="|".join(SETTINGS),
-        help="The thesis's text (default with NAME; without, both), or godot: the published code's.",
-    ),
+    _setting_option("The thesis's text (default with NAME; without, both), or godot: the published code's."),
 ]
 """Of commands that take all studies where none is named."""
+OnlySetting = Annotated[
+    str | None,
+    _setting_option("The thesis's text alone, or godot: the published code's (default: both, and the logs)."),
+]
+"""Of a command that judges all there is, the logs among it."""
 
 Selected = Selection | None
 """What `selects` hands to a command; None when no selecting option was given."""

@@ -153,10 +153,8 @@ def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
 
 def _settings_now(store: Store, run_id: str) -> dict[str, Any]:
     """Return a run's resolved configuration, even while it has not ended and no checksum is there."""
-    if "run.json" in store.file_names(run_id):
-        return stored_settings(store, run_id)
-    settings = _json(store.run_folder(run_id) / "run.json").get("run")
-    return settings if isinstance(settings, dict) else {}
+    vouched = "run.json" in store.file_names(run_id)
+    return stored_settings(store, run_id) if vouched else _noted_settings(store, run_id)
 
 
 def holders(store: Store) -> dict[str, tuple[Holder, ...]]:
@@ -187,9 +185,14 @@ def _listed(store: Store, run_id: str, held: tuple[Holder, ...]) -> ListedRun:
     status = _noted_status(store, run_id)
     if held:
         return ListedRun(run_id, status, held[0].seed, held)
-    settings = _json(store.run_folder(run_id) / "run.json").get("run")
-    seed = settings.get("seed") if isinstance(settings, dict) else None
+    seed = _noted_settings(store, run_id).get("seed")
     return ListedRun(run_id, status, seed if isinstance(seed, int) else None, held)
+
+
+def _noted_settings(store: Store, run_id: str) -> dict[str, Any]:
+    """Return a run's configuration as its file has it, whatever vouches for that; empty where it has none."""
+    settings = _json(store.run_folder(run_id) / "run.json").get("run")
+    return settings if isinstance(settings, dict) else {}
 
 
 def _noted_status(store: Store, run_id: str) -> Status:
