@@ -1,4 +1,4 @@
-"""A shim: `python cli.py study run activation` works from a source tree, beside the packages that Pneuma needs."""
+"""A shim: `python cli.py study run activation` works from a source tree, with what Pneuma needs installed."""
 
 import sys
 
