@@ -75,15 +75,26 @@ def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
 
 
 def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The time-out is counted from the first update; 60 s may go before it, and 600 more while it waits."""
-    clock = iter([100.0, 150.0, 170.0, 400.0])
+    """The time-out is counted from the first update; 300 s may go before it, and 600 more while it waits."""
+    clock = iter([100.0, 150.0])
     monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: next(clock))
     worker = local._Worker(Mock(), Mock(), Mock(), started=0.0)
-    assert worker.deadline(3.0) == 63.0
+    assert worker.deadline(3.0) == 303.0
     worker.note_time({"event": "passing", "run_id": "x", "text": WAITS})
-    assert worker.deadline(3.0) == 663.0
+    assert worker.deadline(3.0) == 903.0
     worker.note_time({"event": "passing", "run_id": "x", "text": COMPILES})
-    assert worker.deadline(3.0) == 100.0 + 63.0
+    assert worker.deadline(3.0) == 100.0 + 303.0
     worker.note_time({"event": "step", "run_id": "x", "step": 64})
-    worker.note_time({"event": "step", "run_id": "x", "step": 128})
     assert worker.deadline(3.0) == 153.0
+
+
+def test_a_run_whose_time_is_up_may_end_a_slow_update(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times as long as the slowest before it, which took 20 s, and 30 s for the checkpoint."""
+    clock = iter([50.0, 52.0, 72.0, 75.0, 80.0])
+    monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: next(clock))
+    worker = local._Worker(Mock(), Mock(), Mock(), started=0.0)
+    for step in (64, 128, 192, 256):
+        worker.note_time({"event": "step", "run_id": "x", "step": step})
+    local._ask_to_stop(worker)
+    assert worker.deadline(3.0) == 53.0
+    assert worker.give_up() == 80.0 + 10 * 20.0 + 30.0

@@ -31,12 +31,15 @@ from pneuma.study.store import Status, Store, run_document
 
 BUSY_SECONDS = 1.0
 """How long to wait before asking again for a run that another process holds."""
-START_SECONDS = 60.0
-"""How long a worker may take to its first update before its time-out begins all the same."""
+START_SECONDS = 300.0
+"""How long a worker may take to its first update, a minute for the biggest networks, before its time-out
+begins all the same."""
 WAIT_SECONDS = 600.0
 """How long it may take besides where it waits for what another compiles."""
 STOP_SECONDS = 30.0
-"""How long a run past its time-out may take to come to a checkpoint."""
+"""How long a run past its time-out may take to come to a checkpoint, besides its update."""
+STOP_UPDATES = 10.0
+"""How many times as long as the slowest update before that one may take; it may be evaluated as well."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -120,6 +123,8 @@ class _Worker:
     errors: IO[bytes]
     started: float
     begun: float | None = None
+    updated: float | None = None
+    slowest_update: float = 0.0
     waits: bool = False
     ended: set[str] = field(default_factory=set)
     crashed: dict[str, Event] = field(default_factory=dict)
@@ -129,9 +134,13 @@ class _Worker:
     timed_out: bool = False
 
     def note_time(self, event: Event) -> None:
-        """Note when its first update came, and whether it waits for what another compiles."""
+        """Note when its first update came, how long updates take, and whether it waits for a program."""
         if event["event"] == "step":
-            self.begun = self.begun or time.monotonic()
+            now = time.monotonic()
+            if self.begun is None:
+                self.begun = self.updated = now
+            self.slowest_update = max(self.slowest_update, now - (self.updated or now))
+            self.updated = now
         elif self.waits:
             self.started = time.monotonic()
         self.waits = event.get("text") == WAITS
@@ -141,6 +150,13 @@ class _Worker:
         if self.begun is not None:
             return self.begun + seconds
         return self.started + START_SECONDS + seconds + (WAIT_SECONDS if self.waits else 0.0)
+
+    def give_up(self) -> float:
+        """Return when to stop waiting for the checkpoint of a run that was told that its time is up.
+
+        It heeds that between two updates, and one of the biggest networks with its evaluation takes minutes.
+        """
+        return (self.asked_to_stop or time.monotonic()) + STOP_UPDATES * self.slowest_update + STOP_SECONDS
 
     @property
     def final(self) -> bool:
@@ -219,7 +235,7 @@ class _Supervisor:
         due = []
         for worker in self._workers():
             if worker.timed_out:
-                due.append((worker.asked_to_stop or now) + STOP_SECONDS)
+                due.append(worker.give_up())
             elif self._how.timeout_seconds is not None:
                 due.append(worker.deadline(self._how.timeout_seconds))
         if len(self._workers()) < self._how.workers:
@@ -235,7 +251,7 @@ class _Supervisor:
             if not worker.timed_out and now >= worker.deadline(self._how.timeout_seconds):
                 worker.timed_out = True
                 _ask_to_stop(worker)
-            elif worker.timed_out and worker.asked_to_stop and now >= worker.asked_to_stop + STOP_SECONDS:
+            elif worker.timed_out and now >= worker.give_up():
                 worker.process.kill()
 
     def _read(self, worker: _Worker) -> None:
