@@ -46,7 +46,7 @@ def read_figures_asked(out: Path | None, told: list[str] | None) -> tuple[str, .
     """
     formats = read_formats(told)
     if out is not None:
-        check_folder("--out", out)
+        _check_figures_folder(out)
         return formats
     if told:
         raise UserError(f"--format {told[0]}: name a folder for the figure by --out DIR")
@@ -62,7 +62,7 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
         UserError: where it cannot be written, before anything is drawn.
     """
     if out is not None:
-        check_folder("--out", out)
+        _check_figures_folder(out)
         return draw(out)
     store.check_writable()
     target = store.root / "figures"
@@ -71,3 +71,11 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
         for path in drawn:
             store.write(target / path.name, path.read_bytes())
     return [target / path.name for path in drawn]
+
+
+def _check_figures_folder(out: Path) -> None:
+    """Refuse a folder that cannot be written, or a figure's name in its place."""
+    ending = out.suffix.lower()[1:]
+    if ending in FIGURE_FORMATS and not out.is_dir():
+        raise UserError(f"--out {out}: is the folder to write figures to; name one, and --format {ending}")
+    check_folder("--out", out)

@@ -22,6 +22,7 @@ from pneuma.figures.captions import caption_of, headline_of, legend_title_of
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.multiples import draw_multiples
 from pneuma.figures.panel import (
+    alpha_of_runs,
     as_drawn,
     draw_common_step,
     draw_curve,
@@ -164,8 +165,9 @@ def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], 
     """Draw one quantity of all conditions, with its reference lines and title."""
     look, looks = look_of(name, data.averaged_over), condition_looks(data.conditions)
     curves, shade = as_drawn(look, curves), 0.16 if len(curves) < 5 else 0.09
+    alpha = alpha_of_runs(curves, band)
     for curve in curves:
-        draw_curve(axes, curve, band, looks[curve.condition], label_of(data, curve), shade)
+        draw_curve(axes, curve, band, looks[curve.condition], label_of(data, curve), shade, alpha)
     draw_references(axes, shared_levels(data, name), highest_point(curves))
     draw_common_step(axes, common_step(data))
     axes.set(title=look.title, ylabel=look.label)

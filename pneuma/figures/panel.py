@@ -23,6 +23,8 @@ FAR = 3.0
 """How many times as high as the highest point a level is for its line to be left out."""
 RUN_WIDTH, RUN_ALPHA = 0.2, 0.4
 """Of a single run's line, in widths of a mean's: there may be thirty behind one mean."""
+MANY_RUNS = 30
+"""From which number of runs in a panel on their lines are fainter, so that means stay in front."""
 BELOW_ZERO = 0.02
 """How far an axis of shares reaches below 0, in parts of what it reaches above."""
 ABOVE_ALL = 1 + BELOW_ZERO
@@ -33,7 +35,13 @@ REFERENCE_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 
 
 
 def draw_curve(
-    axes: Axes, curve: Curve, band: str, look: Mapping[str, Any], label: str = "", shade: float = 0.16
+    axes: Axes,
+    curve: Curve,
+    band: str,
+    look: Mapping[str, Any],
+    label: str = "",
+    shade: float = 0.16,
+    runs_alpha: float = RUN_ALPHA,
 ) -> None:
     """Draw a condition's mean and band, faint where not all of its runs have a value.
 
@@ -44,6 +52,7 @@ def draw_curve(
         look: of the condition, as `condition_looks` gives it.
         label: for the legend; '' for none.
         shade: of the band, 0 to 1: lighter where many overlap.
+        runs_alpha: of single runs' lines, 0 to 1, as `alpha_of_runs` gives it.
     """
     colour, width = look["color"], mpl.rcParams["lines.linewidth"]
     marks = {"markersize": 1.7 * width, "markevery": _marked(len(curve.step), look["marker"])}
@@ -53,7 +62,8 @@ def draw_curve(
     axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
     if shows_runs(curve, band):
         for run in curve.runs:
-            axes.plot(curve.step, run, color=colour, linewidth=RUN_WIDTH * width, alpha=RUN_ALPHA, zorder=1.4)
+            thin = {"linewidth": RUN_WIDTH * width, "alpha": runs_alpha, "zorder": 1.4}
+            axes.plot(curve.step, run, color=colour, **thin)
     of_all = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
     (line,) = axes.plot(curve.step, of_all, label=label, clip_on=False, **marks, **look)
     line.set_in_layout(False)  # it may reach over the edge, and may be empty
@@ -67,6 +77,12 @@ def as_drawn(look: Look, curves: Sequence[Curve]) -> list[Curve]:
     if not is_log(look, curves):
         return list(curves)
     return [LogCurve(curve.condition, curve.step, curve.runs, curve.diverged) for curve in curves]
+
+
+def alpha_of_runs(curves: Sequence[Curve], band: str) -> float:
+    """Return how faint single runs' lines are where so many share a panel."""
+    lines = sum(len(curve.runs) for curve in curves if shows_runs(curve, band))
+    return RUN_ALPHA * min(1.0, MANY_RUNS / max(lines, 1))
 
 
 def shows_runs(curve: Curve, band: str) -> bool:

@@ -214,6 +214,10 @@ CHOICES: dict[str, tuple[list[str], tuple[str, ...]]] = {
     "window": (["study", "plot", "activation", "--window", "trailing"], ("--window", "trailing-100")),
     "figure format": (["study", "plot", "activation", "--format", "pgn"], ("--format", "mean png?")),
     "folder": (["study", "plot", "activation", "--out", "results/studies/activation.json"], ("--out",)),
+    "figure for a folder": (
+        ["study", "plot", "activation", "--out", "figure.PDF"],
+        ("--out figure.PDF: is the folder", "--format pdf"),
+    ),
     "folder of a file": (
         [*EXPORT, "--table", "episodes", "--out", "results/studies/activation.json/x"],
         ("--out",),

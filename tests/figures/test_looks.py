@@ -11,14 +11,14 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.analysis.curves import curve_names
+from pneuma.analysis.curves import Curve, curve_names
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import settle
 from pneuma.figures.multiples import _grid
-from pneuma.figures.panel import draw_references
+from pneuma.figures.panel import RUN_ALPHA, alpha_of_runs, draw_curve, draw_references
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, condition_look
 
@@ -141,6 +141,17 @@ def test_many_conditions_have_levels_in_their_own_panels_and_nothing_is_said(
     study.draw(tmp_path, formats=("svg",))
     assert "scripted hunter" in legend(drawn[0])
     assert "differ between conditions" not in _caption(drawn[0])
+
+
+def test_sixty_single_runs_are_half_as_dark_as_thirty() -> None:
+    few = [Curve(name, np.arange(3.0), np.zeros((10, 3))) for name in "abc"]
+    many = [Curve(name, np.arange(3.0), np.zeros((10, 3))) for name in "abcdef"]
+    trusted = Curve("g", np.arange(3.0), np.zeros((50, 3)))  # its runs are not drawn beside its band
+    assert alpha_of_runs(few, "ci") == alpha_of_runs([*few[:1], trusted], "ci") == RUN_ALPHA
+    assert alpha_of_runs(many, "ci") == RUN_ALPHA / 2
+    axes = Figure().subplots()
+    draw_curve(axes, many[0], "ci", condition_look(0), runs_alpha=0.125)
+    assert [line.get_alpha() for line in axes.get_lines() if line.get_alpha() == 0.125] == [0.125] * 10
 
 
 # --- Layouts and sizes -----------------------------------------------------------------------------
