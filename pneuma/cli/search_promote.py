@@ -16,6 +16,7 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     SettingName,
+    Steps,
     Workers,
     print_json,
     read_count,
@@ -26,7 +27,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import command, plain
-from pneuma.cli.search_run import RunSteps, SearchName, called_by_file, record_name, recorded
+from pneuma.cli.search_run import SearchName, called_by_file, record_name, recorded
 from pneuma.cli.study_run import exit_code, train, train_cells
 from pneuma.errors import UserError
 from pneuma.study import plan, spec
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 def promote(
     name: SearchName,
     seeds: OwnSeeds = "10",
-    steps: RunSteps = None,
+    steps: Steps = None,
     trial: Annotated[
         str | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
     ] = None,

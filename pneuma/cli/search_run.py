@@ -17,6 +17,7 @@ from pneuma.cli.options import (
     Results,
     SettingName,
     Settings,
+    Steps,
     Workers,
     places,
     print_json,
@@ -53,7 +54,6 @@ SearchSeeds = Annotated[
         "--seeds", metavar="N|LIST", help="Seeds of each trial: a count N (seeds 1000, 1001, …) or a list."
     ),
 ]
-RunSteps = Annotated[str | None, typer.Option("--steps", metavar="N", help="Steps of each run.")]
 
 
 @places
@@ -62,7 +62,7 @@ def run(
     preset: Preset = None,
     trials: Trials = None,
     seeds: SearchSeeds = None,
-    steps: RunSteps = None,
+    steps: Steps = None,
     engine: EngineName = None,
     set_: Settings = None,
     setting: SettingName = None,

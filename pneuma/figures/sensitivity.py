@@ -86,5 +86,20 @@ def _add_words(figure: Figure, data: StudyData, document: Mapping[str, Any]) -> 
     put_caption(
         figure,
         f"Mean and 95 % t interval of {seeds}, every run a dot; diamond: the base {document['base']}; "
-        f"{data.budget:,} steps a run",
+        f"{data.budget:,} steps a run{_told_missing(data, document)}",
     )
+
+
+def _told_missing(data: StudyData, document: Mapping[str, Any]) -> str:
+    """Say how many runs count in no mean."""
+    outcome, conditions = document["outcome"], {point["condition"] for point in document["points"]}
+    without = {
+        run.run_id
+        for condition in conditions
+        for run, value in zip(
+            data.of_condition(condition), outcome_values(data, condition, outcome), strict=True
+        )
+        if not np.isfinite(value)
+    }
+    told = f"; {counted(data.left_out, 'run')} not finished" if data.left_out else ""
+    return told + (f"; {counted(len(without), 'run')} without a finite value, in no mean" if without else "")
