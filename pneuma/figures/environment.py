@@ -38,6 +38,7 @@ def draw_mailman(folder: Path) -> list[Path]:
             best = "s₂\nletters" in (start, end)
             _arrow(axes, STATES[start], STATES[end], COLOURS[0] if best else "#777777", 2.0 if best else 1.0)
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
+        axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
         return save_figure(figure, folder, "fig-2-1", ("png", "svg"))
 
 

@@ -46,7 +46,7 @@ def test_committed_figures_are_those_of_this_code(drawn: Path) -> None:
 def test_mailman_names_its_states_and_rewards(drawn: Path) -> None:
     """Comments of the file hold the texts that matplotlib draws as outlines."""
     texts = " ".join(re.findall(r"<!-- (.*?) -->", (drawn / "fig-2-1.svg").read_text(encoding="utf-8")))
-    for text in ("post office", "letters", "home", "+1: letters delivered", "fired"):
+    for text in ("post office", "letters", "home", "+1: letters delivered", "fired", "optimal policy"):
         assert text in texts
 
 
