@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -127,7 +127,7 @@ def publish(
     kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, setting)
-    from pneuma.analysis.published import PublishedRuns, published_path, published_studies
+    from pneuma.analysis.published import PublishedRuns, published_path
     from pneuma.analysis.published_times import encode_times, times_path
     from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
     from pneuma.analysis.sources import open_study
@@ -142,35 +142,17 @@ def publish(
     staying = runs_staying(data, before)
     elsewhere = len(staying) - len(runs_staying(data, own))
     tell_left_out(data, len(staying))
-    if leaving and not replace:
-        raise UserError(
-            f"study {data.study}: {len(leaving)} published runs are not in this selection; select them too "
-            "(--preset, --condition, --seeds), or let them leave the table by --replace"
-        )
-    dropped = [name for name in own.curve_names if name not in kept] if own and kept is not None else []
-    if dropped and not replace:
-        raise UserError(
-            f"study {data.study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
-            "out; name them too, or let them leave the table by --replace"
-        )
+    if not replace:
+        _refuse_losses(data.study, own, leaving, kept)
     encoded = encode_study(data, kept, rounding, before)
     store.write(path, encoded)
     times = {run_id: before.times[run_id] for run_id in staying if run_id in before.times} if before else {}
     store.write(times_path(store, data.study), encode_times(data, times))
-    size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
-    if size > MOST_PUBLISHED_BYTES:
-        say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)
+    _tell_size(store)
     if json:
+        counts = {"runs": len(data.runs), "staying": len(staying), "of_other_studies": elsewhere}
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
-        return print_json(
-            {
-                **document,
-                "runs": len(data.runs),
-                "staying": len(staying),
-                "of_other_studies": elsewhere,
-                "leaving": len(leaving),
-            }
-        )
+        return print_json({**document, **counts, "leaving": len(leaving)})
     sources = {"as they were published before": len(staying) - elsewhere, "of other studies": elsewhere}
     more = "".join(f", {count} {source}" for source, count in sources.items() if count)
     print(f"wrote {plain(str(path))}: {len(data.runs)} runs from here{more}; {len(encoded) / 1000:.0f} kB")
@@ -195,6 +177,36 @@ def _published_before(store: Store, data: StudyData, replace: bool) -> Published
             f"{path}: damaged, or of another version; take it from version control again, or publish the "
             "runs that are here alone in its place by --replace"
         ) from None
+
+
+def _refuse_losses(
+    study: str, own: PublishedRuns | None, leaving: Sequence[str], kept: Collection[str] | None
+) -> None:
+    """Refuse to let published runs that are not selected, or curves that are not named, leave the table.
+
+    Raises:
+        UserError: naming what would be lost.
+    """
+    if leaving:
+        raise UserError(
+            f"study {study}: {len(leaving)} published runs are not in this selection; select them too "
+            "(--preset, --condition, --seeds), or let them leave the table by --replace"
+        )
+    dropped = [name for name in own.curve_names if name not in kept] if own and kept is not None else []
+    if dropped:
+        raise UserError(
+            f"study {study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
+            "out; name them too, or let them leave the table by --replace"
+        )
+
+
+def _tell_size(store: Store) -> None:
+    """Say so where the published tables of all studies come to more than one commits."""
+    from pneuma.analysis.published import published_path, published_studies
+
+    size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
+    if size > MOST_PUBLISHED_BYTES:
+        say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)
 
 
 def _with_other_studies(

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -33,6 +33,9 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_setting
+
+if TYPE_CHECKING:
+    from pneuma.study import foresight
 
 RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
@@ -78,14 +81,7 @@ def plan_(
     paces = foresight.known_paces(measured, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
         paces = calibration.calibrate(todo.values(), store, paces, lambda text: say(text, aside=True))
-    seconds: dict[str, float | None] = {}
-    for cell in planned.cells:
-        pace = paces.get(foresight.kind(cell.run))
-        seconds[cell.run_id] = (
-            pace.seconds(cell.run.steps - execute.kept_step(cell.run, statuses[cell.run_id]))
-            if pace and cell.run_id not in planned.published
-            else None
-        )
+    seconds = _expected_seconds(planned, statuses, paces)
     if json:
         cells = [
             {
@@ -103,6 +99,23 @@ def plan_(
     if todo:
         _tell_cost(planned, todo, [own for name in todo if (own := seconds[name]) is not None], at_once)
     return None
+
+
+def _expected_seconds(
+    planned: plan.Plan, statuses: Mapping[str, Status], paces: Mapping[str, foresight.Pace]
+) -> dict[str, float | None]:
+    """Return how long each run would still train, by id; None where nothing tells, or it is published."""
+    from pneuma.study import foresight
+
+    seconds: dict[str, float | None] = {}
+    for cell in planned.cells:
+        pace = paces.get(foresight.kind(cell.run))
+        if pace is None or cell.run_id in planned.published:
+            seconds[cell.run_id] = None
+        else:
+            left = cell.run.steps - execute.kept_step(cell.run, statuses[cell.run_id])
+            seconds[cell.run_id] = pace.seconds(left)
+    return seconds
 
 
 def _tell_cost(planned: plan.Plan, todo: Mapping[str, Run], known: Sequence[float], at_once: int) -> None:
@@ -263,6 +276,8 @@ def _cell(cell: plan.Cell) -> dict[str, Any]:
 def _state(status: Status, published: bool = False) -> str:
     if published and not status.finished:
         return "published"
+    if status.failed:
+        return "failed"
     return _STATES.get(status.name, "partial" if status.step else "to-train")
 
 
@@ -288,7 +303,7 @@ def _print_plan(
         state = states[cell.run_id]
         if state == "published":
             expected = None
-        elif status.failed:
+        elif state == "failed":
             state = f"{status.name}: --retry-failed trains it again"
         elif state == "partial":
             state = f"partial, {status.step:,} steps"
@@ -297,9 +312,7 @@ def _print_plan(
         print(f"{cell.condition:<{width}} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
     kinds = {"stored": "stored", "published": "published", "partial": "partial", "failed": "failed"}
     kinds["to-train"] = "to train"
-    counts = Counter(
-        "failed" if statuses[key].failed and state != "published" else state for key, state in states.items()
-    )
+    counts = Counter(states.values())
     print(", ".join(f"{counts[state]} {words}" for state, words in kinds.items() if counts[state]) + ".")
 
 

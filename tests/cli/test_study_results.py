@@ -356,6 +356,17 @@ def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch:
     assert len(called.err.splitlines()) == 1
 
 
+def test_a_plan_tells_runs_that_failed_apart(tmp_path: Path) -> None:
+    plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "2", "--no-calibrate")
+    crashed, _ = _call(*plan, "--json", "--results", tmp_path).document["runs"]
+    Store(tmp_path).save_run(crashed["run_id"], Status("crashed", 64), {})
+    document = _call(*plan, "--json", "--results", tmp_path).document
+    assert [run["state"] for run in document["runs"]] == ["failed", "to-train"]
+    told = _call(*plan, "--results", tmp_path).out
+    assert "crashed: --retry-failed trains it again" in told
+    assert "\n1 failed, 1 to train.\n" in told
+
+
 @pytest.mark.slow
 def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
     plan: list[str | Path] = [
