@@ -77,7 +77,8 @@ class ClaimRuns:
         if not missing:
             return self._machines(claim, setting, names)
         command = training_command(self.study(claim.study, setting), self._claims.path)
-        return "; ".join([*missing, *([f"{MEND} {command}"] if command else [])])
+        rest = " --unpublished" if published_studies(self._store) else ""
+        return "; ".join([*missing, *([f"{MEND} {command}{rest}"] if command else [])])
 
     def undefined(self, claim: Claim, setting: str) -> str:
         """Say why a claim is not judged in a setting at all."""

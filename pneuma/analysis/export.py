@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import pandas as pd
 
@@ -14,34 +13,41 @@ from pneuma.analysis.rounding import decimals, shown
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
-from pneuma.study.store import write_whole
 
 
-def export_table(data: StudyData, table: str, form: str, path: Path) -> int:
-    """Write one of `EXPORT_TABLES` in one of `EXPORT_FORMATS`; return the number of rows.
+def encode_table(
+    data: StudyData, table: str, form: str, window: str | None = None, band: str = "std"
+) -> tuple[bytes, int]:
+    """Return one of `EXPORT_TABLES` in one of `EXPORT_FORMATS`, and its number of rows.
 
     The same runs give the same bytes; no table holds wall-clock values.
+
+    Args:
+        data: the study's finished runs.
+        table: which.
+        form: as what kind of file.
+        window: of curves, one of `WINDOWS`; the study's usual one when left out.
+        band: of curves, one of `BAND_NAMES`, whose edges are the columns `low` and `high`.
+
+    Raises:
+        UserError: where the data holds no such table or window.
     """
-    encoded, rows = encode_table(data, table, form)
-    write_whole(path, encoded)
-    return rows
-
-
-def encode_table(data: StudyData, table: str, form: str) -> tuple[bytes, int]:
-    """Return what `export_table` writes, and the number of rows."""
-    made = {"curves": _curves, "summary": summary_table}
-    frame = made[table](data) if table in made else data.table(table)
+    if table == "curves":
+        frame = _curves(data, window, band)
+    else:
+        frame = summary_table(data) if table == "summary" else data.table(table)
     return encode_frame(frame, form), len(frame)
 
 
-def _curves(data: StudyData) -> pd.DataFrame:
+def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return every curve there is; returns that were averaged when they were recorded say so."""
-    curves = {name: training_curves(data, name) for name in EPISODE_QUANTITIES if name in data.quantities}
+    names = [name for name in EPISODE_QUANTITIES if name in data.quantities]
+    curves = {name: training_curves(data, name, window) for name in names}
     if "evaluations" in data.tables:
         curves["share_killed"] = evaluation_curves(data)
     if not curves:
         raise UserError(f"study {data.study}: {data.source.what} holds no returns, and so no curves")
-    table = curves_table(curves, "std")
+    table = curves_table(curves, band)
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over
     return table

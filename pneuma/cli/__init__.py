@@ -32,8 +32,8 @@ app.add_typer(search.app, name="search")
 app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
 app.add_typer(import_.app, name="import")
-app.command("report")(report.report)
-app.command("doctor")(doctor.doctor)
+app.command("report", short_help="Write all evidence as one HTML page.")(report.report)
+app.command("doctor", short_help="Say what is installed here, and whether it works.")(doctor.doctor)
 
 
 def _print_version(wanted: bool) -> None:

@@ -30,7 +30,7 @@ app = typer.Typer(
 )
 
 
-@app.command()
+@app.command(short_help="Measure the environment in agent steps a second.")
 def env(json: Json = False) -> None:
     """Measure the environment's faces in agent steps a second, saving and starting, on one core."""
     from pneuma.bench.env import bench_env
@@ -52,7 +52,7 @@ def env(json: Json = False) -> None:
     return None
 
 
-@app.command()
+@app.command(short_help="Test whether both engines come to the same.")
 def equivalence(
     study: Annotated[
         str, typer.Argument(metavar="STUDY", help="A study run by both engines.")
@@ -90,7 +90,7 @@ def equivalence(
     return None
 
 
-@app.command()
+@app.command(short_help="Compare the engines in steps a second.")
 def engines(json: Json = False) -> None:
     """Compare the engines in steps a second on one core; takes about two minutes."""
     from pneuma.bench.engines import bench_engines
@@ -114,7 +114,7 @@ def engines(json: Json = False) -> None:
     return None
 
 
-@app.command()
+@app.command(short_help="Measure each command on thousands of runs.")
 def scaling(
     runs: Annotated[
         str, typer.Option("--runs", metavar="N", help="Runs of the study, drawn and not trained.")
@@ -155,7 +155,7 @@ def scaling(
     return print_json({"schema": 1, "cases": rows}) if json else None
 
 
-@app.command()
+@app.command(short_help="Simulate lists of claims whose truth is known.")
 def calibration(
     lists: Annotated[
         str,

@@ -65,7 +65,7 @@ def list_(json: Json = False) -> None:
     return None
 
 
-@app.command()
+@app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[str | None, typer.Argument(metavar="[ID]", help="The environment to check.")] = None,
     all_: Annotated[bool, typer.Option("--all", help="Check every environment.")] = False,

@@ -21,7 +21,7 @@ def _group() -> None:
     """Make a study of old logs."""
 
 
-@app.command()
+@app.command(short_help="Import Stable-Baselines3's TensorBoard logs.")
 def tensorboard(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Holds NAME_1/, NAME_2/, … with event files, or is one.")

@@ -27,7 +27,7 @@ app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
 )
 
-app.command("fork")(fork)
+app.command("fork", short_help="Go on from a checkpoint with something changed.")(fork)
 
 RESULTS = Path("results")
 EXPORTS = (".zip", ".onnx")
@@ -54,7 +54,7 @@ RunName = Annotated[
 ]
 
 
-@app.command("list")
+@app.command("list", short_help="List the stored runs.")
 def list_(results: Results = RESULTS, json: Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
     runs = stored_runs.list_runs(Store(results))
@@ -75,7 +75,7 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
     return None
 
 
-@app.command()
+@app.command(short_help="Show what produced a stored run.")
 def show(
     name: RunName,
     all_: Annotated[bool, typer.Option("--all", help="Show every setting, defaults too.")] = False,
@@ -103,7 +103,7 @@ def show(
     return None
 
 
-@app.command()
+@app.command(short_help="Write a run's final policy for other programs.")
 def export(
     name: RunName,
     out: Annotated[

@@ -25,16 +25,17 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Find hyperparameters over several seeds, and confirm them on fresh ones.",
+    short_help="Find hyperparameters, and confirm them on fresh seeds.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 RESULTS = Path("results")
 PLOTS = ("history", "importances", "slices", "parallel", "contour", "front")
 
-app.command()(search_run.run)
-app.command()(search_promote.promote)
-app.command()(search_promote.winners)
-app.command()(search_promote.publish)
+app.command(short_help="Search for hyperparameters, or go on with a search.")(search_run.run)
+app.command(short_help="Train a search's winner on fresh seeds.")(search_promote.promote)
+app.command(short_help="Write a study of several searches' winners.")(search_promote.winners)
+app.command(short_help="Publish what searches tried and found.")(search_promote.publish)
 
 
 @app.command("list")
@@ -112,7 +113,7 @@ def status(
     return None
 
 
-@app.command()
+@app.command(short_help="Draw a search.")
 def plot(
     name: search_run.SearchName,
     out: Annotated[

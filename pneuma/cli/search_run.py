@@ -87,7 +87,7 @@ def run(
     replace: Annotated[
         bool,
         typer.Option(
-            "--replace", help="Begin anew where Optuna, rules or engines are others than the trials' were."
+            "--replace", help="Begin anew where the versions of Optuna, rules or engines have changed."
         ),
     ] = False,
     results: Results = RESULTS,

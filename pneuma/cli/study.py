@@ -31,18 +31,18 @@ app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=Tr
 
 RESULTS = Path("results")
 
-app.command("plan")(study_run.plan_)
-app.command()(study_run.run)
-app.command()(study_status.status)
-app.command()(study_plot.plot)
+app.command("plan", short_help="Say which runs are stored, and which would be trained.")(study_run.plan_)
+app.command(short_help="Train a study's runs that are not stored yet.")(study_run.run)
+app.command(short_help="Say how far the runs of a study are.")(study_status.status)
+app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_plot.plot)
 app.command()(study_output.export)
-app.command()(study_output.publish)
-app.command()(study_summary.summary)
-app.command()(study_summary.collapse)
-app.command()(study_map.robustness)
-app.command()(study_effects.effects)
-app.command()(study_trajectories.trajectories)
-app.command()(study_verify.verify)
+app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
+app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
+app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
+app.command(short_help="Say in which other settings a contrast holds.")(study_map.robustness)
+app.command(short_help="Test what matters where settings are crossed.")(study_effects.effects)
+app.command(short_help="Say where trained policies go, and how that ends.")(study_trajectories.trajectories)
+app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
 
 @app.command("list")
@@ -58,7 +58,7 @@ def list_(json: Json = False) -> None:
     return None
 
 
-@app.command()
+@app.command(short_help="Show what a study compares, and its presets.")
 def show(
     name: StudyName, setting: SettingName = None, results: Results = RESULTS, json: Json = False
 ) -> None:

@@ -11,12 +11,14 @@ import typer
 
 from pneuma.analysis import (
     ACTION_QUANTITIES,
+    BAND_NAMES,
     EPISODE_QUANTITIES,
     EXPORT_FORMATS,
     EXPORT_SUFFIXES,
     EXPORT_TABLES,
     PUBLISHED_TABLES,
     UPDATE_QUANTITIES,
+    WINDOWS,
 )
 from pneuma.cli.options import (
     Json,
@@ -42,6 +44,8 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 MOST_PUBLISHED_BYTES = 20_000_000
 """Over all studies (design section 4)."""
+_EDGES = tuple(name for name in BAND_NAMES if name != "runs")
+"""Bands that have a lower and an upper edge."""
 
 
 @selects
@@ -60,6 +64,18 @@ def export(
             "--format", metavar="|".join(EXPORT_FORMATS), help="Its format (default: by the file's ending)."
         ),
     ] = None,
+    band: Annotated[
+        str | None,
+        typer.Option(
+            "--band", metavar="|".join(_EDGES), help="Of curves: what low and high are (default: std)."
+        ),
+    ] = None,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            "--window", metavar="|".join(WINDOWS), help="Of curves: which episodes a point averages."
+        ),
+    ] = None,
     selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
@@ -67,6 +83,7 @@ def export(
 ) -> None:
     """Write a study's records as one tidy table."""
     check_choice("--table", table, EXPORT_TABLES)
+    _check_looks_of_curves(table, band, window)
     form = format or EXPORT_SUFFIXES.get(out.suffix, "csv" if str(out) == "-" else "")
     if not form:
         endings = ", ".join(EXPORT_SUFFIXES)
@@ -85,7 +102,7 @@ def export(
         raise UserError(f"--out {out}: is a folder; name a file")
     if str(out) != "-":
         check_folder("--out", out.parent)
-    encoded, rows = encode_table(data, table, form)
+    encoded, rows = encode_table(data, table, form, window, band or "std")
     if str(out) == "-":
         sys.stdout.buffer.write(encoded)
         return None
@@ -94,6 +111,14 @@ def export(
         return print_json({"schema": 1, "file": str(out), "rows": rows})
     print(f"wrote {out}: {rows:,} rows")
     return None
+
+
+def _check_looks_of_curves(table: str, band: str | None, window: str | None) -> None:
+    for option, value, allowed in (("--band", band, _EDGES), ("--window", window, WINDOWS)):
+        if value is not None:
+            check_choice(option, value, allowed)
+            if table != "curves":
+                raise UserError(f"{option} {value}: goes with --table curves alone")
 
 
 @selects

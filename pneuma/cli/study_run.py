@@ -59,7 +59,7 @@ def plan_(
     place: Place = HERE,
     calibrate: Annotated[
         bool,
-        typer.Option(help="Train a few seconds of runs of which no stored one tells how long they take."),
+        typer.Option(help="Train for a few seconds where no stored run tells how long such runs take."),
     ] = True,
     unpublished: Unpublished = False,
     results: Results = RESULTS,

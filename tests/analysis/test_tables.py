@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.export import export_table
+from pneuma.analysis.export import encode_table
 from pneuma.analysis.sources import open_study
 from pneuma.engines.records import EPISODE_COLUMNS
 from pneuma.errors import UserError
@@ -92,19 +92,18 @@ def test_a_record_whose_names_lead_elsewhere_is_refused(store: Store, key: str, 
 # --- In a file -----------------------------------------------------------------------------------
 
 
-def test_a_csv_file_is_what_a_spreadsheet_reads(store: Store, tmp_path: Path) -> None:
-    path = tmp_path / "x.csv"
-    assert export_table(open_study(store, _record(("a,b", 1, DIVERGED))), "episodes", "csv", path) == 1
-    assert path.read_bytes() == (
+def test_a_csv_file_is_what_a_spreadsheet_reads(store: Store) -> None:
+    encoded, rows = encode_table(open_study(store, _record(("a,b", 1, DIVERGED))), "episodes", "csv")
+    assert rows == 1
+    assert encoded == (
         b"condition,seed,run_id,slot,episode,step,return,length,kills,hp,ending\n"
         b'"a,b",1,d1d1d1d1d1d1d1d1,0,0,50,-1.5,50,2,12.0,time-limit\n'
     )
 
 
-def test_a_latex_table_is_what_latex_reads(store: Store, tmp_path: Path) -> None:
-    path = tmp_path / "x.tex"
-    export_table(open_study(store, _record(("50 %_a&b", 1, DIVERGED))), "episodes", "latex", path)
-    assert path.read_text().splitlines() == [
+def test_a_latex_table_is_what_latex_reads(store: Store) -> None:
+    encoded, _ = encode_table(open_study(store, _record(("50 %_a&b", 1, DIVERGED))), "episodes", "latex")
+    assert encoded.decode().splitlines() == [
         r"\begin{tabular}{lrlrrrrrrrl}",  # l for words, r for numbers
         r"\hline",
         r"condition & seed & run\_id & slot & episode & step & return & length & kills & hp & ending \\",

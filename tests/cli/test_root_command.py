@@ -7,13 +7,16 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
+from typer.main import get_command
 
-from pneuma.cli import main
+from pneuma.cli import app, main
 from pneuma.cli.options import say
 from pneuma.study import spec
 
@@ -29,10 +32,33 @@ def test_help_lists_every_group_of_commands(capsys: Captured) -> None:
     assert "study" in words and "bench" in words
 
 
-@pytest.mark.parametrize("command", ["list", "show", "plan", "run", "status", "plot", "export"])
-def test_every_study_command_has_help(command: str, capsys: Captured) -> None:
-    assert main(["study", command, "--help"]) == 0
-    assert f"study {command}" in capsys.readouterr().out
+def _commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the words of every group and command, beginning with none."""
+    yield path
+    for name, own in getattr(group, "commands", {}).items():
+        yield from _commands(own, (*path, name))
+
+
+COMMANDS = [*_commands(get_command(app))]
+
+
+def test_there_are_commands_in_every_group() -> None:
+    assert {path[0] for path in COMMANDS if len(path) == 2} == {
+        "study", "run", "search", "env", "bench", "import",
+    }  # fmt: skip
+    assert {path[0] for path in COMMANDS if len(path) == 1} >= {"report", "doctor"}
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_every_command_has_help_and_no_list_of_commands_is_cut(
+    path: tuple[str, ...], capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([*path, "--help"]) == 0
+    usage, _, *rest = capsys.readouterr().out.splitlines()
+    assert " ".join([*path, "[OPTIONS]"]) in usage
+    assert rest[0].strip(), "says nothing of what it does"
+    assert [line for line in rest if line.endswith("...") and "[" not in line] == []
 
 
 def test_the_shipped_studies_are_listed(capsys: Captured) -> None:

@@ -274,6 +274,31 @@ def test_all_formats_hold_the_same_rows(trained: Trained, tmp_path: Path) -> Non
     assert r"run\_id" in rows[0]
 
 
+def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
+    trained: Trained, tmp_path: Path
+) -> None:
+    """At the end of training: what the last hundred episodes of each run returned, least and greatest."""
+    looks = ("--window", "trailing-100", "--band", "minmax")
+    curves = pd.read_csv(io.BytesIO(_export(trained, "curves", "csv", tmp_path / "c", *looks)))
+    episodes = pd.read_csv(io.BytesIO(_export(trained, "episodes", "csv", tmp_path / "e")))
+    returns = curves[(curves["quantity"] == "return") & (curves["step"] == curves["step"].max())]
+    assert set(curves["band"]) == {"minmax"}
+    for condition in ("tanh", "relu"):
+        own = episodes[episodes["condition"] == condition].sort_values(["run_id", "step"])
+        means = [own[own["run_id"] == name]["return"][-100:].mean() for name in own["run_id"].unique()]
+        found = returns[returns["condition"] == condition][["low", "mean", "high"]].to_numpy(float)[0]
+        assert found == pytest.approx([min(means), sum(means) / len(means), max(means)])
+
+
+@pytest.mark.parametrize("option", [("--window", "trailing-100"), ("--band", "se")])
+def test_looks_of_curves_go_with_no_other_table(
+    trained: Trained, tmp_path: Path, option: tuple[str, str]
+) -> None:
+    arguments = ("study", "export", "activation", "--table", "episodes", "--out", tmp_path / "e.csv")
+    called = _call(*arguments, *option, "--results", trained.results)
+    assert called.code == 2 and f"{' '.join(option)}: goes with --table curves alone" in called.err
+
+
 def test_rows_come_in_the_studys_order_seed_by_seed(trained: Trained, tmp_path: Path) -> None:
     frame = pd.read_csv(io.BytesIO(_export(trained, "metrics", "csv", tmp_path / "x.csv")))
     blocks = list(dict.fromkeys(zip(frame["seed"], frame["condition"], strict=True)))
