@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,8 +20,11 @@ from pneuma.analysis.curves import (
     training_curves,
 )
 from pneuma.analysis.run_records import RunRecords
+from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.study.store import Status
+from pneuma.engines.records import EPISODE_COLUMNS
+from pneuma.study.store import Status, Store
+from pneuma.study.tables import to_parquet
 
 NAN = float("nan")
 TRAILING = "trailing-100"
@@ -44,7 +48,7 @@ class _Records(RunRecords):
         return own.drop(columns=["condition", "run_id"])
 
     def columns(self, run: FinishedRun, name: str) -> dict[str, np.ndarray]:
-        table = self.table(run, name).sort_values("step", kind="stable")
+        table = self.table(run, name)
         return {str(key): table[key].to_numpy() for key in table}
 
 
@@ -140,9 +144,18 @@ def test_a_slot_that_never_finishes_leaves_the_curve_blank() -> None:
     assert np.isnan(list(_one_run({0: EXAMPLE}, slot_count=2).values())).all()
 
 
-def test_the_order_of_rows_does_not_matter() -> None:
-    forwards, backwards = _one_run({0: EXAMPLE}), _one_run({0: EXAMPLE[::-1]})
-    np.testing.assert_equal(list(forwards.values()), list(backwards.values()))
+def test_the_order_of_rows_in_a_file_does_not_matter(tmp_path: Path) -> None:
+    store, runs = Store(tmp_path), []
+    for name, episodes in (("a" * 16, EXAMPLE), ("b" * 16, EXAMPLE[::-1])):
+        blank: dict[str, object] = {**dict.fromkeys(EPISODE_COLUMNS, 0), "ending": "killed"}
+        rows = [{**blank, "step": step, "return": value} for step, value in episodes]
+        store.save_run(name, Status("done", 200), {"episodes.parquet": to_parquet(rows, EPISODE_COLUMNS)})
+        settings = {"env": "any", "slots": 1, "steps": 200}
+        runs.append({"condition": name, "seed": 0, "run_id": name, "run": settings})
+    record = {"study": "mine", "title": "Mine", "figure": "mine", "same": [], "runs": runs}
+    forwards, backwards = training_curves(open_study(store, record), "return", WINDOWS[0])
+    assert np.isfinite(forwards.runs).any()
+    np.testing.assert_array_equal(forwards.runs, backwards.runs)
 
 
 def test_trailing_100_is_the_mean_of_the_last_hundred_episodes() -> None:

@@ -199,7 +199,7 @@ def test_tables_say_to_which_run_a_row_belongs(data: StudyData) -> None:
 
 
 def test_a_table_that_there_is_not_is_refused_in_one_line(data: StudyData) -> None:
-    for name in set(RECORD_TABLES) - set(data.tables):
+    for name in {*RECORD_TABLES, "actions"} - set(data.tables):
         with pytest.raises(UserError, match=rf"^study {data.study}: .* holds no {name}; there are .*curves$"):
             data.table(name)
         with pytest.raises(UserError, match=f"holds no {name}"):

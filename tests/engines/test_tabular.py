@@ -164,6 +164,7 @@ def test_a_checkpoint_of_another_algorithm_is_refused() -> None:
 def test_records_have_the_columns_of_the_contract() -> None:
     records = train(run_of())[0].records
     assert [row["step"] for row in records.metrics] == list(range(10, 401, 10))
+    assert records.metrics and records.episodes
     assert all(set(row) == set(METRIC_COLUMNS) for row in records.metrics)
     assert all(row["action_0"] + row["action_1"] == pytest.approx(1) for row in records.metrics)
     assert all(tuple(row) == EPISODE_COLUMNS for row in records.episodes)

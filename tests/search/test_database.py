@@ -95,13 +95,18 @@ def test_what_is_no_file_is_left_alone(
     assert path.is_dir() or path.is_symlink()
 
 
-def test_a_storage_that_nobody_answers_is_told_without_its_password(
-    make_task: MakeTask, store: Store
+def test_what_a_storages_driver_says_is_told_without_the_password(
+    make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def refuse(*, storage: str, **_: object) -> None:
+        raise ConnectionError(f"nobody answers at {storage}")
+
+    monkeypatch.setattr("optuna.create_study", refuse)
     with pytest.raises(UserError) as caught:
         Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
     assert "secret" not in str(caught.value)
-    assert str(caught.value).startswith("--storage postgresql://127.0.0.1:1/none: ")
+    shown = "postgresql://127.0.0.1:1/none"
+    assert str(caught.value) == f"--storage {shown}: nobody answers at {shown}"
 
 
 @pytest.mark.parametrize(

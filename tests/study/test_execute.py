@@ -201,7 +201,8 @@ def test_a_run_keeps_what_produced_it(together: Executed) -> None:
 def test_the_tables_have_the_columns_of_the_contract(
     together: Executed, table: str, columns: tuple[str, ...]
 ) -> None:
-    assert all(tuple(row) == columns for row in _rows(together, 0, table))
+    rows = _rows(together, 0, table)
+    assert rows and all(tuple(row) == columns for row in rows)
 
 
 def test_every_update_and_evaluation_is_recorded(together: Executed) -> None:

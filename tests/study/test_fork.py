@@ -67,11 +67,15 @@ def test_a_fork_begins_with_its_parents_weights_worlds_and_optimizer(
 ) -> None:
     run, taken = parent
     there = take_checkpoint(begun(forked(run), taken[AT]), AT, taken[AT].records)
+    seen = set()
     for name, array in taken[AT].arrays.items():
-        if name.startswith(("policy/", "optimizer/", "last/")):
+        part = name.split("/")[0]
+        seen.add(part)
+        if part in ("policy", "optimizer", "worlds", "last") and name != "worlds/worlds":  # holds their streams
             assert np.array_equal(there.arrays[name], array), name
-        if name.startswith("random/"):
+        if part == "random":
             assert not np.array_equal(there.arrays[name], array), name
+    assert seen == {"policy", "optimizer", "worlds", "last", "random"}
 
 
 def test_with_a_learning_rate_of_almost_nothing_the_policy_stays_the_parents(
