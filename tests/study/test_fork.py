@@ -71,7 +71,9 @@ def test_a_fork_begins_with_its_parents_weights_worlds_and_optimizer(
     for name, array in taken[AT].arrays.items():
         part = name.split("/")[0]
         seen.add(part)
-        if part in ("policy", "optimizer", "worlds", "last") and name != "worlds/worlds":  # holds their streams
+        if (
+            part in ("policy", "optimizer", "worlds", "last") and name != "worlds/worlds"
+        ):  # holds their streams
             assert np.array_equal(there.arrays[name], array), name
         if part == "random":
             assert not np.array_equal(there.arrays[name], array), name
