@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -218,3 +219,47 @@ def test_options_that_contradict_each_other(options: list[str], message: str, tm
         code = main(["study", "run", STUDY, *options, "--results", str(tmp_path / "results")])
     assert code == 2 and message in error.getvalue()
     assert not (tmp_path / "results").exists()
+
+
+# --- The command ---------------------------------------------------------------------------------
+
+TINY = """
+title = "Tiny"
+base = "table-6-2"
+baseline = "slow"
+[run]
+horizon = 64
+minibatch = 32
+epochs = 1
+actor = [8]
+critic = [8]
+evaluation_episodes = 2
+episode_steps = 40
+[conditions.slow]
+learning_rate = 1e-4
+[conditions.fast]
+learning_rate = 1e-3
+[presets.quick]
+seeds = 1
+steps = 128
+"""
+
+
+def test_the_command_trains_stage_by_stage_and_tells_each_look(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = tmp_path / "tiny.toml"
+    study.write_text(TINY)
+    command = ["study", "run", str(study), "--until-decided", "--max-seeds", "4"]
+    command += ["--results", str(tmp_path / "results")]
+    assert main([*command, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["schema"], document["study"]) == (1, "tiny")
+    runs = [(run["condition"], run["seed"], run["status"]) for run in document["runs"]]
+    assert runs == [(name, seed, "done") for seed in range(4) for name in ("slow", "fast")]
+    (look,) = document["looks"]
+    assert (look["seeds"], [own["condition"] for own in look["contrasts"]]) == (4, ["fast"])
+    assert main(command) == 0
+    told = capsys.readouterr().out
+    assert "4 seeds each, of at most 4, against slow:\n  fast: " in told
+    assert "0 trained now, 8 were stored" in told

@@ -1,0 +1,112 @@
+"""`pneuma run fork` and `study collapse --fork` as people type them, on small runs that keep checkpoints."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.cli import main
+from pneuma.study.store import Store
+
+STUDY = """
+title = "Parents"
+base = "table-6-2"
+keep_checkpoints = 2
+[run]
+horizon = 64
+minibatch = 32
+epochs = 1
+actor = [8]
+critic = [8]
+evaluation_episodes = 2
+episode_steps = 40
+[conditions.only]
+[presets.quick]
+seeds = 1
+steps = 256
+"""
+
+
+def _call(*arguments: str | Path) -> tuple[int, str, str]:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(argument) for argument in arguments])
+    return code, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def parents(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder with one trained run and its checkpoints."""
+    folder = tmp_path_factory.mktemp("parents")
+    (folder / "parents.toml").write_text(STUDY)
+    assert _call("study", "run", folder / "parents.toml", "--results", folder / "results", "--quiet")[0] == 0
+    return folder / "results"
+
+
+@pytest.fixture
+def results(parents: Path, tmp_path: Path) -> Path:
+    """A copy of that folder."""
+    return Path(shutil.copytree(parents, tmp_path / "results"))
+
+
+def _fork(results: Path, *more: str) -> tuple[int, Any, str]:
+    (parent,) = (name for name in Store(results).runs() if Store(results).has_checkpoints(name))
+    arguments = ("--at", "200", "--seeds", "1", *more, "--results", str(results))
+    code, out, err = _call("run", "fork", parent[:6], *arguments, "--json")
+    return code, json.loads(out) if out else None, err
+
+
+def _bits(results: Path, names: list[str]) -> Iterator[bytes]:
+    for name in names:
+        for table in ("metrics.parquet", "episodes.parquet", "evaluations.parquet", "policy.safetensors"):
+            yield Store(results).read_file(name, table)
+
+
+def test_a_fork_is_trained_beside_its_control_drawn_and_trained_to_the_same_bits_again(
+    results: Path, tmp_path: Path
+) -> None:
+    code, document, _ = _fork(results, "--set", "learning_rate=1e-3")
+    assert code == 0
+    runs = document["runs"]
+    assert [(run["condition"], run["seed"], run["status"], run["trained"]) for run in runs] == [
+        ("control", 0, "done", True), ("learning_rate=0.001", 0, "done", True),
+    ]  # fmt: skip
+    names = [run["run_id"] for run in runs]
+    steps = {
+        name: json.loads(Store(results).read_file(name, "run.json"))["run"]["fork_step"] for name in names
+    }
+    assert set(steps.values()) == {128}  # of four updates the second is kept, nearest before step 200
+    first = list(_bits(results, names))
+    assert len(set(first[3::4])) == 2, "every fork has a policy of its own"
+    again = _fork(results, "--set", "learning_rate=1e-3")[1]
+    assert not any(run["trained"] for run in again["runs"])
+    for name in names:
+        shutil.rmtree(results / "runs" / name)
+    assert _fork(results, "--set", "learning_rate=1e-3")[0] == 0
+    assert list(_bits(results, names)) == first
+    code, out, _ = _call(
+        "study", "plot", document["study"], "--results", results, "--out", tmp_path / "figures"
+    )
+    assert code == 0 and document["study"] in out
+
+
+def test_what_is_begun_anew_is_a_condition_beside_the_control(results: Path) -> None:
+    code, document, _ = _fork(results, "--reset", "critic")
+    assert code == 0
+    control, anew = (run["condition"] for run in document["runs"])
+    assert control == "control" and "critic" in anew
+
+
+def test_a_fork_whose_parent_lost_its_checkpoint_is_refused_and_says_so(results: Path) -> None:
+    store = Store(results)
+    (parent,) = (name for name in store.runs() if store.has_checkpoints(name))
+    shutil.rmtree(store.run_folder(parent) / "checkpoints")
+    code, out, err = _call("run", "fork", parent, "--at", "200", "--set", "gamma=0.8", "--results", results)
+    assert (code, out) == (2, "") and "checkpoint" in err and len(err.splitlines()) == 1
