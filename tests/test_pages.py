@@ -1,0 +1,76 @@
+"""What README and docs tell people to type is there: commands, their options, and the study to copy."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from pneuma.cli import app
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+_TYPED = re.compile(r"`(pneuma [^`]+)`|^ {4}(pneuma .*)$", re.MULTILINE)
+_PLACEHOLDER = re.compile(r"[….|]|^[A-Z_]+$|^\[|\]$")
+
+
+def _typed(page: Path) -> list[str]:
+    """Return the lines that begin with `pneuma`, as code or in a block of it, each command by itself."""
+    text = re.sub(r"\s*\\\n\s*", " ", page.read_text(encoding="utf-8"))
+    joined = (re.sub(r"\s+", " ", one or other) for one, other in _TYPED.findall(text))
+    return [
+        part.strip() for line in joined for part in line.split("&&") if part.strip().startswith("pneuma ")
+    ]
+
+
+def _mistake(line: str) -> str:
+    """Say what of a line there is not; empty where all is."""
+    words = shlex.split(line, comments=True)[1:]
+    command: Any = get_command(app)
+    while words and hasattr(command, "commands"):
+        if words[0].startswith("-") or _PLACEHOLDER.search(words[0]):
+            break
+        if words[0] not in command.commands:
+            return f"{words[0]!r} is no command of {command.name}"
+        command = command.commands[words.pop(0)]
+    known = {name for own in command.params for name in (*own.opts, *own.secondary_opts)} | {"--help", "-h"}
+    asked = [word.partition("=")[0] for word in words if word.startswith("--")]
+    return "; ".join(f"{command.name} has no {name}" for name in asked if name not in known)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_of_a_page_are_there_with_their_options(page: Path) -> None:
+    wrong = {line: told for line in _typed(page) if (told := _mistake(line))}
+    assert not wrong
+
+
+def test_pages_have_commands() -> None:
+    assert sum(len(_typed(page)) for page in PAGES) > 100
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("pneuma study plto activation", "'plto' is no command of study"),
+        ("pneuma study plot activation --bnad se  # a band", "plot has no --bnad"),
+        ("pneuma study plot activation --band se", ""),
+    ],
+)
+def test_a_mistake_in_a_page_is_seen(line: str, told: str) -> None:
+    assert _mistake(line) == told
+
+
+def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"Save this as `horizon.toml`:\n\n((?: {4}.*\n)+)", text)
+    path = tmp_path / "horizon.toml"
+    path.write_text(re.sub("^ {4}", "", block, flags=re.MULTILINE))
+    cells = make_plan(load_study(str(path)), Selection()).cells
+    assert {(cell.condition, cell.run.horizon) for cell in cells} == {("short", 128), ("long", 1024)}
+    assert {cell.seed for cell in cells} == {0, 1, 2}
