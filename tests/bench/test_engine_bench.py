@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from pneuma.bench import engines, reference
+from pneuma.bench.workers import CASE
+from pneuma.cli import main
 
 
 def test_ratios_are_the_medians_of_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -20,6 +24,33 @@ def test_ratios_are_the_medians_of_rounds(monkeypatch: pytest.MonkeyPatch) -> No
         {"case": case, "engine": "sb3", "runs": 1, "steps_per_second": 6.0},
     ]
     assert (told["update_over_matrix_product"], told["matrix_product_gflops"]) == ({"small": 0.5}, 100.0)
+
+
+def test_the_command_tells_what_was_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(engines, "CASES", (("small", 10, 512, 256, 3),))
+    monkeypatch.setattr(engines, "_alternate", lambda *_: ([10.0, 30.0, 24.0], [5.0, 6.0, 8.0]))
+    monkeypatch.setattr(engines, "_update_shares", lambda: ({"small": 0.5}, 100.0))
+    two = {"case": CASE, "engine": "batched", "runs": 2, "steps_per_second": 48.0}
+    measured = engines.measure()
+    whole = {
+        **measured,
+        "cases": [*measured["cases"], two],
+        "ratios": {**measured["ratios"], CASE: 1.75},
+    }
+    monkeypatch.setattr(engines, "bench_engines", lambda: whole)
+    monkeypatch.setattr(reference, "bench_reference", lambda: {"ratios": {reference.CASE: 1.0625}})
+    assert main(["bench", "engines"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["small", "network,", "10", "runs", "batched", "24", "steps/s"]
+    assert "small network, 10 runs: batched over sb3, median of rounds: 3.00" in lines
+    assert f"{CASE}, median of rounds: 1.75" in lines
+    assert f"{reference.CASE}: sb3 over Stable-Baselines3 alone, time per step: 1.062" in lines
+    assert "the small update runs at 50% of the core's matrix product of 100 GFLOP/s" in lines
+    assert main(["bench", "engines", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document == {"schema": 1, **whole, "reference_overhead": {reference.CASE: 1.0625}}
 
 
 @pytest.mark.slow

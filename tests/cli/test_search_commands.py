@@ -55,6 +55,33 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path, folder / "results"
 
 
+def test_the_shipped_searches_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["search", "list", "--json"]) == 0
+    names = [search["search"] for search in json.loads(capsys.readouterr().out)["searches"]]
+    assert {"ppo", "tune-ppo", "return-and-spread"} <= set(names)
+    assert main(["search", "list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == names
+
+
+def test_show_says_what_a_search_varies_and_seeks(
+    searched: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["search", "show", str(searched[0])]) == 0
+    told = capsys.readouterr().out
+    for words in (
+        "A small search\n",
+        "  learning_rate          ",
+        "1e-05",
+        "maximize the mean over seeds of auc-share-killed",
+        "Trials are asked for 2 at a time.",
+        "  quick     4 trials, 2 seeds each, 128 steps a run",
+    ):
+        assert words in told
+    assert main(["search", "show", str(searched[0]), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [parameter["name"] for parameter in document["space"]] == ["learning_rate"]
+
+
 def test_a_search_is_told_as_json_and_trains_nothing_twice(
     searched: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -203,6 +203,22 @@ def test_the_contents_of_a_level_folder_change_the_name(level: Path, file: str) 
     assert _name(level) == before
 
 
+def test_the_contents_of_ones_own_characters_change_the_name(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    shutil.copy(LEVELS.parent / "characters.toml", path)
+    before = run_id(make_run({"characters": str(path)}))
+    path.write_bytes(path.read_bytes() + b"\n")
+    assert run_id(make_run({"characters": str(path)})) != before
+
+
+def test_the_contents_of_a_level_in_one_file_change_the_name(tmp_path: Path) -> None:
+    path = tmp_path / "mine.tmx"
+    path.write_bytes(b"<map/>")
+    before = _name(path)
+    path.write_bytes(b"<map />")
+    assert _name(path) != before
+
+
 def test_contents_cannot_be_shifted_from_one_file_to_the_next(level: Path) -> None:
     (level / "ground.csv").write_bytes(b"ab")
     (level / "obstacles.csv").write_bytes(b"c")
