@@ -20,14 +20,15 @@ ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
 COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --setting (\S+) (.*?)--results \"results\"")
 
-pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
+MAKE = shutil.which("make")
+pytestmark = pytest.mark.skipif(MAKE is None, reason="there is no make here")
 
 
 @cache
 def _told(target: str, *words: str) -> str:
     """Return the commands of a target, which are not run."""
     return subprocess.run(
-        ["make", "--dry-run", "--assume-old=install", target, *words],
+        [MAKE or "make", "--dry-run", "--assume-old=install", target, *words],
         cwd=ROOT, capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin"},
     ).stdout  # fmt: skip
 

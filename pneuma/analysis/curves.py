@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EVALUATION_QUANTITIES
-from pneuma.analysis.bands import BANDS, Edges, count_of, mean_of, variance_of
+from pneuma.analysis.bands import BANDS, Edges, count_of, mean_of
 from pneuma.analysis.tables import FinishedRun, StudyData
 
 
@@ -43,11 +43,6 @@ class Curve:
     def mean(self) -> np.ndarray:
         """Mean over the runs that have a value, NaN where none has, (points,)."""
         return mean_of(self.runs)
-
-    @property
-    def deviation(self) -> np.ndarray:
-        """Sample standard deviation over runs, NaN where fewer than two have a value, (points,)."""
-        return np.sqrt(variance_of(self.runs))
 
     def band(self, name: str) -> Edges:
         """Return lower and upper edge of a band of `BANDS`, NaN where fewer than two runs are."""

@@ -8,8 +8,6 @@ at all every estimate is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -86,14 +84,6 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
 
 def _nothing(runs: np.ndarray) -> np.ndarray:
     return np.full(runs.shape[:-1], np.nan)[()]
-
-
-POINT_ESTIMATES: dict[str, Callable[[ArrayLike], np.ndarray]] = {
-    "mean": mean,
-    "median": median,
-    "iqm": interquartile_mean,
-    "deviation": deviation,
-}
 
 
 def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -169,7 +169,7 @@ def bootstrap_interval(
 
     Args:
         values: (runs,).
-        statistic: works along the last axis, as those of `POINT_ESTIMATES` do.
+        statistic: works along the last axis, as those of `pneuma.analysis.estimates` do.
         generator: draws the resamples.
         level: how often it is to cover. With few runs it covers less: see docs/evidence.md.
         resamples: how many to draw.

@@ -220,7 +220,7 @@ def test_one_configuration_under_two_names_is_two_equal_curves() -> None:
     np.testing.assert_equal(first.runs, second.runs)
 
 
-# --- Mean, deviation, bands ----------------------------------------------------------------------
+# --- Mean, bands ---------------------------------------------------------------------------------
 
 # Points of three runs, two, none and one.
 CURVE = Curve(
@@ -233,10 +233,9 @@ ROOT_13, ROOT_2 = 3.605551275463989, 1.4142135623730951
 T_2, T_1 = 4.302652729911275, 12.706204736432095  # of a table: 97.5 % of Student's t, 2 and 1 degrees
 
 
-def test_count_mean_and_deviation() -> None:
+def test_count_and_mean() -> None:
     np.testing.assert_array_equal(CURVE.count, [3, 2, 0, 1])
     np.testing.assert_allclose(CURVE.mean, [4, 3, NAN, 4])
-    np.testing.assert_allclose(CURVE.deviation, [ROOT_13, ROOT_2, NAN, NAN])
 
 
 @pytest.mark.parametrize(

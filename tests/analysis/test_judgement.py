@@ -84,9 +84,8 @@ def test_spread_between_runs_that_all_lie_at_the_floor_is_not_compared(store: St
     assert (
         one.verdict == "untestable" and "every run has a final-share-killed within 0.036 of 0" in one.reason
     )
-    (tmp_path / "more").mkdir()
     save_runs(store, tmp_path, {"high": [*(5 * share for share in low[:-1]), 0.036], "low": low})
-    assert "floor" not in judge_one(store, tmp_path, claims).reason
+    assert judge_one(store, tmp_path, claims).verdict != "untestable"
 
 
 def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:

@@ -97,6 +97,7 @@ def test_a_terminal_gets_a_bar_for_each_condition(plan: Plan, monkeypatch: pytes
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.delenv("NO_COLOR", raising=False)
     tanh, relu = plan.cells
     with ProgressDisplay(plan, _runs(plan), 1, quiet=False) as display:
         display.update(Progress(tanh, 2560, "done"))
@@ -112,6 +113,7 @@ def test_training_outlives_its_terminal(plan: Plan, monkeypatch: pytest.MonkeyPa
     screen = _Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
 
     def gone(_: str) -> int:
         raise OSError(5, "Input/output error")

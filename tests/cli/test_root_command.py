@@ -19,6 +19,7 @@ from typer.main import get_command
 from pneuma.cli import app, main
 from pneuma.cli.options import say
 from pneuma.study import spec
+from pneuma.study.store import Store
 
 CLI = Path(__file__).parents[2] / "cli.py"
 Captured = pytest.CaptureFixture[str]
@@ -141,6 +142,21 @@ def test_a_folder_that_may_not_be_read_is_told_in_a_line(tmp_path: Path, capsys:
     closed.mkdir(mode=0)
     assert main(["study", "status", "activation", "--results", str(closed / "results")]) == 2
     assert "Permission denied" in capsys.readouterr().err
+
+
+def test_what_the_system_refuses_is_told_in_a_line(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As above, for whoever runs these tests as root."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied", str(tmp_path / "closed"))
+
+    monkeypatch.setattr(Store, "status", refuse)
+    monkeypatch.setattr(Store, "selection", refuse)
+    assert main(["study", "status", "activation", "--results", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "Permission denied" in error and len(error.splitlines()) == 1
 
 
 def test_a_name_too_long_for_the_disk_is_told_in_a_line(capsys: Captured) -> None:

@@ -38,7 +38,6 @@ CASES: dict[str, dict[str, Any]] = {
     "dqn": {"algorithm": "dqn", **DQN_SETTINGS},
     "double-dqn": {"algorithm": "double-dqn", **DQN_SETTINGS, "slots": 2},
 }
-ON_POLICY = ("a2c", "a2c-no-baseline", "trpo")
 OF_VALUES = ("dqn", "double-dqn")
 
 

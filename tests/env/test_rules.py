@@ -150,9 +150,8 @@ def test_a_player_flush_against_a_wall_walks_off_and_along_it_freely(arena: str,
     for other in DIRECTIONS:
         worlds = stage(arena, players=[flush])
         play(worlds, other)
-        if other != way:
-            ox, oy = DIRECTIONS[other]
-            assert player_at(worlds) == (flush[0] + 40 * ox, flush[1] + 40 * oy)
+        ox, oy = DIRECTIONS[other] if other != way else (0, 0)
+        assert player_at(worlds) == (flush[0] + 40 * ox, flush[1] + 40 * oy)
 
 
 @pytest.mark.parametrize(

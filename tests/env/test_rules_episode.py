@@ -186,7 +186,6 @@ def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
     assert worlds.ending(0) == "killed"
     worlds.events[:] = np.zeros(1, state.EVENTS)  # an ended world tells of nothing more
     worlds.events["distance"] = np.inf
-    worlds.events["distance"] = np.inf
     before = state_bits(worlds)
     play(worlds, RIGHT, ATTACK, UP)
     assert state_bits(worlds) == before

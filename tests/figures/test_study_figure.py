@@ -97,7 +97,7 @@ def test_a_figure_names_its_study_and_environment(
     assert "pneuma/Pneuma-v0" in words(drawn[0])
 
 
-def test_an_a_a_comparison_is_noted_in_theheadline(
+def test_an_a_a_comparison_is_noted_in_the_headline(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.record["same"] = [["tanh", "again"]]
@@ -166,7 +166,7 @@ def test_a_diverged_run_that_was_never_evaluated_is_still_counted(
     assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
 
 
-def test_a_condition_whose_runs_all_diverged_at_once_stays_in_thelegend(
+def test_a_condition_whose_runs_all_diverged_at_once_stays_in_the_legend(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     study.add("explosive", 0, episodes=0, evaluations=(), status="diverged")
