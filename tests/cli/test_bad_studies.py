@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bad_studies import MAXIMAL, WRONG, Place, header_places, misspellings, places
 from typer.main import get_command
 
 from pneuma import cli
 from pneuma.cli import main
 from pneuma.study.executors import local
 from pneuma.study.spec import list_studies, load_study, studies_folder
+
+from .bad_studies import MAXIMAL, WRONG, Place, header_places, misspellings, places
 
 Captured = pytest.CaptureFixture[str]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import shutil
 from collections.abc import Iterator
@@ -12,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from pneuma.cli import main
 from pneuma.study.store import Store
+
+from .calls import call
 
 STUDY = """
 title = "Parents"
@@ -34,19 +33,12 @@ steps = 256
 """
 
 
-def _call(*arguments: str | Path) -> tuple[int, str, str]:
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([str(argument) for argument in arguments])
-    return code, out.getvalue(), err.getvalue()
-
-
 @pytest.fixture(scope="module")
 def parents(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with one trained run and its checkpoints."""
     folder = tmp_path_factory.mktemp("parents")
     (folder / "parents.toml").write_text(STUDY)
-    assert _call("study", "run", folder / "parents.toml", "--results", folder / "results", "--quiet")[0] == 0
+    assert call("study", "run", folder / "parents.toml", "--results", folder / "results", "--quiet")[0] == 0
     return folder / "results"
 
 
@@ -59,7 +51,7 @@ def results(parents: Path, tmp_path: Path) -> Path:
 def _fork(results: Path, *more: str) -> tuple[int, Any, str]:
     (parent,) = (name for name in Store(results).runs() if Store(results).has_checkpoints(name))
     arguments = ("--at", "200", "--seeds", "1", *more, "--results", str(results))
-    code, out, err = _call("run", "fork", parent[:6], *arguments, "--json")
+    code, out, err = call("run", "fork", parent[:6], *arguments, "--json")
     return code, json.loads(out) if out else None, err
 
 
@@ -91,7 +83,7 @@ def test_a_fork_is_trained_beside_its_control_drawn_and_trained_to_the_same_bits
         shutil.rmtree(results / "runs" / name)
     assert _fork(results, "--set", "learning_rate=1e-3")[0] == 0
     assert list(_bits(results, names)) == first
-    code, out, _ = _call(
+    code, out, _ = call(
         "study", "plot", document["study"], "--results", results, "--out", tmp_path / "figures"
     )
     assert code == 0 and document["study"] in out
@@ -108,5 +100,5 @@ def test_a_fork_whose_parent_lost_its_checkpoint_is_refused_and_says_so(results:
     store = Store(results)
     (parent,) = (name for name in store.runs() if store.has_checkpoints(name))
     shutil.rmtree(store.run_folder(parent) / "checkpoints")
-    code, out, err = _call("run", "fork", parent, "--at", "200", "--set", "gamma=0.8", "--results", results)
+    code, out, err = call("run", "fork", parent, "--at", "200", "--set", "gamma=0.8", "--results", results)
     assert (code, out) == (2, "") and "checkpoint" in err and len(err.splitlines()) == 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import os
 import shutil
@@ -15,28 +13,11 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from pneuma.cli import main
+from .calls import call, refused
 
 WriteEvents = Callable[[Path, Any], Path]
 FILE = "events.out.tfevents.1700000000.host"
 RETURN, LENGTH = "rollout/ep_rew_mean", "rollout/ep_len_mean"
-
-
-def _call(*arguments: str | Path) -> tuple[int, str, str]:
-    """Return exit code, standard output and standard error."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([str(argument) for argument in arguments])
-    return code, out.getvalue(), err.getvalue()
-
-
-def _refused(*arguments: str | Path) -> str:
-    """Return the one line with which a command is refused."""
-    code, out, err = _call(*arguments)
-    assert (code, out) == (2, "")
-    (line,) = err.splitlines()
-    assert line.startswith("pneuma: ")
-    return line.removeprefix("pneuma: ")
 
 
 @pytest.fixture
@@ -50,7 +31,7 @@ def logs(tmp_path: Path, write_events: WriteEvents) -> Path:
 
 @pytest.fixture
 def results(tmp_path: Path, logs: Path) -> Path:
-    assert _call("import", "tensorboard", logs, "--results", tmp_path / "results")[0] == 0
+    assert call("import", "tensorboard", logs, "--results", tmp_path / "results")[0] == 0
     return tmp_path / "results"
 
 
@@ -58,21 +39,21 @@ def results(tmp_path: Path, logs: Path) -> Path:
 
 
 def test_an_import_says_what_it_read_and_how_to_go_on(logs: Path, tmp_path: Path) -> None:
-    code, out, err = _call("import", "tensorboard", logs, "--results", tmp_path / "r")
+    code, out, err = call("import", "tensorboard", logs, "--results", tmp_path / "r")
     assert (code, err) == (0, "")
     assert out.splitlines() == [
         "old: 3 runs, 63 points; 3 imported now, 0 were stored.",
         "Returns are means of 100 episodes, as Stable-Baselines3 logs them.",
         f"Draw it with: pneuma study plot old --results {tmp_path / 'r'}",
     ]
-    again = _call("import", "tensorboard", logs, "--results", tmp_path / "r")[1]
+    again = call("import", "tensorboard", logs, "--results", tmp_path / "r")[1]
     assert again.startswith("old: 3 runs, 63 points; 0 imported now, 3 were stored.")
 
 
 def test_an_import_as_json_is_one_document(logs: Path, tmp_path: Path) -> None:
     path = logs / "relu_1" / FILE
     path.write_bytes(path.read_bytes()[:-1])
-    code, out, err = _call("import", "tensorboard", logs, "--name", "mine", "--results", tmp_path, "--json")
+    code, out, err = call("import", "tensorboard", logs, "--name", "mine", "--results", tmp_path, "--json")
     document = json.loads(out)
     assert (code, document["schema"], document["study"], document["notes"]) == (0, 1, "mine", [])
     kept = [(run["condition"], run["seed"], run["points"], run["imported"]) for run in document["runs"]]
@@ -84,7 +65,7 @@ def test_an_import_as_json_is_one_document(logs: Path, tmp_path: Path) -> None:
 
 def test_a_restart_is_said(logs: Path, tmp_path: Path, write_events: WriteEvents) -> None:
     write_events(logs / "tanh_1" / f"{FILE}.2", [(RETURN, 1000, 3.0)])
-    err = _call("import", "tensorboard", logs, "--results", tmp_path / "r")[2]
+    err = call("import", "tensorboard", logs, "--results", tmp_path / "r")[2]
     assert err == ("Note: tanh_1: 3 of 22 points were written again after a restart; the later ones count.\n")
 
 
@@ -92,13 +73,13 @@ def test_without_the_extra_one_line_says_what_to_install(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "tensorboard.compat.proto", None)
-    line = _refused("import", "tensorboard", logs, "--results", tmp_path / "r")
+    line = refused("import", "tensorboard", logs, "--results", tmp_path / "r")
     assert "pip install '.[tensorboard]'" in line
     assert not (tmp_path / "r").exists()
 
 
 def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
-    line = _refused("import", "tensorboard", tmp_path, "--results", tmp_path / "r")
+    line = refused("import", "tensorboard", tmp_path, "--results", tmp_path / "r")
     assert line == f"{tmp_path}: no TensorBoard event files (events.out.tfevents…) in it or below"
     assert os.listdir(tmp_path) == []
 
@@ -107,7 +88,7 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
 
 
 def test_its_status_is_told_like_any_others(results: Path) -> None:
-    document = json.loads(_call("study", "status", "old", "--json", "--results", results)[1])
+    document = json.loads(call("study", "status", "old", "--json", "--results", results)[1])
     assert [(run["condition"], run["seed"], run["status"]) for run in document["runs"]] == [
         ("relu", 1, "done"),
         ("tanh", 1, "done"),
@@ -116,11 +97,11 @@ def test_its_status_is_told_like_any_others(results: Path) -> None:
 
 
 def test_its_figure_is_drawn_and_published_and_drawn_again(results: Path, tmp_path: Path) -> None:
-    assert _call("study", "plot", "old", "--results", results)[0] == 0
-    assert _call("study", "publish", "old", "--results", results)[0] == 0
+    assert call("study", "plot", "old", "--results", results)[0] == 0
+    assert call("study", "publish", "old", "--results", results)[0] == 0
     clone = tmp_path / "clone"
     shutil.copytree(results / "published", clone / "published")
-    assert _call("study", "plot", "--results", clone)[0] == 0
+    assert call("study", "plot", "--results", clone)[0] == 0
     for name in ("old.png", "old.svg"):
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
@@ -128,7 +109,7 @@ def test_its_figure_is_drawn_and_published_and_drawn_again(results: Path, tmp_pa
 @pytest.mark.parametrize("table", ["metrics", "curves"])
 def test_its_tables_are_exported(results: Path, tmp_path: Path, table: str) -> None:
     assert (
-        _call(
+        call(
             *("study", "export", "old", "--table", table, "--out"), tmp_path / "x.csv", "--results", results
         )[0]
         == 0
@@ -141,23 +122,23 @@ def test_its_tables_are_exported(results: Path, tmp_path: Path, table: str) -> N
 
 @pytest.mark.parametrize("table", ["episodes", "evaluations"])
 def test_a_table_that_no_log_holds_is_refused(results: Path, table: str) -> None:
-    line = _refused("study", "export", "old", "--table", table, "--out", "-", "--results", results)
+    line = refused("study", "export", "old", "--table", table, "--out", "-", "--results", results)
     assert line.startswith(
         f"study old: a study of imported TensorBoard logs holds no {table}; there are metrics"
     )
 
 
 def test_a_window_that_no_log_allows_is_refused(results: Path) -> None:
-    line = _refused("study", "plot", "old", "--window", "budget-5%", "--results", results)
+    line = refused("study", "plot", "old", "--window", "budget-5%", "--results", results)
     assert line.startswith("window budget-5% cannot be had of study old")
     assert not (results / "figures").exists()
-    assert _call("study", "plot", "old", "--window", "trailing-100", "--results", results)[0] == 0
+    assert call("study", "plot", "old", "--window", "trailing-100", "--results", results)[0] == 0
 
 
 def test_conditions_and_seeds_pick_from_it(results: Path, tmp_path: Path) -> None:
     picks = ("--condition", "tanh", "--seeds", "2,")
     assert (
-        _call(
+        call(
             *("study", "export", "old", "--table", "metrics", *picks, "--out"),
             tmp_path / "x.csv",
             "--results",
@@ -180,18 +161,18 @@ def test_conditions_and_seeds_pick_from_it(results: Path, tmp_path: Path) -> Non
     ],
 )
 def test_what_it_cannot_be_asked_for_is_refused(option: tuple[str, str], words: str, results: Path) -> None:
-    assert _refused("study", "plot", "old", *option, "--results", results).startswith(words)
+    assert refused("study", "plot", "old", *option, "--results", results).startswith(words)
 
 
 def test_logs_without_returns_are_exported_and_not_drawn(tmp_path: Path, write_events: WriteEvents) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, [("train/value_loss", 10, 1.0)])
     results = tmp_path / "results"
-    assert _call("import", "tensorboard", tmp_path / "logs", "--results", results)[0] == 0
-    line = _refused("study", "plot", "logs", "--results", results)
+    assert call("import", "tensorboard", tmp_path / "logs", "--results", results)[0] == 0
+    line = refused("study", "plot", "logs", "--results", results)
     assert line == "study logs: a study of imported TensorBoard logs holds no return; its curves are: none"
     out = tmp_path / "x.csv"
-    assert _call("study", "export", "logs", "--table", "metrics", "--out", out, "--results", results)[0] == 0
+    assert call("study", "export", "logs", "--table", "metrics", "--out", out, "--results", results)[0] == 0
     assert out.read_text().splitlines()[0] == "condition,seed,run_id,step,value_loss"
-    assert "holds no returns" in _refused(
+    assert "holds no returns" in refused(
         "study", "export", "logs", "--table", "curves", "--out", "-", "--results", results
     )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import json
 import shlex
 from pathlib import Path
@@ -12,19 +10,13 @@ from typing import Any
 
 import pytest
 
-from pneuma.cli import main
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
+from .calls import call
+
 IDS = {"tanh": ["aaaaaaaaaaaaaaa0", "aaaaaaaaaaaaaaa1"], "relu": ["bbbbbbbbbbbbbbb0"]}
-
-
-def _call(*arguments: str | Path) -> tuple[int, str, str]:
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([str(argument) for argument in arguments])
-    return code, out.getvalue(), err.getvalue()
 
 
 @pytest.fixture
@@ -72,7 +64,7 @@ def _index(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def test_the_index_leads_from_a_figure_to_its_runs_and_looks(results: Path) -> None:
-    code, out, _ = _call("study", "plot", "mine", "--band", "minmax", "--results", results)
+    code, out, _ = call("study", "plot", "mine", "--band", "minmax", "--results", results)
     assert code == 0 and "fig-mine.png" in out and "index.json" not in out
     index = _index(results / "figures")
     assert list(index) == ["fig-mine.png", "fig-mine.svg"]
@@ -96,20 +88,20 @@ def test_the_index_leads_from_a_figure_to_its_runs_and_looks(results: Path) -> N
 def test_the_command_of_the_index_draws_the_same_bytes(
     results: Path, tmp_path: Path, options: tuple[str, ...]
 ) -> None:
-    assert _call("study", "plot", "mine", *options, "--results", results)[0] == 0
+    assert call("study", "plot", "mine", *options, "--results", results)[0] == 0
     ((name, entry),) = _index(results / "figures").items()
     command, *again = shlex.split(entry["command"])
     assert command == "pneuma"
-    assert _call(*again, "--results", results, "--out", tmp_path / "again")[0] == 0
+    assert call(*again, "--results", results, "--out", tmp_path / "again")[0] == 0
     assert {path.name for path in (tmp_path / "again").iterdir()} == {name, "index.json"}
     assert (tmp_path / "again" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
 
 def test_the_index_keeps_what_other_calls_drew_and_drops_what_is_gone(results: Path) -> None:
     for layout in ("pneuma", "thesis"):
-        assert _call("study", "plot", "mine", "--layout", layout, "--results", results)[0] == 0
+        assert call("study", "plot", "mine", "--layout", layout, "--results", results)[0] == 0
     (results / "figures" / "fig-mine.png").unlink()
-    assert _call("study", "plot", "mine", "--layout", "thesis", "--results", results)[0] == 0
+    assert call("study", "plot", "mine", "--layout", "thesis", "--results", results)[0] == 0
     assert list(_index(results / "figures")) == ["fig-mine-thesis.png", "fig-mine-thesis.svg", "fig-mine.svg"]
 
 
@@ -118,7 +110,7 @@ def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path
     out = tmp_path / "site"
     out.mkdir()
     (out / "index.json").write_text(there, encoding="utf-8")
-    code, _, said = _call("study", "plot", "mine", "--out", out, "--results", results)
+    code, _, said = call("study", "plot", "mine", "--out", out, "--results", results)
     assert code == 2 and "is no index of figures" in said
     assert [path.name for path in out.iterdir()] == ["index.json"]
     assert (out / "index.json").read_text(encoding="utf-8") == there
@@ -139,7 +131,7 @@ def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path
 def test_what_cannot_be_drawn_is_told_and_nothing_written(
     results: Path, options: tuple[str, ...], told: str
 ) -> None:
-    code, _, said = _call("study", "plot", "mine", *options, "--results", results)
+    code, _, said = call("study", "plot", "mine", *options, "--results", results)
     assert code == 2 and told in said and said.count("\n") == 1
     assert not (results / "figures").exists()
 
@@ -150,5 +142,5 @@ def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:
         ("study", "collapse", "nosuch"),
         ("study", "plot", "nosuch"),
     ):
-        code, _, err = _call(*command, "--out", tmp_path / "new" / "deep", "--results", tmp_path / "results")
+        code, _, err = call(*command, "--out", tmp_path / "new" / "deep", "--results", tmp_path / "results")
         assert code == 2 and err and not (tmp_path / "new").exists(), command

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import json
 import os
 import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
 
-from pneuma.cli import main
 from pneuma.study import execute
 from pneuma.study.checkpoints import file_name
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
+
+from .calls import Called, call
 
 CLI = Path(__file__).parents[2] / "cli.py"
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
@@ -41,26 +39,6 @@ METRICS = (
 
 
 @dataclass(frozen=True)
-class Called:
-    """What a command gave: exit code, standard output, standard error."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def document(self) -> Any:
-        return json.loads(self.out)
-
-
-def _call(*arguments: str | Path) -> Called:
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([str(argument) for argument in arguments])
-    return Called(code, out.getvalue(), err.getvalue())
-
-
-@dataclass(frozen=True)
 class Trained:
     """A results folder with two conditions of two seeds, and what the two runs of the study said."""
 
@@ -72,8 +50,8 @@ class Trained:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
     results = tmp_path_factory.mktemp("trained") / "results"
-    first = _call("study", "run", "activation", *TINY, "--seeds", "1", "--json", "--results", results)
-    second = _call("study", "run", "activation", *TINY, "--seeds", "2", "--results", results)
+    first = call("study", "run", "activation", *TINY, "--seeds", "1", "--json", "--results", results)
+    second = call("study", "run", "activation", *TINY, "--seeds", "2", "--results", results)
     return Trained(results, first, second)
 
 
@@ -98,15 +76,13 @@ def test_one_seed_more_trains_only_the_new_runs(trained: Trained) -> None:
 
 
 def test_run_again_trains_nothing(trained: Trained) -> None:
-    again = _call("study", "run", "activation", *TINY, "--seeds", "2", "--json", "--results", trained.results)
+    again = call("study", "run", "activation", *TINY, "--seeds", "2", "--json", "--results", trained.results)
     assert again.code == 0
     assert [(run["status"], run["trained"]) for run in again.document["runs"]] == [("done", False)] * 4
 
 
 def test_a_quiet_run_says_nothing_when_all_is_well(trained: Trained) -> None:
-    again = _call(
-        "study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", trained.results
-    )
+    again = call("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", trained.results)
     assert again == Called(0, "", "")
 
 
@@ -114,14 +90,14 @@ def test_the_folder_can_be_named_by_the_environment(
     trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PNEUMA_RESULTS", str(trained.results))
-    assert len(_call("study", "status", "activation", "--json").document["runs"]) == 4
+    assert len(call("study", "status", "activation", "--json").document["runs"]) == 4
 
 
 # --- plan, status --------------------------------------------------------------------------------
 
 
 def test_plan_tells_what_is_stored_and_what_is_not(trained: Trained) -> None:
-    called = _call(
+    called = call(
         "study", "plan", "activation", *TINY, "--seeds", "3", "--json", "--results", trained.results
     )
     document = called.document
@@ -134,7 +110,7 @@ def test_plan_tells_what_is_stored_and_what_is_not(trained: Trained) -> None:
 
 
 def test_a_plan_says_in_what_the_conditions_differ(trained: Trained) -> None:
-    called = _call("study", "plan", "activation", *TINY, "--seeds", "3", "--results", trained.results)
+    called = call("study", "plan", "activation", *TINY, "--seeds", "3", "--results", trained.results)
     assert "Conditions differ in activation: tanh (tanh); relu (relu)" in called.out
     assert "4 stored, 2 to train." in called.out
 
@@ -143,7 +119,7 @@ def test_a_plan_says_in_what_the_conditions_differ(trained: Trained) -> None:
     ("text", "seeds"), [("3,5,8", [3, 5, 8]), ("7,", [7]), ("2", [0, 1]), ("1", [0]), ("5, 3", [5, 3])]
 )
 def test_seeds_are_a_count_or_a_list(text: str, seeds: list[int], tmp_path: Path) -> None:
-    called = _call(
+    called = call(
         "study",
         "plan",
         "activation",
@@ -160,7 +136,7 @@ def test_seeds_are_a_count_or_a_list(text: str, seeds: list[int], tmp_path: Path
 
 
 def test_status_is_of_the_latest_selection(trained: Trained) -> None:
-    called = _call("study", "status", "activation", "--json", "--results", trained.results)
+    called = call("study", "status", "activation", "--json", "--results", trained.results)
     document = called.document
     assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
     assert [set(run) for run in document["runs"]] == [
@@ -172,7 +148,7 @@ def test_status_is_of_the_latest_selection(trained: Trained) -> None:
 
 
 def test_status_of_a_selection_of_its_own(trained: Trained) -> None:
-    called = _call(
+    called = call(
         "study", "status", "activation", *TINY, "--seeds", "1,2", "--json", "--results", trained.results
     )
     runs = [(run["seed"], run["status"]) for run in called.document["runs"]]
@@ -180,7 +156,7 @@ def test_status_of_a_selection_of_its_own(trained: Trained) -> None:
 
 
 def test_status_for_people_counts_and_lists(trained: Trained) -> None:
-    called = _call("study", "status", "--results", trained.results)
+    called = call("study", "status", "--results", trained.results)
     lines = called.out.splitlines()
     assert lines[0] == "activation: 4 done"
     assert len(lines) == 5
@@ -192,12 +168,12 @@ def test_a_damaged_record_stands_in_no_other_studys_way(trained: Trained, tmp_pa
     (results / "studies" / "clip-range.json").write_text("{", encoding="utf-8")
     told = "clip-range.json: damaged; `pneuma study run clip-range` writes it anew.\n"
     for command, shown in (("status", "activation: 4 done"), ("plot", "fig-6-5.png")):
-        called = _call("study", command, "--results", results)
+        called = call("study", command, "--results", results)
         assert called.code == 0 and shown in called.out
         assert called.err.startswith("Note: ") and called.err.endswith(told)
-        assert _call("study", command, "clip-range", "--results", results).code == 2
+        assert call("study", command, "clip-range", "--results", results).code == 2
     (results / "studies" / "activation.json").unlink()
-    called = _call("study", "status", "--results", results)
+    called = call("study", "status", "--results", results)
     assert (called.code, called.out) == (2, "") and told[:-2] in called.err
 
 
@@ -208,7 +184,7 @@ def test_status_tells_how_far_a_run_is_that_was_killed(trained: Trained, tmp_pat
         shutil.rmtree(folder)
         (folder / "checkpoints").mkdir(parents=True)
     (killed / "checkpoints" / file_name(1024, b"")).touch()
-    lines = _call("study", "status", "--results", results).out.splitlines()
+    lines = call("study", "status", "--results", results).out.splitlines()
     ends = dict(line.split(maxsplit=3)[3].split("  ", 1) for line in lines[1:])
     assert ends.pop(killed.name) == "partial  at step 1,024"
     assert ends.pop(nothing.name) == "planned"
@@ -220,11 +196,11 @@ def test_status_tells_how_far_a_run_is_that_was_killed(trained: Trained, tmp_pat
 
 def test_plot_writes_into_the_results_unless_told_otherwise(trained: Trained, tmp_path: Path) -> None:
     results = Path(shutil.copytree(trained.results, tmp_path / "results"))
-    called = _call("study", "plot", "--results", results)
+    called = call("study", "plot", "--results", results)
     assert called.code == 0
     assert sorted(os.listdir(results / "figures")) == ["fig-6-5.png", "fig-6-5.svg", "index.json"]
     out = tmp_path / "out"
-    called = _call(
+    called = call(
         "study", "plot", "activation", "--results", results, "--out", out, "--format", "pdf", "--json"
     )
     assert called.document == {"schema": 1, "figures": [str(out / "fig-6-5.pdf")]}
@@ -235,7 +211,7 @@ def test_plot_writes_into_the_results_unless_told_otherwise(trained: Trained, tm
 
 
 def _export(trained: Trained, table: str, form: str, out: Path, *selection: str) -> bytes:
-    called = _call(
+    called = call(
         "study", "export", "activation", "--table", table, "--format", form, "--out", out, *selection,
         "--results", trained.results,
     )  # fmt: skip
@@ -295,7 +271,7 @@ def test_looks_of_curves_go_with_no_other_table(
     trained: Trained, tmp_path: Path, option: tuple[str, str]
 ) -> None:
     arguments = ("study", "export", "activation", "--table", "episodes", "--out", tmp_path / "e.csv")
-    called = _call(*arguments, *option, "--results", trained.results)
+    called = call(*arguments, *option, "--results", trained.results)
     assert called.code == 2 and f"{' '.join(option)}: goes with --table curves alone" in called.err
 
 
@@ -319,7 +295,7 @@ def test_actions_of_every_update_add_up(trained: Trained, tmp_path: Path) -> Non
 
 
 def test_exporting_to_a_folder_is_refused_in_one_line(trained: Trained, tmp_path: Path) -> None:
-    called = _call(
+    called = call(
         "study",
         "export",
         "activation",
@@ -344,7 +320,7 @@ def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path, as_js
     (cell,) = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",))).cells
     Store(tmp_path).save_run(cell.run_id, Status("diverged", 512), {})
     options = ["--json"] if as_json else []
-    called = _call(
+    called = call(
         "study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path, *options
     )
     assert called.code == 0
@@ -362,12 +338,12 @@ def test_a_crash_is_exit_code_1_and_says_where_to_look(
     script.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(script))
     results = tmp_path / "results"
-    called = _call("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", results)
+    called = call("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", results)
     assert called.code == 1
     (trace,) = results.glob("runs/*/error.txt")
     assert f"tanh seed 0 crashed: out of luck ({trace})" in called.out
     assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
-    status = _call("study", "status", "activation", "--json", "--results", results)
+    status = call("study", "status", "activation", "--json", "--results", results)
     assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
 
 
@@ -376,18 +352,18 @@ def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(execute, "execute", interrupt)
-    called = _call("study", "run", "activation", "--quiet", "--results", tmp_path)
+    called = call("study", "run", "activation", "--quiet", "--results", tmp_path)
     assert (called.code, called.out) == (130, "")
     assert len(called.err.splitlines()) == 1
 
 
 def test_a_plan_tells_runs_that_failed_apart(tmp_path: Path) -> None:
     plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "2", "--no-calibrate")
-    crashed, _ = _call(*plan, "--json", "--results", tmp_path).document["runs"]
+    crashed, _ = call(*plan, "--json", "--results", tmp_path).document["runs"]
     Store(tmp_path).save_run(crashed["run_id"], Status("crashed", 64), {})
-    document = _call(*plan, "--json", "--results", tmp_path).document
+    document = call(*plan, "--json", "--results", tmp_path).document
     assert [run["state"] for run in document["runs"]] == ["failed", "to-train"]
-    told = _call(*plan, "--results", tmp_path).out
+    told = call(*plan, "--results", tmp_path).out
     assert "crashed: --retry-failed trains it again" in told
     assert "\n1 failed, 1 to train.\n" in told
 
@@ -405,11 +381,11 @@ def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
         "--results",
         tmp_path,
     ]
-    (run,) = _call(*plan, "--json").document["runs"]
+    (run,) = call(*plan, "--json").document["runs"]
     assert run["state"] == "to-train"
     assert run["expected_seconds"] > 1  # 50,000 steps: no machine is that fast
-    again = _call(*plan)
+    again = call(*plan)
     assert "measuring" not in again.err  # it is kept
     assert "To train: about" in again.out and "MB of disk" in again.out
-    unknown = _call(*plan, "--set", "horizon=300", "--no-calibrate")
+    unknown = call(*plan, "--set", "horizon=300", "--no-calibrate")
     assert unknown.out.endswith("; how long it takes is not known, as no run like these was timed.\n")

@@ -1,0 +1,41 @@
+"""Commands as people type them, in this process, and what they gave."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pneuma.cli import main
+
+
+class Called(NamedTuple):
+    """What a command gave: exit code, standard output, standard error."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> Any:
+        """The one JSON document that it printed."""
+        return json.loads(self.out)
+
+
+def call(*arguments: str | Path) -> Called:
+    """Run `pneuma` with these words."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(argument) for argument in arguments])
+    return Called(code, out.getvalue(), err.getvalue())
+
+
+def refused(*arguments: str | Path) -> str:
+    """Run a command that must be refused; return the one line that it says, after its name."""
+    code, out, err = call(*arguments)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith("pneuma: ")
+    return line.removeprefix("pneuma: ")
