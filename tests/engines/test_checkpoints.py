@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress, Result, checkpoint_steps, load_engine
+from pneuma.config import make_run
+from pneuma.engines.base import Progress, checkpoint_steps, load_engine
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.records import Records
-from pneuma.engines.team import policy_files
 from pneuma.study.checkpoints import (
-    TABLES,
     checkpoint_files,
     decode,
     encode,
@@ -22,7 +20,8 @@ from pneuma.study.checkpoints import (
     outdated,
     read_checkpoint,
 )
-from pneuma.study.tables import to_parquet
+
+from .trained import bits, train
 
 SMALL: dict[str, object] = {
     "horizon": 64,
@@ -57,28 +56,6 @@ TRAINED = [
 BESIDE = [(engine, name) for engine, name in TRAINED if name in ("adam", "upgd", "players", "independent")]
 
 
-def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
-    """Train a run; return its end and a checkpoint of every update."""
-    taken: list[Checkpoint] = []
-
-    def keep(progress: Progress) -> bool:
-        taken.append(progress.checkpoint())
-        return True
-
-    start = {0: checkpoint} if checkpoint else {}
-    return next(load_engine(run.engine).train([run], start, keep)), taken
-
-
-def same_end(one: Result, other: Result) -> bool:
-    assert one.policy is not None and other.policy is not None
-    tables = [
-        [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
-        for result in (one, other)
-    ]
-    files = [policy_files(policy) for policy in (one.policy, other.policy)]
-    return tables[0] == tables[1] and files[0] == files[1] and one.step == other.step
-
-
 @pytest.mark.parametrize(("engine", "name"), TRAINED)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str, engine: str) -> None:
     run = make_run({**SMALL, **CASES[name], "engine": engine})
@@ -87,7 +64,7 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str, engine: s
         np.random.seed(1)
         torch.manual_seed(1)  # whatever other runs drew meanwhile
         resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
-        assert same_end(whole, resumed), checkpoint.step
+        assert bits(resumed) == bits(whole), checkpoint.step
 
 
 @pytest.mark.parametrize(("engine", "name"), BESIDE)
@@ -106,7 +83,7 @@ def test_a_run_ends_with_the_same_bits_whoever_is_trained_beside_it(name: str, e
     alone, _ = train(run)
     results = list(load_engine(engine).train([diverging, other, run], {}, lambda progress: True))
     assert [result.status for result in results] == ["diverged", "done", "done"]
-    assert same_end(alone, results[2])
+    assert bits(results[2]) == bits(alone)
 
 
 @pytest.mark.parametrize("engine", BOTH)

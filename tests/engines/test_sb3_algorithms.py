@@ -11,13 +11,13 @@ from stable_baselines3 import DQN
 
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3
-from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.base import load_engine
 from pneuma.engines.policy import Policy, read_policy
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.team import policy_files
-from pneuma.study.checkpoints import TABLES, decode, encode
-from pneuma.study.tables import to_parquet
+from pneuma.study.checkpoints import decode, encode
+
+from .trained import bits, train
 
 SMALL = {
     "actor": [16],
@@ -43,25 +43,6 @@ OF_VALUES = ("dqn", "double-dqn")
 
 def run_of(case: str, **settings: object) -> Run:
     return make_run({**BASES["table-6-2"], **SMALL, **CASES[case], **settings})
-
-
-def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
-    """Train a run; return its end and a checkpoint of every update."""
-    taken: list[Checkpoint] = []
-
-    def keep(progress: Progress) -> bool:
-        taken.append(progress.checkpoint())
-        return True
-
-    start = {0: checkpoint} if checkpoint else {}
-    return next(load_engine("sb3").train([run], start, keep)), taken
-
-
-def bits(result: Result) -> tuple[object, ...]:
-    """Return all that a run ends with; as Parquet, where NaN equals NaN."""
-    assert result.policy is not None
-    tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
-    return result.status, result.step, tables, policy_files(result.policy)
 
 
 @pytest.mark.parametrize("case", CASES)

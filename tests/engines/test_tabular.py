@@ -9,16 +9,15 @@ import pytest
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.checkpoint import CheckpointError
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.tabular import exploration_rate, temporal_difference
 from pneuma.engines.tabular_evaluation import TableEvaluation, estimated_values, optimal_values, policy_values
-from pneuma.engines.team import policy_files
 from pneuma.env.mailman import GO_HOME, GO_ON, LETTERS, POST_OFFICE, MailmanEnv, decision_process
-from pneuma.study.checkpoints import TABLES, decode, encode
-from pneuma.study.tables import to_parquet
+from pneuma.study.checkpoints import decode, encode
+
+from .trained import bits, train
 
 BOTH = ("q-learning", "double-q-learning")
 
@@ -26,24 +25,6 @@ BOTH = ("q-learning", "double-q-learning")
 def run_of(algorithm: str = "q-learning", **settings: object) -> Run:
     small = {"horizon": 10, "steps": 400, "learning_rate": 0.5, "evaluation_episodes": 5, "gamma": 0.9}
     return make_run({"env": MAILMAN, "algorithm": algorithm, **small, **settings})
-
-
-def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
-    """Train a run; return its end and a checkpoint of every update."""
-    taken: list[Checkpoint] = []
-
-    def keep(progress: Progress) -> bool:
-        taken.append(progress.checkpoint())
-        return True
-
-    start = {0: checkpoint} if checkpoint else {}
-    return next(load_engine("tabular").train([run], start, keep)), taken
-
-
-def bits(result: Result) -> tuple[object, ...]:
-    assert result.policy is not None
-    tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
-    return result.status, result.step, tables, policy_files(result.policy)
 
 
 # --- One step ----------------------------------------------------------------------------------------

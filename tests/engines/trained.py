@@ -1,0 +1,29 @@
+"""Trainings in this process, whatever the engine, and the bits that they end with."""
+
+from __future__ import annotations
+
+from pneuma.config import Run
+from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.team import policy_files
+from pneuma.study.checkpoints import TABLES
+from pneuma.study.tables import to_parquet
+
+
+def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
+    """Train a run; return its end and a checkpoint of every update."""
+    taken: list[Checkpoint] = []
+
+    def keep(progress: Progress) -> bool:
+        taken.append(progress.checkpoint())
+        return True
+
+    start = {0: checkpoint} if checkpoint else {}
+    return next(load_engine(run.engine).train([run], start, keep)), taken
+
+
+def bits(result: Result) -> tuple[object, ...]:
+    """Return all that a run ends with; as Parquet, where NaN equals NaN."""
+    assert result.policy is not None
+    tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
+    return result.status, result.step, tables, policy_files(result.policy)
