@@ -96,12 +96,21 @@ class Evaluation:
             self._begin()
             return play_episodes(self.worlds, policies, self.episodes, generator)
 
+        players, first_best = self.worlds.players.shape[1], self.episodes * self.worlds.players.shape[1]
+
         def act(worlds: Worlds) -> np.ndarray:
+            """Ask for both groups' actions, each as one product of all its rows while any of it plays.
+
+            Fewer rows would give other last bits, so that a group is asked whole, or not at all.
+            """
             observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
-            first_best = self.episodes * worlds.players.shape[1]
-            sampled = policy.sample(observations[:first_best], generator)
-            best = policy.best(observations[first_best:])
-            return np.concatenate([sampled, best]).reshape(worlds.players.shape)
+            plays = worlds.worlds["ending"] == rules.RUNNING
+            actions = np.zeros(len(observations), np.int64)
+            if plays[: self.episodes].any():
+                actions[:first_best] = policy.sample(observations[:first_best], generator)
+            if plays[self.episodes :].any():
+                actions[first_best:] = policy.best(observations[first_best:])
+            return actions.reshape(-1, players)
 
         return self._play(act)
 

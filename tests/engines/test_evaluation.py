@@ -106,3 +106,40 @@ def test_compiled_play_is_what_numpy_plays(
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
     assert evaluation.evaluate(policy, 7) == pytest.approx(compiled)
     assert compiled["length"] > 10
+
+
+class _Drowning(Policy):
+    """Goes right where its actions are drawn, into the sea, and stands its ground where it takes the best."""
+
+    def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        """Note the rows, and go right."""
+        ASKED.append(("sample", len(observations)))
+        return np.full(len(observations), 2)
+
+    def best(self, observations: np.ndarray) -> np.ndarray:
+        """Note the rows, and attack."""
+        ASKED.append(("best", len(observations)))
+        return np.full(len(observations), 4)
+
+
+ASKED: list[tuple[str, int]] = []
+
+
+def test_a_big_policy_is_asked_for_a_group_of_worlds_as_long_as_one_of_it_plays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And always for all rows of it: a product of fewer has other last bits."""
+    monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
+    ASKED.clear()
+    evaluation = Evaluation(run_of(env="pneuma/PneumaGodot-v0", evaluation_episodes=3, episode_steps=300))
+    layer = (np.zeros((1, 5), np.float32), np.zeros(5, np.float32))
+    returns = evaluation._play_policy(_Drowning("tanh", (layer,), (layer,)), 7)
+    steps, starts = evaluation.worlds.worlds["steps"].copy(), evaluation.argmax_starts
+    longest = {"sample": steps[:3].max(), "best": steps[3:].max()}
+    assert longest["sample"] < longest["best"]
+    for group, rows in (("sample", 3), ("best", starts)):
+        assert ASKED.count((group, rows)) == longest[group]
+    assert len(ASKED) == sum(longest.values())
+    actions = np.array([[2]] * 3 + [[4]] * starts)
+    np.testing.assert_array_equal(evaluation._play(lambda worlds: actions), returns)
+    np.testing.assert_array_equal(evaluation.worlds.worlds["steps"], steps)
