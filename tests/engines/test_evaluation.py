@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.engines.sb3 import make_env
 from pneuma.engines.team import Team
+from pneuma.env.worlds import Worlds
 
 
 def run_of(**settings: object) -> Run:
@@ -125,7 +128,7 @@ class _Drowning(Policy):
 ASKED: list[tuple[str, int]] = []
 
 
-def test_a_big_policy_is_asked_for_a_group_of_worlds_as_long_as_one_of_it_plays(
+def test_a_big_policy_is_asked_for_a_group_of_worlds_while_one_of_it_plays_and_sees_something_new(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And always for all rows of it: a product of fewer has other last bits."""
@@ -137,9 +140,14 @@ def test_a_big_policy_is_asked_for_a_group_of_worlds_as_long_as_one_of_it_plays(
     steps, starts = evaluation.worlds.worlds["steps"].copy(), evaluation.argmax_starts
     longest = {"sample": steps[:3].max(), "best": steps[3:].max()}
     assert longest["sample"] < longest["best"]
-    for group, rows in (("sample", 3), ("best", starts)):
-        assert ASKED.count((group, rows)) == longest[group]
-    assert len(ASKED) == sum(longest.values())
-    actions = np.array([[2]] * 3 + [[4]] * starts)
-    np.testing.assert_array_equal(evaluation._play(lambda worlds: actions), returns)
+    seen: list[bytes] = []
+
+    def act(worlds: Worlds) -> np.ndarray:
+        seen.append(worlds.observations[3:].tobytes())
+        return np.array([[2]] * 3 + [[4]] * starts)
+
+    np.testing.assert_array_equal(evaluation._play(act), returns)
+    changes = 1 + sum(before != after for before, after in pairwise(seen))
+    assert changes < longest["best"]
+    assert sorted(ASKED) == sorted([("sample", 3)] * int(longest["sample"]) + [("best", starts)] * changes)
     np.testing.assert_array_equal(evaluation.worlds.worlds["steps"], steps)
