@@ -1,6 +1,10 @@
 """Analysis: from records to curves. Reads the store, trains nothing."""
 
 BAND_NAMES = ("ci", "bootstrap", "se", "std", "variance", "minmax", "iqr", "runs")
+EDGED_BANDS = tuple(name for name in BAND_NAMES if name != "runs")
+"""Those that have a lower and an upper edge."""
+EXPORTED_BAND = "std"
+"""What exported curves have beside their means unless another is asked for."""
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
 LEARNERS_TABLE = "learners"

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import pandas as pd
 
-from pneuma.analysis import EPISODE_QUANTITIES
+from pneuma.analysis import EPISODE_QUANTITIES, EXPORTED_BAND
 from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
 from pneuma.analysis.rounding import decimals, shown
 from pneuma.analysis.summaries import summary_table
@@ -16,7 +16,7 @@ from pneuma.errors import UserError
 
 
 def encode_table(
-    data: StudyData, table: str, form: str, window: str | None = None, band: str = "std"
+    data: StudyData, table: str, form: str, window: str | None = None, band: str = EXPORTED_BAND
 ) -> tuple[bytes, int]:
     """Return one of `EXPORT_TABLES` in one of `EXPORT_FORMATS`, and its number of rows.
 
@@ -27,7 +27,7 @@ def encode_table(
         table: which.
         form: as what kind of file.
         window: of curves, one of `WINDOWS`; the study's usual one when left out.
-        band: of curves, one of `BAND_NAMES`, whose edges are the columns `low` and `high`.
+        band: of curves, one of `EDGED_BANDS`, whose edges are the columns `low` and `high`.
 
     Raises:
         UserError: where the data holds no such table or window.
@@ -41,7 +41,8 @@ def encode_table(
 
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return every curve there is; returns that were averaged when they were recorded say so."""
-    names = [name for name in EPISODE_QUANTITIES if name in data.quantities]
+    lacking = lacks_window(data, window)
+    names = [name for name in EPISODE_QUANTITIES if name in data.quantities and name not in lacking]
     curves = {name: training_curves(data, name, window) for name in names}
     if "evaluations" in data.tables:
         curves["share_killed"] = evaluation_curves(data)
@@ -51,6 +52,26 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over
     return table
+
+
+def lacks_window(data: StudyData, window: str | None) -> list[str]:
+    """Return the quantities of episodes that are not held with a window: small published tables hold few.
+
+    Raises:
+        UserError: for a window that no quantity is held with.
+    """
+    data.checked_window(window)
+    lacking, refusal = [], None
+    for name in EPISODE_QUANTITIES:
+        if name in data.quantities:
+            try:
+                data.curve(data.runs[0], name, window)
+            except UserError as error:
+                lacking.append(name)
+                refusal = error
+    if refusal and len(lacking) == sum(name in data.quantities for name in EPISODE_QUANTITIES):
+        raise refusal
+    return lacking
 
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:

@@ -11,11 +11,12 @@ import typer
 
 from pneuma.analysis import (
     ACTION_QUANTITIES,
-    BAND_NAMES,
+    EDGED_BANDS,
     EPISODE_QUANTITIES,
     EXPORT_FORMATS,
     EXPORT_SUFFIXES,
     EXPORT_TABLES,
+    EXPORTED_BAND,
     PUBLISHED_TABLES,
     UPDATE_QUANTITIES,
     WINDOWS,
@@ -44,8 +45,6 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 MOST_PUBLISHED_BYTES = 20_000_000
 """Over all studies (design section 4)."""
-_EDGES = tuple(name for name in BAND_NAMES if name != "runs")
-"""Bands that have a lower and an upper edge."""
 
 
 @selects
@@ -67,7 +66,9 @@ def export(
     band: Annotated[
         str | None,
         typer.Option(
-            "--band", metavar="|".join(_EDGES), help="Of curves: what low and high are (default: std)."
+            "--band",
+            metavar="|".join(EDGED_BANDS),
+            help=f"Of curves: what low and high are (default: {EXPORTED_BAND}).",
         ),
     ] = None,
     window: Annotated[
@@ -83,7 +84,7 @@ def export(
 ) -> None:
     """Write a study's records as one tidy table."""
     check_choice("--table", table, EXPORT_TABLES)
-    _check_looks_of_curves(table, band, window)
+    _check_curve_options(table, band, window)
     form = format or EXPORT_SUFFIXES.get(out.suffix, "csv" if str(out) == "-" else "")
     if not form:
         endings = ", ".join(EXPORT_SUFFIXES)
@@ -93,7 +94,7 @@ def export(
         raise UserError("--json: standard output is for the table; name a file by --out")
     store = Store(results)
     record = study_record(store, name, selection, setting)
-    from pneuma.analysis.export import encode_table
+    from pneuma.analysis.export import encode_table, lacks_window
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record, mixed=table in PUBLISHED_TABLES)
@@ -102,7 +103,9 @@ def export(
         raise UserError(f"--out {out}: is a folder; name a file")
     if str(out) != "-":
         check_folder("--out", out.parent)
-    encoded, rows = encode_table(data, table, form, window, band or "std")
+    if window and (lacking := lacks_window(data, window)):
+        say(f"Note: {', '.join(lacking)}: not held with the window {window}, and left out.", aside=True)
+    encoded, rows = encode_table(data, table, form, window, band or EXPORTED_BAND)
     if str(out) == "-":
         sys.stdout.buffer.write(encoded)
         return None
@@ -113,8 +116,9 @@ def export(
     return None
 
 
-def _check_looks_of_curves(table: str, band: str | None, window: str | None) -> None:
-    for option, value, allowed in (("--band", band, _EDGES), ("--window", window, WINDOWS)):
+def _check_curve_options(table: str, band: str | None, window: str | None) -> None:
+    """Refuse options of curves that are unknown, or go with another table."""
+    for option, value, allowed in (("--band", band, EDGED_BANDS), ("--window", window, WINDOWS)):
         if value is not None:
             check_choice(option, value, allowed)
             if table != "curves":

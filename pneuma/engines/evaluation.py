@@ -101,10 +101,10 @@ class Evaluation:
         seen = np.zeros(0, np.float32)
 
         def act(worlds: Worlds) -> np.ndarray:
-            """Ask for both groups' actions, each as one product of all its rows while any of it plays.
+            """Ask a group for the actions of all its rows, or not at all: fewer would give other last bits.
 
-            Fewer rows would give other last bits, so that a group is asked whole, or not at all: also where
-            those that take the best action see what they saw, as agents do that walk against a wall.
+            A group is not asked when all of it has ended; nor are best actions while observations stay the
+            same, as they do of agents that walk against a wall.
             """
             nonlocal seen
             observations = worlds.observations.reshape(-1, worlds.observations.shape[2])

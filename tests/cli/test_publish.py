@@ -13,6 +13,7 @@ from pneuma.study.store import Store
 
 from .calls import call
 
+ROOT = Path(__file__).parents[2]
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
 TINY = [
     "--steps", "256",
@@ -258,6 +259,15 @@ def test_a_fresh_clone_exports_the_same_tables(
 ) -> None:
     ours = _export(trained, table, tmp_path / "ours.csv", *selection)
     assert _export(clone, table, tmp_path / "theirs.csv", *selection) == ours
+
+
+def test_curves_that_a_rounded_table_lacks_with_a_window_are_told_and_left_out(tmp_path: Path) -> None:
+    """The tables that are committed keep returns alone as the thesis's figures average them."""
+    command = ("study", "export", "clip-range", "--table", "curves", "--window", "trailing-100")
+    called = call(*command, "--out", tmp_path / "c.csv", "--results", ROOT / "results")
+    assert called.code == 0 and "length: not held with the window trailing-100, and left out" in called.err
+    quantities = {line.split(",")[1] for line in (tmp_path / "c.csv").read_text().splitlines()[1:]}
+    assert quantities == {"return", "share_killed"}
 
 
 @pytest.mark.parametrize("table", ["episodes", "metrics"])

@@ -27,6 +27,8 @@ SMALL: dict[str, object] = {
     "betas": (0.9, 0.9), "engine": "sb3",
 }  # fmt: skip
 AT = 128
+OWN_STREAMS = "worlds/worlds"
+"""The worlds' own fields, keys of their random streams among them."""
 
 
 def train(run: Run, start: Checkpoint | None = None) -> tuple[Result, dict[int, Checkpoint]]:
@@ -71,9 +73,7 @@ def test_a_fork_begins_with_its_parents_weights_worlds_and_optimizer(
     for name, array in taken[AT].arrays.items():
         part = name.split("/")[0]
         seen.add(part)
-        if (
-            part in ("policy", "optimizer", "worlds", "last") and name != "worlds/worlds"
-        ):  # holds their streams
+        if part in ("policy", "optimizer", "worlds", "last") and name != OWN_STREAMS:
             assert np.array_equal(there.arrays[name], array), name
         if part == "random":
             assert not np.array_equal(there.arrays[name], array), name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -88,13 +89,31 @@ def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.Mo
     assert worker.deadline(3.0) == 153.0
 
 
-def test_a_run_whose_time_is_up_may_end_a_slow_update(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten times as long as the slowest before it, which took 20 s, and 30 s for the checkpoint."""
-    clock = iter([50.0, 52.0, 72.0, 75.0, 80.0])
-    monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: next(clock))
-    worker = local._Worker(Mock(), Mock(), Mock(), started=0.0)
-    for step in (64, 128, 192, 256):
-        worker.note_time({"event": "step", "run_id": "x", "step": step})
-    local._ask_to_stop(worker)
-    assert worker.deadline(3.0) == 53.0
-    assert worker.give_up() == 80.0 + 10 * 20.0 + 30.0
+def test_a_run_whose_time_is_up_is_waited_for_as_long_as_its_slow_updates_take(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its only update so far came after a minute; one that takes as long, and is evaluated, is no hang."""
+    clock = {"now": 0.0}
+    monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: clock["now"])
+    wakeup, other_end = os.pipe()
+    how = Supervision(1, timeout_seconds=4.0)
+    supervisor = local._Supervisor([], Mock(), how, Mock(), Mock(count=0, wakeup=wakeup))
+    process = Mock()
+    worker = local._Worker(process, Mock(), Mock(), started=0.0)
+    monkeypatch.setattr(supervisor, "_workers", lambda: [worker])
+
+    def look(now: float) -> tuple[bool, bool]:
+        """Return whether the run has been asked to stop, and whether it has been killed."""
+        clock["now"] = now
+        supervisor._end_overdue()
+        return process.stdin.write.called, process.kill.called
+
+    clock["now"] = 60.0
+    worker.note_time({"event": "step", "run_id": "x", "step": 64})
+    assert [look(now) for now in (63.0, 65.0, 96.0, 300.0)] == [
+        (False, False), (True, False), (True, False), (True, False),
+    ]  # fmt: skip
+    assert supervisor._patience() == pytest.approx(65 + 600 + 30 - 300, abs=1)
+    assert look(65 + 600 + 31) == (True, True)
+    os.close(other_end)
+    os.close(wakeup)

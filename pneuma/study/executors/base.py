@@ -70,7 +70,7 @@ class Supervision:
     Attributes:
         workers: how many train at once.
         checkpoint_seconds: between two checkpoints of a run.
-        timeout_seconds: the longest that a run may train in one go; None for ever.
+        timeout_seconds: after which a run is asked to stop; None for never.
         keep_checkpoints: how many of each run to keep for forks.
         place: where they are trained.
         on_gpu: ids of the runs that are to have a GPU each, where the executor hands them out.

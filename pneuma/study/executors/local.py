@@ -32,8 +32,8 @@ from pneuma.study.store import Status, Store, run_document
 BUSY_SECONDS = 1.0
 """How long to wait before asking again for a run that another process holds."""
 START_SECONDS = 300.0
-"""How long a worker may take to its first update, a minute for the biggest networks, before its time-out
-begins all the same."""
+"""How long a worker may take to its first update before its time-out begins all the same: the biggest
+networks take about a minute."""
 WAIT_SECONDS = 600.0
 """How long it may take besides where it waits for what another compiles."""
 STOP_SECONDS = 30.0
@@ -137,9 +137,8 @@ class _Worker:
         """Note when its first update came, how long updates take, and whether it waits for a program."""
         if event["event"] == "step":
             now = time.monotonic()
-            if self.begun is None:
-                self.begun = self.updated = now
-            self.slowest_update = max(self.slowest_update, now - (self.updated or now))
+            self.begun = self.begun or now
+            self.slowest_update = max(self.slowest_update, now - (self.updated or self.started))
             self.updated = now
         elif self.waits:
             self.started = time.monotonic()
@@ -151,12 +150,14 @@ class _Worker:
             return self.begun + seconds
         return self.started + START_SECONDS + seconds + (WAIT_SECONDS if self.waits else 0.0)
 
-    def give_up(self) -> float:
+    def last_deadline(self) -> float:
         """Return when to stop waiting for the checkpoint of a run that was told that its time is up.
 
         It heeds that between two updates, and one of the biggest networks with its evaluation takes minutes.
+        How long the first took is known with the start before it, which is long enough.
         """
-        return (self.asked_to_stop or time.monotonic()) + STOP_UPDATES * self.slowest_update + STOP_SECONDS
+        assert self.asked_to_stop is not None
+        return self.asked_to_stop + STOP_UPDATES * self.slowest_update + STOP_SECONDS
 
     @property
     def final(self) -> bool:
@@ -235,7 +236,7 @@ class _Supervisor:
         due = []
         for worker in self._workers():
             if worker.timed_out:
-                due.append(worker.give_up())
+                due.append(worker.last_deadline())
             elif self._how.timeout_seconds is not None:
                 due.append(worker.deadline(self._how.timeout_seconds))
         if len(self._workers()) < self._how.workers:
@@ -251,7 +252,7 @@ class _Supervisor:
             if not worker.timed_out and now >= worker.deadline(self._how.timeout_seconds):
                 worker.timed_out = True
                 _ask_to_stop(worker)
-            elif worker.timed_out and now >= worker.give_up():
+            elif worker.timed_out and now >= worker.last_deadline():
                 worker.process.kill()
 
     def _read(self, worker: _Worker) -> None:
