@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.batched.state import begin_fork, restore_checkpoint, take_checkpoint
 from pneuma.engines.batched.training import Training
 from pneuma.engines.checkpoint import Checkpoint
@@ -17,6 +16,8 @@ from pneuma.engines.records import Records
 from pneuma.engines.team import policy_files
 from pneuma.env.worlds import Worlds
 from pneuma.study.identity import run_id
+
+from .trained import train
 
 SMALL: dict[str, Any] = {
     "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 256, "actor": [8], "critic": [8],
@@ -26,22 +27,16 @@ INDEPENDENT = {"players": 2, "learners": "independent", "steps": 512}
 AT = {"one": 128, "independent": 256}
 
 
-def train(run: Run, start: Checkpoint | None = None) -> tuple[Result, dict[int, Checkpoint]]:
-    """Train a run; return its end and its checkpoints by step."""
-    taken: dict[int, Checkpoint] = {}
-
-    def keep(progress: Progress) -> bool:
-        taken[progress.step] = progress.checkpoint()
-        return True
-
-    return next(load_engine("batched").train([run], {0: start} if start else {}, keep)), taken
-
-
 @pytest.fixture(scope="module", params=AT)
 def parent(request: pytest.FixtureRequest) -> tuple[Run, Checkpoint]:
     """A run, and a checkpoint of its middle: with one learner, and with two."""
     run = make_run({**SMALL, **(INDEPENDENT if request.param == "independent" else {})})
-    return run, train(run)[1][AT[request.param]]
+    return run, at_step(train(run)[1], AT[request.param])
+
+
+def at_step(taken: list[Checkpoint], step: int) -> Checkpoint:
+    """Return the checkpoint of a step."""
+    return next(checkpoint for checkpoint in taken if checkpoint.step == step)
 
 
 def forked(parent: Run, checkpoint: Checkpoint, seed: int = 0, **changes: object) -> Run:
@@ -162,7 +157,7 @@ def test_forks_of_unlike_seeds_differ_and_a_fork_goes_on_after_a_kill(
     whole, own = train(forked(run, checkpoint), checkpoint)
     other, _ = train(forked(run, checkpoint, seed=1), checkpoint)
     after = checkpoint.step + run.steps_per_update
-    resumed, _ = train(forked(run, checkpoint), own[after])
+    resumed, _ = train(forked(run, checkpoint), at_step(own, after))
     assert whole.policy is not None and other.policy is not None and resumed.policy is not None
     assert policy_files(whole.policy) != policy_files(other.policy)
     assert policy_files(whole.policy) == policy_files(resumed.policy)
