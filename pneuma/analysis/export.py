@@ -58,20 +58,19 @@ def lacks_window(data: StudyData, window: str | None) -> list[str]:
     """Return the quantities of episodes that are not held with a window: small published tables hold few.
 
     Raises:
-        UserError: for a window that no quantity is held with.
+        UserError: for a window that the data cannot have.
     """
     data.checked_window(window)
-    lacking, refusal = [], None
-    for name in EPISODE_QUANTITIES:
-        if name in data.quantities:
-            try:
-                data.curve(data.runs[0], name, window)
-            except UserError as error:
-                lacking.append(name)
-                refusal = error
-    if refusal and len(lacking) == sum(name in data.quantities for name in EPISODE_QUANTITIES):
-        raise refusal
-    return lacking
+    held = [name for name in EPISODE_QUANTITIES if name in data.quantities]
+    return [name for name in held if not _is_held(data, name, window)]
+
+
+def _is_held(data: StudyData, quantity: str, window: str | None) -> bool:
+    try:
+        data.curve(data.runs[0], quantity, window)
+    except UserError:
+        return False
+    return True
 
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:

@@ -10,6 +10,18 @@ from typing import Any, NamedTuple
 
 from pneuma.cli import main
 
+SMALL_RUN = """
+[run]
+horizon = 64
+minibatch = 32
+epochs = 1
+actor = [8]
+critic = [8]
+evaluation_episodes = 2
+episode_steps = 40
+"""
+"""Of a study file: what makes its runs as short as can be."""
+
 
 class Called(NamedTuple):
     """What a command gave: exit code, standard output, standard error."""

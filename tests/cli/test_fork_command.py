@@ -12,20 +12,13 @@ import pytest
 
 from pneuma.study.store import Store
 
-from .calls import call
+from .calls import SMALL_RUN, call
 
-STUDY = """
+STUDY = f"""
 title = "Parents"
 base = "table-6-2"
 keep_checkpoints = 2
-[run]
-horizon = 64
-minibatch = 32
-epochs = 1
-actor = [8]
-critic = [8]
-evaluation_episodes = 2
-episode_steps = 40
+{SMALL_RUN}
 [conditions.only]
 [presets.quick]
 seeds = 1

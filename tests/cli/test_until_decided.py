@@ -21,6 +21,8 @@ from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from pneuma.until_decided import compared, run_until_decided
 
+from .calls import SMALL_RUN
+
 STUDY = "activation"
 
 
@@ -223,18 +225,11 @@ def test_options_that_contradict_each_other(options: list[str], message: str, tm
 
 # --- The command ---------------------------------------------------------------------------------
 
-TINY = """
+TINY = f"""
 title = "Tiny"
 base = "table-6-2"
 baseline = "slow"
-[run]
-horizon = 64
-minibatch = 32
-epochs = 1
-actor = [8]
-critic = [8]
-evaluation_episodes = 2
-episode_steps = 40
+{SMALL_RUN}
 [conditions.slow]
 learning_rate = 1e-4
 [conditions.fast]

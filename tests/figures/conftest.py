@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.figures import curves, style, summary
+from pneuma.figures import curves, sensitivity, style, summary
 
 from .hand_made import HandMade
 
@@ -22,8 +22,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         figures.append(figure)
         return style.save_figure(figure, *arguments)
 
-    monkeypatch.setattr(curves, "save_figure", save)
-    monkeypatch.setattr(summary, "save_figure", save)
+    for module in (curves, summary, sensitivity):
+        monkeypatch.setattr(module, "save_figure", save)
     return figures
 
 

@@ -12,22 +12,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from pneuma.analysis.sources import open_study
-from pneuma.figures import sensitivity, style
+from pneuma.figures import sensitivity
 
 from .hand_made import HandMade, words
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The sensitivity figures that were about to be saved; they are saved all the same."""
-    figures: list[Figure] = []
-
-    def save(figure: Figure, *arguments: Any) -> list[Path]:
-        figures.append(figure)
-        return style.save_figure(figure, *arguments)
-
-    monkeypatch.setattr(sensitivity, "save_figure", save)
-    return figures
 
 
 def _xs(line: Any) -> list[float]:

@@ -151,11 +151,7 @@ class _Worker:
         return self.started + START_SECONDS + seconds + (WAIT_SECONDS if self.waits else 0.0)
 
     def last_deadline(self) -> float:
-        """Return when to stop waiting for the checkpoint of a run that was told that its time is up.
-
-        It heeds that between two updates, and one of the biggest networks with its evaluation takes minutes.
-        How long the first took is known with the start before it, which is long enough.
-        """
+        """Return when to stop waiting for a run's checkpoint, which comes between two updates."""
         assert self.asked_to_stop is not None
         return self.asked_to_stop + STOP_UPDATES * self.slowest_update + STOP_SECONDS
 
