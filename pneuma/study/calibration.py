@@ -26,6 +26,8 @@ from pneuma.study.store import Store
 MEASURED_SECONDS = 4.0
 COLD_SECONDS = 30.0
 """A start that takes longer may have compiled without a word; or drawn the weights of a big network."""
+START_MATTERS = 0.1
+"""A start that is less of the whole run than this is not worth another: of big networks it takes minutes."""
 COMPILED = 10.0
 """How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 
@@ -41,7 +43,8 @@ def calibrate(
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
         pace, compiled = _measure(run)
-        if pace and (compiled or pace.start > COLD_SECONDS):  # runs to come find the programs compiled
+        cold = pace and (compiled or pace.start > COLD_SECONDS)  # runs to come find the programs compiled
+        if pace and cold and pace.start > START_MATTERS * pace.seconds(run.steps):
             say("it had to compile first; measuring once more …")
             pace = _measure(run)[0] or pace
         if pace:

@@ -173,13 +173,30 @@ def test_a_start_that_compiled_is_measured_again(
     tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every run of a plan would otherwise be told to take a compilation longer than it does."""
-    paces = iter([(foresight.Pace(6.0, 0.5), True), (foresight.Pace(2.0, 0.5), False)])
+    run = replace(planned.cells[0].run, steps=1024)
+    compiled, loaded = foresight.Pace(30.0, 0.01), foresight.Pace(2.0, 0.01)
+    paces = iter([(compiled, True), (loaded, False)])
     monkeypatch.setattr(calibration, "_measure", lambda run: next(paces))
     told: list[str] = []
-    run = planned.cells[0].run
-    found = calibration.calibrate([run], Store(tmp_path), {}, told.append)
-    assert found == {foresight.kind(run): foresight.Pace(2.0, 0.5)}
+    assert calibration.calibrate([run], Store(tmp_path), {}, told.append) == {foresight.kind(run): loaded}
     assert told[1:] == ["it had to compile first; measuring once more …"]
+
+
+def test_a_start_that_a_run_hardly_feels_is_measured_once(
+    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A big network's first update comes after minutes, which another measurement would cost once more."""
+    run = replace(planned.cells[0].run, steps=40_192)
+    asked: list[Run] = []
+
+    def measure(run: Run) -> tuple[foresight.Pace, bool]:
+        asked.append(run)
+        return foresight.Pace(60.0, 0.03), True
+
+    monkeypatch.setattr(calibration, "_measure", measure)
+    monkeypatch.setattr(calibration, "_with_evaluations", lambda run, pace: pace)
+    calibration.calibrate([run], Store(tmp_path), {}, lambda text: None)
+    assert asked == [run]
 
 
 def test_a_run_too_slow_to_come_to_an_evaluation_is_told_its_evaluations(
