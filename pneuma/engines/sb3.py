@@ -28,6 +28,7 @@ from pneuma.engines.sb3_learners import Learner, make_model, seed_streams
 from pneuma.engines.sb3_listening import (
     LOSSES,
     NAN,
+    VISITED_METRICS,
     GradientNorms,
     Visited,
     extract_policy,
@@ -131,8 +132,18 @@ class Sb3Trainer:
 
 
 def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[str, float]:
-    """Let a learner collect a rollout, by `policy`, and train on it; return what it told of both."""
-    model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
+    """Let a learner collect a rollout, by `policy`, and train on it; return what it told of both.
+
+    torch draws no action by logits that are not numbers, as of huge weights, each of which is one still:
+    that run diverged.
+    """
+    try:
+        model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
+    except ValueError:
+        with np.errstate(over="ignore", invalid="ignore"):
+            if np.isfinite(policy.logits(model._last_obs)).all():
+                raise
+        return dict.fromkeys((*LOSSES, *VISITED_METRICS), NAN)
     rollout = rollout_metrics(model, policy)
     model._update_current_progress_remaining(model.num_timesteps, run.steps)
     return {**learn_from_rollout(model, run), **rollout}

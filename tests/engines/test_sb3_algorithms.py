@@ -13,7 +13,7 @@ from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import load_engine
 from pneuma.engines.policy import Policy, read_policy
-from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Records
 from pneuma.engines.team import policy_files
 from pneuma.study.checkpoints import decode, encode
 
@@ -116,6 +116,24 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
     assert (diverged.status, diverged.policy) == ("diverged", None)
     assert diverged.step == diverged.records.metrics[-1]["step"] < wild.steps
     assert bits(after) == bits(train(clean)[0])
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case not in OF_VALUES])
+def test_a_run_whose_logits_overflow_while_it_plays_diverged(case: str) -> None:
+    """Weights of 1e20 are numbers yet; what three layers make of them is none, and torch refuses to draw by it."""
+    run = run_of(case, activation="leaky-relu", actor=[16, 16])
+    model = sb3.make_model(run, sb3.make_env(run))
+    with torch.no_grad():
+        for weight in model.policy.parameters():
+            weight.fill_(1e20)
+    records = Records()
+    with sb3.gradient_norms(model, run) as norms:
+        assert not sb3.Sb3Trainer(model, run, norms).update(0, run.steps_per_update, records)
+    (row,) = records.metrics
+    usual = train(run)[0].records.metrics[0]
+    assert row["step"] == run.steps_per_update
+    assert set(row) == set(usual)
+    assert not np.isfinite([row["policy_loss"], row["dead_units"], row["action_0"]]).any()
 
 
 # --- Double DQN --------------------------------------------------------------------------------------
