@@ -38,10 +38,18 @@ class Called(NamedTuple):
 
 def call(*arguments: str | Path) -> Called:
     """Run `pneuma` with these words."""
-    out, err = io.StringIO(), io.StringIO()
+    data, err = io.BytesIO(), io.StringIO()  # tables are written as bytes
+    out = io.TextIOWrapper(data, encoding="utf-8", newline="", write_through=True)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(argument) for argument in arguments])
-    return Called(code, out.getvalue(), err.getvalue())
+    return Called(code, data.getvalue().decode(), err.getvalue())
+
+
+def printed(*arguments: str | Path) -> str:
+    """Run a command that must go well; return what it printed."""
+    code, out, err = call(*arguments)
+    assert code == 0, err
+    return out
 
 
 def refused(*arguments: str | Path) -> str:

@@ -21,6 +21,8 @@ from pneuma.env.worlds import Worlds
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store, run_document
 
+from .calls import call, refused
+
 Captured = pytest.CaptureFixture[str]
 
 
@@ -128,12 +130,12 @@ def test_settings_leave_the_mailman_out_aloud(capsys: Captured) -> None:
     assert {row["env"] for row in json.loads(output.out)["checks"]} == {*ENVIRONMENTS, *MO_ENVIRONMENTS}
 
 
-def test_a_reward_that_raises_is_named_when_an_episode_is_drawn(here: Path, capsys: Captured) -> None:
+def test_a_reward_that_raises_is_named_when_an_episode_is_drawn(here: Path) -> None:
     (here / "cruel.py").write_text(
         "import numpy as np\ncalls = [0]\ndef pay(events, players, stats):\n    calls[0] += 1\n"
         "    return {}[calls[0]] if calls[0] > 5 else np.zeros(events.shape)\n"
     )
-    line = refusal(["render", "pneuma/Pneuma-v0", "--set", "reward=cruel:pay", "--out", "a.gif"], capsys)
+    line = refused("env", "render", "pneuma/Pneuma-v0", "--set", "reward=cruel:pay", "--out", "a.gif")
     assert "reward 'cruel:pay'" in line and "cruel.py, line 5" in line and "KeyError: 6" in line
     assert not list(here.glob("*.gif"))
 
@@ -223,17 +225,15 @@ def test_a_run_plays_in_its_own_environment(here: Path, arena: str, capsys: Capt
     assert "killed, 4 steps" in capsys.readouterr().out
 
 
-def test_a_run_in_which_it_does_not_fit_is_refused(here: Path, capsys: Captured) -> None:
+def test_a_run_in_which_it_does_not_fit_is_refused(here: Path) -> None:
     name = store_run(here / "results")
     start = ["render", "pneuma/Pneuma-v0", "--player", name, "--out", "run.gif"]
-    assert "was trained on 60 features; these settings make 31" in refusal(
-        [*start, "--set", "observation=pygame", "--set", "perceive=nearest:5"], capsys
+    assert "was trained on 60 features; these settings make 31" in refused(
+        "env", *start, "--set", "observation=pygame", "--set", "perceive=nearest:5"
     )
-    assert "was trained on 5 actions; these settings make 7" in refusal(
-        [*start, "--set", "magic=true"], capsys
-    )
+    assert "was trained on 5 actions; these settings make 7" in refused("env", *start, "--set", "magic=true")
     start[1] = "pneuma/PneumaGodot-v0"
-    assert "was trained in pneuma/Pneuma-v0" in refusal(start, capsys)
+    assert "was trained in pneuma/Pneuma-v0" in refused("env", *start)
 
 
 def test_no_code_of_a_stored_reward_runs(here: Path) -> None:
@@ -279,16 +279,16 @@ MISTAKES: list[tuple[list[str], str]] = [
 
 
 @pytest.mark.parametrize(("arguments", "told"), MISTAKES, ids=lambda value: str(value)[-40:])
-def test_a_mistake_is_one_line_and_nothing_is_drawn(
-    arguments: list[str], told: str, here: Path, capsys: Captured
-) -> None:
-    assert told in refusal(arguments, capsys)
+def test_a_mistake_is_one_line_and_nothing_is_drawn(arguments: list[str], told: str, here: Path) -> None:
+    code, _, err = call("env", *arguments)
+    (line,) = err.splitlines()
+    assert code == 2 and told in line
     assert not list(here.iterdir())
 
 
-def test_a_folder_is_no_file(here: Path, capsys: Captured) -> None:
+def test_a_folder_is_no_file(here: Path) -> None:
     (here / "map.png").mkdir()
-    assert "map.png: is a folder" in refusal([*RENDER, "map.png"], capsys)
+    assert "map.png: is a folder" in refused("env", *RENDER, "map.png")
 
 
 def test_playing_without_a_display_is_refused(here: Path) -> None:
@@ -300,10 +300,3 @@ def test_playing_without_a_display_is_refused(here: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.splitlines() == ["pneuma: no window can be opened: there is no display here"]
-
-
-def refusal(arguments: list[str], captured: Captured) -> str:
-    """Run a command that must be refused, and return its one line."""
-    assert main(["env", *arguments]) == 2
-    (line,) = captured.readouterr().err.splitlines()
-    return line

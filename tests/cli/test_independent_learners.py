@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.cli import main
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, LEARNER_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.team import Team, policy_files
@@ -19,6 +18,8 @@ from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
 from pneuma.study.tables import to_parquet
+
+from .calls import printed, refused
 
 STUDY = """
 title = "Two"
@@ -35,7 +36,6 @@ learners = "independent"
 seeds = 1
 steps = 1280
 """
-Captured = pytest.CaptureFixture[str]
 
 
 def policy(number: int) -> Policy:
@@ -86,38 +86,32 @@ def run_ids(plan: Plan) -> dict[str, str]:
     return {cell.condition: cell.run_id for cell in plan.cells}
 
 
-def exported(captured: Captured, *arguments: str) -> list[dict[str, str]]:
-    assert main(["study", "export", "two.toml", "--out", "-", "--format", "csv", *arguments]) == 0
-    return list(csv.DictReader(io.StringIO(captured.readouterr().out)))
+def exported(*arguments: str) -> list[dict[str, str]]:
+    text = printed("study", "export", "two.toml", "--out", "-", "--format", "csv", *arguments)
+    return list(csv.DictReader(io.StringIO(text)))
 
 
-def refusal(captured: Captured, *arguments: str) -> str:
-    assert main(list(arguments)) == 2
-    (line,) = captured.readouterr().err.splitlines()
-    return line
-
-
-def test_the_table_of_learners_is_of_the_runs_that_have_it(plan: Plan, capsys: Captured) -> None:
-    rows = exported(capsys, "--table", "learners")
+def test_the_table_of_learners_is_of_the_runs_that_have_it(plan: Plan) -> None:
+    rows = exported("--table", "learners")
     told = [(row["condition"], row["step"], row["learner"], row["value_loss"]) for row in rows]
     assert told == [("independent", "128", "0", "1.0"), ("independent", "128", "1", "2.0")]
     shared = ("study", "export", "two.toml", "--condition", "shared", "--table", "learners", "--out", "a.csv")
-    assert 'no finished run has learners = "independent"' in refusal(capsys, *shared)
+    assert 'no finished run has learners = "independent"' in refused(*shared)
 
 
-def test_a_curve_begins_when_every_player_has_finished_an_episode(plan: Plan, capsys: Captured) -> None:
-    rows = exported(capsys, "--table", "curves", "--condition", "shared")
+def test_a_curve_begins_when_every_player_has_finished_an_episode(plan: Plan) -> None:
+    rows = exported("--table", "curves", "--condition", "shared")
     steps = [float(row["step"]) for row in rows if row["quantity"] == "return" and row["mean"]]
     assert min(steps) == 640  # and it does begin: two players of one slot are two slots of episodes
 
 
-def test_export_asks_whose_policy(plan: Plan, capsys: Captured) -> None:
+def test_export_asks_whose_policy(plan: Plan) -> None:
     own, shared = run_ids(plan)["independent"], run_ids(plan)["shared"]
     export = ("run", "export", own, "--out", "a.zip")
-    assert "each player has its own policy; choose --player 0 to 1" in refusal(capsys, *export)
-    assert "there is no player 2" in refusal(capsys, *export, "--player", "2")
+    assert "each player has its own policy; choose --player 0 to 1" in refused(*export)
+    assert "there is no player 2" in refused(*export, "--player", "2")
     assert not Path("a.zip").exists()
-    assert main([*export, "--player", "1"]) == 0 and Path("a.zip").exists()
-    capsys.readouterr()
-    line = refusal(capsys, "run", "export", shared, "--out", "b.zip", "--player", "0")
+    printed(*export, "--player", "1")
+    assert Path("a.zip").exists()
+    line = refused("run", "export", shared, "--out", "b.zip", "--player", "0")
     assert f"all players of run {shared} share one policy" in line

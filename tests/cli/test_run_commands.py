@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.cli import main
 from pneuma.config import Run, make_run
 from pneuma.engines.policy import Policy
 from pneuma.study.execute import selection_record
@@ -25,7 +24,7 @@ from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
 
-Captured = pytest.CaptureFixture[str]
+from .calls import printed, refused
 
 ALONE = "00aa000000000000"
 """A run that no study holds."""
@@ -94,32 +93,19 @@ def store(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
     return store
 
 
-def call(captured: Captured, *arguments: str) -> str:
-    assert main(list(arguments)) == 0
-    return captured.readouterr().out
-
-
-def refusal(captured: Captured, *arguments: str) -> str:
-    assert main(list(arguments)) == 2
-    output = captured.readouterr()
-    assert output.out == ""
-    (line,) = output.err.splitlines()
-    return line
-
-
 # --- list ------------------------------------------------------------------------------------------
 
 
-def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, capsys: Captured) -> None:
+def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan) -> None:
     tanh, relu = (cell.run_id for cell in plan.cells)
-    rows = [line.split() for line in call(capsys, "run", "list").splitlines()]
+    rows = [line.split() for line in printed("run", "list").splitlines()]
     assert rows == [
         [tanh, "done", "640", "steps", "seed", "7", "activation/tanh"],
         [relu, "done", "640", "steps", "seed", "7", "activation/relu"],
         [ALONE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
         [ALIKE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
     ]
-    document = json.loads(call(capsys, "run", "list", "--json"))
+    document = json.loads(printed("run", "list", "--json"))
     held = [{"study": "activation", "condition": "tanh", "seed": 7}]
     assert document["schema"] == 1
     assert document["runs"][0] == {
@@ -128,26 +114,24 @@ def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, c
     assert document["runs"][2]["studies"] == []
 
 
-def test_a_run_whose_file_is_gone_is_listed_as_damaged(store: Store, capsys: Captured) -> None:
+def test_a_run_whose_file_is_gone_is_listed_as_damaged(store: Store) -> None:
     (store.run_folder(ALONE) / "policy.safetensors").unlink()
-    states = {
-        row["run_id"]: row["status"] for row in json.loads(call(capsys, "run", "list", "--json"))["runs"]
-    }
+    states = {row["run_id"]: row["status"] for row in json.loads(printed("run", "list", "--json"))["runs"]}
     assert (states[ALONE], states[ALIKE]) == ("damaged", "done")
 
 
-def test_a_list_of_nothing_is_no_mistake(tmp_path: Path, capsys: Captured) -> None:
-    assert "No run is stored" in call(capsys, "run", "list", "--results", str(tmp_path / "none"))
+def test_a_list_of_nothing_is_no_mistake(tmp_path: Path) -> None:
+    assert "No run is stored" in printed("run", "list", "--results", str(tmp_path / "none"))
     assert not (tmp_path / "none").exists()
 
 
-def test_a_thousand_runs_are_listed_in_seconds(store: Store, capsys: Captured) -> None:
+def test_a_thousand_runs_are_listed_in_seconds(store: Store) -> None:
     for number in range(1000):
         shutil.copytree(
             store.run_folder(ALONE), store.root / "runs" / f"{number:016x}", copy_function=os.link
         )
     began = time.process_time()
-    lines = call(capsys, "run", "list").splitlines()
+    lines = printed("run", "list").splitlines()
     assert len(lines) == 1004
     assert time.process_time() - began < 5  # half a second where this was written
 
@@ -155,9 +139,9 @@ def test_a_thousand_runs_are_listed_in_seconds(store: Store, capsys: Captured) -
 # --- show ------------------------------------------------------------------------------------------
 
 
-def test_show_says_what_produced_a_run(store: Store, plan: Plan, capsys: Captured) -> None:
+def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
     cell = plan.cells[0]
-    shown = " ".join(call(capsys, "run", "show", cell.run_id).split())
+    shown = " ".join(printed("run", "show", cell.run_id).split())
     for words in (
         f"run {cell.run_id}: done, 640 steps trained",
         "study activation, condition tanh, seed 7",
@@ -177,15 +161,15 @@ def test_show_says_what_produced_a_run(store: Store, plan: Plan, capsys: Capture
     assert "gamma" not in shown  # at its default
 
 
-def test_show_all_names_every_setting_once(store: Store, capsys: Captured) -> None:
-    shown = call(capsys, "run", "show", ALONE, "--all")
+def test_show_all_names_every_setting_once(store: Store) -> None:
+    shown = printed("run", "show", ALONE, "--all")
     settings = [line.partition(" = ")[0].split()[-1] for line in shown.splitlines() if " = " in line]
     assert sorted(settings) == sorted(Run.__dataclass_fields__)
 
 
-def test_the_document_of_show_is_complete(store: Store, plan: Plan, capsys: Captured) -> None:
+def test_the_document_of_show_is_complete(store: Store, plan: Plan) -> None:
     cell = plan.cells[1]
-    document = json.loads(call(capsys, "run", "show", cell.run_id, "--json"))
+    document = json.loads(printed("run", "show", cell.run_id, "--json"))
     assert document["schema"] == 1
     assert make_run(document["settings"]) == cell.run
     changed = ("activation", "betas", "episode_steps", "horizon", "seed", "steps")
@@ -200,83 +184,83 @@ def test_the_document_of_show_is_complete(store: Store, plan: Plan, capsys: Capt
     }
 
 
-def test_a_run_that_has_not_ended_is_not_called_damaged(store: Store, plan: Plan, capsys: Captured) -> None:
+def test_a_run_that_has_not_ended_is_not_called_damaged(store: Store, plan: Plan) -> None:
     run = replace(plan.cells[0].run, seed=11)
     name = run_id(run)
     store.write(store.run_folder(name) / "run.json", run_document(run, name))
-    told = call(capsys, "run", "show", name)
+    told = printed("run", "show", name)
     assert "damaged" not in told
     assert "No provenance: it is written when a run has ended." in told
-    document = json.loads(call(capsys, "run", "show", name, "--json"))
+    document = json.loads(printed("run", "show", name, "--json"))
     assert document["settings"]["seed"] == 11
 
 
-def test_a_resume_that_could_give_other_bits_is_flagged(store: Store, capsys: Captured) -> None:
+def test_a_resume_that_could_give_other_bits_is_flagged(store: Store) -> None:
     resumes = [
         {"step": 128, "at": "2026-01-02T04:00:00+00:00", "differences": []},
         {"step": 192, "at": "2026-01-02T05:00:00+00:00", "differences": ["cpu (A processor, now another)"]},
     ]
     save(store, ALONE, make_run({}), {**MACHINE, "resumes": resumes})
-    resumed = [line for line in call(capsys, "run", "show", ALONE).splitlines() if "resumed" in line]
+    resumed = [line for line in printed("run", "show", ALONE).splitlines() if "resumed" in line]
     assert len(resumed) == 2
     assert "step 128" in resumed[0] and "NOT" not in resumed[0]
     assert "step 192" in resumed[1] and "could differ: cpu (A processor, now another)" in resumed[1]
-    document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
+    document = json.loads(printed("run", "show", ALONE, "--json"))
     assert document["resumed_elsewhere"] is True
-    assert json.loads(call(capsys, "run", "show", ALIKE, "--json"))["resumed_elsewhere"] is False
+    assert json.loads(printed("run", "show", ALIKE, "--json"))["resumed_elsewhere"] is False
 
 
-def test_show_says_which_file_is_not_what_was_written(store: Store, capsys: Captured) -> None:
+def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
     folder = store.run_folder(ALONE)
     data = bytearray((folder / "run.json").read_bytes())
     data[len(data) // 2] ^= 1
     (folder / "run.json").write_bytes(bytes(data))
     (folder / "provenance.json").unlink()
     (folder / "more.txt").write_text("mine")
-    document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
+    document = json.loads(printed("run", "show", ALONE, "--json"))
     assert document["status"] == "damaged"
-    assert f"run {ALONE}: damaged (run.json)" in call(capsys, "run", "show", ALONE)
+    assert f"run {ALONE}: damaged (run.json)" in printed("run", "show", ALONE)
     assert {file["name"]: file["state"] for file in document["files"]} == {
         "run.json": "damaged",
         "provenance.json": "missing",
         "policy.safetensors": "sound",
         "more.txt": "unlisted",
     }
-    shown = call(capsys, "run", "show", ALONE)
+    shown = printed("run", "show", ALONE)
     assert "configuration is missing or damaged" in shown
     assert "provenance is missing or damaged" in shown
 
 
-def test_a_file_outside_the_folder_is_not_even_measured(store: Store, capsys: Captured) -> None:
+def test_a_file_outside_the_folder_is_not_even_measured(store: Store) -> None:
     (store.root / "secret.json").write_text("{}")
     for name in ("../../secret.json", str(store.root / "secret.json")):
         files = {name: checksum(b"{}")}
         status = seal({"status": "done", "step": 256, "files": files})
         (store.run_folder(ALONE) / "status.json").write_bytes(status)
-        document = json.loads(call(capsys, "run", "show", ALONE, "--json"))
+        document = json.loads(printed("run", "show", ALONE, "--json"))
         assert {"name": name, "bytes": 0, "state": "refused"} in document["files"]
         assert document["status"] == "damaged"
 
 
-def test_what_a_stranger_wrote_cannot_drive_the_terminal(store: Store, capsys: Captured) -> None:
+def test_what_a_stranger_wrote_cannot_drive_the_terminal(store: Store) -> None:
     save(store, ALONE, make_run({}), {**MACHINE, "cpu": "\x1b]0;mine\x07\x1b[2J"})
-    assert "\x1b" not in call(capsys, "run", "show", ALONE)
+    assert "\x1b" not in printed("run", "show", ALONE)
 
 
 @pytest.mark.parametrize(
     "about", [[], 3, {"packages": 3, "resumes": 5}, {"resumes": [3, {"differences": 4}]}, {"cpu": {}}]
 )
-def test_nonsense_in_place_of_provenance_is_no_traceback(about: Any, store: Store, capsys: Captured) -> None:
+def test_nonsense_in_place_of_provenance_is_no_traceback(about: Any, store: Store) -> None:
     save(store, ALONE, make_run({}), about)
-    assert ALONE in call(capsys, "run", "show", ALONE)
+    assert ALONE in printed("run", "show", ALONE)
 
 
 # --- Which run is meant ----------------------------------------------------------------------------
 
 
-def test_the_first_digits_are_enough(store: Store, capsys: Captured) -> None:
-    assert f"run {ALONE}:" in call(capsys, "run", "show", "00aa0")
-    assert f"run {ALONE}:" in call(capsys, "run", "show", "00AA0")
+def test_the_first_digits_are_enough(store: Store) -> None:
+    assert f"run {ALONE}:" in printed("run", "show", "00aa0")
+    assert f"run {ALONE}:" in printed("run", "show", "00AA0")
 
 
 @pytest.mark.parametrize(
@@ -290,36 +274,36 @@ def test_the_first_digits_are_enough(store: Store, capsys: Captured) -> None:
 )
 @pytest.mark.parametrize("command", [["show"], ["export", "--out", "x.zip"]])
 def test_a_run_that_is_not_there_is_one_line(
-    command: list[str], name: str, words: tuple[str, ...], store: Store, capsys: Captured
+    command: list[str], name: str, words: tuple[str, ...], store: Store
 ) -> None:
-    line = refusal(capsys, "run", command[0], name, *command[1:])
+    line = refused("run", command[0], name, *command[1:])
     for word in words:
         assert word in line
 
 
-def test_too_few_digits_are_refused_even_if_they_are_unique(store: Store, capsys: Captured) -> None:
+def test_too_few_digits_are_refused_even_if_they_are_unique(store: Store) -> None:
     save(store, "ffff000000000000", make_run({}))
-    assert "4 digits at least" in refusal(capsys, "run", "show", "fff")
+    assert "4 digits at least" in refused("run", "show", "fff")
 
 
-def test_a_zip_in_place_of_a_run_is_refused_with_the_reason(store: Store, capsys: Captured) -> None:
-    line = refusal(capsys, "run", "show", "strangers.ZIP")
+def test_a_zip_in_place_of_a_run_is_refused_with_the_reason(store: Store) -> None:
+    line = refused("run", "show", "strangers.ZIP")
     assert "strangers.ZIP" in line and "runs whatever code is pickled in it" in line
 
 
-def test_the_run_of_another_folder_says_where_it_looked(tmp_path: Path, capsys: Captured) -> None:
-    line = refusal(capsys, "run", "show", ALONE, "--results", str(tmp_path))
+def test_the_run_of_another_folder_says_where_it_looked(tmp_path: Path) -> None:
+    line = refused("run", "show", ALONE, "--results", str(tmp_path))
     assert str(tmp_path) in line and "--results" in line
 
 
 # --- export ----------------------------------------------------------------------------------------
 
 
-def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path, capsys: Captured) -> None:
+def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path) -> None:
     from stable_baselines3 import PPO
 
     out = tmp_path / "policy.zip"
-    document = json.loads(call(capsys, "run", "export", "00aa0", "--out", str(out), "--json"))
+    document = json.loads(printed("run", "export", "00aa0", "--out", str(out), "--json"))
     assert document == {
         "schema": 1, "run_id": ALONE, "file": str(out), "bytes": out.stat().st_size, "note": "",
     }  # fmt: skip
@@ -328,24 +312,22 @@ def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path
     np.testing.assert_array_equal(chosen, policy_of(make_run({})).best(observations))
 
 
-def test_export_writes_onnx(store: Store, tmp_path: Path, capsys: Captured) -> None:
+def test_export_writes_onnx(store: Store, tmp_path: Path) -> None:
     onnx = pytest.importorskip("onnx")
     out = tmp_path / "policy.onnx"
-    assert f"wrote {out}" in call(capsys, "run", "export", ALONE, "--out", str(out))
+    assert f"wrote {out}" in printed("run", "export", ALONE, "--out", str(out))
     about = {each.key: each.value for each in onnx.load(out).metadata_props}
     assert (about["run_id"], about["env"]) == (ALONE, "pneuma/Pneuma-v0")
 
 
-def test_export_says_when_the_files_of_a_run_were_not_opened(
-    store: Store, tmp_path: Path, capsys: Captured
-) -> None:
+def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_path: Path) -> None:
     run = make_run({"level": "/nowhere/level", "reward": "stranger:reward"})
     save(store, ALONE, run)
     out = tmp_path / "policy.zip"
-    shown = call(capsys, "run", "export", ALONE, "--out", str(out))
+    shown = printed("run", "export", ALONE, "--out", str(out))
     assert "were not opened" in shown and "--trust" in shown
     out.unlink()
-    assert "/nowhere/level" in refusal(capsys, "run", "export", ALONE, "--out", str(out), "--trust")
+    assert "/nowhere/level" in refused("run", "export", ALONE, "--out", str(out), "--trust")
     assert not out.exists()
     assert "stranger" not in sys.modules
 
@@ -360,30 +342,30 @@ def test_export_says_when_the_files_of_a_run_were_not_opened(
     ],
 )
 def test_a_file_that_cannot_be_written_is_refused(
-    out: str, words: tuple[str, ...], store: Store, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+    out: str, words: tuple[str, ...], store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(store.root)
     (store.root / "folder.zip").mkdir()
-    line = refusal(capsys, "run", "export", ALONE, "--out", out)
+    line = refused("run", "export", ALONE, "--out", out)
     for word in (f"--out {out}", *words):
         assert word in line
 
 
-def test_what_has_no_policy_is_not_exported(store: Store, tmp_path: Path, capsys: Captured) -> None:
+def test_what_has_no_policy_is_not_exported(store: Store, tmp_path: Path) -> None:
     document = run_document(make_run({}), ALONE)
     out = str(tmp_path / "policy.zip")
     store.save_run(ALONE, Status("diverged", 256), {"run.json": document})
-    assert "left no policy" in refusal(capsys, "run", "export", ALONE, "--out", out)
+    assert "left no policy" in refused("run", "export", ALONE, "--out", out)
     (store.run_folder(ALONE) / "status.json").unlink()
     store.save_run(ALONE, Status("crashed"), {"run.json": document, "error.txt": b"Traceback"})
-    assert "is crashed" in refusal(capsys, "run", "export", ALONE, "--out", out)
+    assert "is crashed" in refused("run", "export", ALONE, "--out", out)
     assert not Path(out).exists()
 
 
-def test_a_strangers_policy_that_is_none_is_refused(store: Store, tmp_path: Path, capsys: Captured) -> None:
+def test_a_strangers_policy_that_is_none_is_refused(store: Store, tmp_path: Path) -> None:
     pickled = io.BytesIO(b"\x80\x04cposix\nsystem\n").getvalue()
     save(store, ALONE, make_run({}), policy_safetensors=pickled)
-    line = refusal(capsys, "run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
+    line = refused("run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
     assert ALONE in line and "no policy of Pneuma's" in line
     assert not (tmp_path / "policy.zip").exists()
 
@@ -392,9 +374,9 @@ def test_a_strangers_policy_that_is_none_is_refused(store: Store, tmp_path: Path
     ("settings", "words"), [({}, "no configuration"), ({"gamma": 7}, "gamma = 7"), ([], "no configuration")]
 )
 def test_a_strangers_configuration_that_is_none_is_refused(
-    settings: Any, words: str, store: Store, tmp_path: Path, capsys: Captured
+    settings: Any, words: str, store: Store, tmp_path: Path
 ) -> None:
     save(store, ALONE, make_run({}), run_json=to_json({"schema": 1, "run_id": ALONE, "run": settings}))
-    assert ALONE in call(capsys, "run", "show", ALONE)
-    line = refusal(capsys, "run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
+    assert ALONE in printed("run", "show", ALONE)
+    line = refused("run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
     assert ALONE in line and words in line

@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 
 from pneuma.analysis.trajectories import encode_trajectories, gathered
-from pneuma.cli import main
 from pneuma.cli.study_summary import open_data
 from pneuma.env.level import LEVELS
 from pneuma.env.render import Renderer
@@ -22,7 +21,7 @@ from pneuma.env.watch import level_worlds
 from pneuma.figures.trajectories import _told, draw_trajectories
 from pneuma.study.store import Status, Store
 
-Captured = pytest.CaptureFixture[str]
+from .calls import call, printed, refused
 
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=40")
 TINY = ["--engine", "sb3", "--steps", "128", *(part for own in SETTINGS for part in ("--set", own))]
@@ -34,26 +33,17 @@ GODOT = ["activation", "--setting", "godot"]
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with two conditions of two seeds."""
     results = tmp_path_factory.mktemp("trained") / "results"
-    assert main(["study", "run", *GODOT, *TINY, *TWO, "--results", str(results), "--quiet"]) == 0
+    printed("study", "run", *GODOT, *TINY, *TWO, "--results", str(results), "--quiet")
     return results
 
 
-def call(captured: Captured, *arguments: str | Path) -> Any:
+def described(*arguments: str | Path) -> Any:
     """Return the JSON document that the command prints."""
-    captured.readouterr()
-    assert main(["study", "trajectories", *map(str, arguments), "--json", "--quiet"]) == 0
-    return json.loads(captured.readouterr().out)
+    return json.loads(printed("study", "trajectories", *arguments, "--json", "--quiet"))
 
 
-def refusal(captured: Captured, *arguments: str | Path) -> str:
-    captured.readouterr()
-    assert main(["study", "trajectories", *map(str, arguments)]) == 2
-    (line,) = captured.readouterr().err.splitlines()
-    return line
-
-
-def test_it_says_how_the_episodes_of_each_condition_end(trained: Path, capsys: Captured) -> None:
-    document = call(capsys, *GODOT, "--episodes", "3", "--results", trained)
+def test_it_says_how_the_episodes_of_each_condition_end(trained: Path) -> None:
+    document = described(*GODOT, "--episodes", "3", "--results", trained)
     assert (document["study"], document["episodes"]) == ("activation-godot", 3)
     rows = document["endings"]
     assert {row["condition"] for row in rows} == {"tanh", "relu"}
@@ -65,67 +55,63 @@ def test_it_says_how_the_episodes_of_each_condition_end(trained: Path, capsys: C
         assert 0 < own["steps"] <= 40
 
 
-def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(
-    trained: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(trained: Path, tmp_path: Path) -> None:
     results = shutil.copytree(trained, tmp_path / "results")
-    assert main(["study", "publish", *GODOT, "--results", str(results)]) == 0
-    ours = call(
-        capsys, *GODOT, "--episodes", "2", "--publish", "--out", tmp_path / "ours", "--results", results
-    )
+    printed("study", "publish", *GODOT, "--results", str(results))
+    ours = described(*GODOT, "--episodes", "2", "--publish", "--out", tmp_path / "ours", "--results", results)
     clone = tmp_path / "clone"
     shutil.copytree(results / "published", clone / "published")
-    theirs = call(capsys, *GODOT, "--out", tmp_path / "theirs", "--format", "png", "--results", clone)
+    theirs = described(*GODOT, "--out", tmp_path / "theirs", "--format", "png", "--results", clone)
     assert [Path(file).suffix for file in theirs["files"]] == [".png"]
     assert ours["endings"] == theirs["endings"]
     name = "fig-6-5-godot-trajectories.png"
     assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
-    alone = call(capsys, *GODOT, "--condition", "relu", "--results", clone)
+    alone = described(*GODOT, "--condition", "relu", "--results", clone)
     assert {row["condition"] for row in alone["endings"]} == {"relu"}
     assert (alone["source"], alone["steps"]) == ("the published table", 256)
     published = results / "published" / "trajectories" / "activation-godot.parquet"
     whole = published.read_bytes()
-    call(capsys, *GODOT, "--episodes", "2", "--condition", "relu", "--publish", "--results", results)
+    described(*GODOT, "--episodes", "2", "--condition", "relu", "--publish", "--results", results)
     assert published.read_bytes() == whole
 
 
-def test_where_neither_policies_nor_trajectories_are_it_says_so(
-    trained: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_where_neither_policies_nor_trajectories_are_it_says_so(trained: Path, tmp_path: Path) -> None:
     results = shutil.copytree(trained, tmp_path / "results")
-    assert main(["study", "publish", *GODOT, "--results", str(results)]) == 0
+    printed("study", "publish", *GODOT, "--results", str(results))
     shutil.rmtree(results / "runs")
-    line = refusal(capsys, *GODOT, "--results", results)
+    line = refused("study", "trajectories", *GODOT, "--results", results)
     train = "train with `pneuma study run activation --setting godot`"
-    nowhere = f"pneuma: study activation-godot: its policies are not in {results}; "
+    nowhere = f"study activation-godot: its policies are not in {results}; "
     assert line == nowhere + train
     folder = results / "published" / "trajectories"
     folder.mkdir()
     (folder / "sigmoid-godot.parquet").touch()
     told = "trajectories are published of sigmoid --setting godot; or "
-    assert refusal(capsys, *GODOT, "--results", results) == nowhere + told + train
+    assert refused("study", "trajectories", *GODOT, "--results", results) == nowhere + told + train
     other = {"condition": "tanh", "seed": 3, "run_id": "f" * 16, "episode": 0, "player": 0, "steps": 1}
     rows = [{**other, "kills": 0, "ending": "killed", "places": np.zeros((2, 2))}]
     (folder / "activation-godot.parquet").write_bytes(encode_trajectories(gathered("thesis", rows)))
     told = "trajectories are published of tanh, seed 3, but not of these runs; pick those, or "
-    assert refusal(capsys, *GODOT, "--results", results) == nowhere + told + train
+    assert refused("study", "trajectories", *GODOT, "--results", results) == nowhere + told + train
 
 
-def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path, capsys: Captured) -> None:
+def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path) -> None:
     level = shutil.copytree(LEVELS / "thesis", tmp_path / "island")
     told = ["activation", "--results", str(tmp_path / "results")]
     one = ["--seeds", "1", "--condition", "tanh", "--set", f"level={level}"]
-    assert main(["study", "run", *told, *TINY, *one, "--quiet"]) == 0
-    line = refusal(capsys, *told)
+    printed("study", "run", *told, *TINY, *one, "--quiet")
+    line = refused("study", "trajectories", *told)
     assert f"would read the level {level}; if you trust where it is from, give --trust" in line
-    document = call(capsys, *told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
+    document = described(*told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
     assert [Path(file).name for file in document["files"]] == [
         "fig-6-5-trajectories.png",
         "fig-6-5-trajectories.svg",
     ]
     drawn = np.asarray(Image.open(document["files"][0]).convert("RGB"))
     assert (drawn == 255).all(axis=2).mean() < 0.5  # most of it is the map
-    assert "name a folder for the figure by --out DIR" in refusal(capsys, *told, "--format", "svg")
+    assert "name a folder for the figure by --out DIR" in refused(
+        "study", "trajectories", *told, "--format", "svg"
+    )
 
 
 def test_the_map_of_a_level_of_ones_own_is_drawn_too_where_its_file_may_be_opened(
@@ -145,14 +131,14 @@ def test_the_map_of_a_level_of_ones_own_is_drawn_too_where_its_file_may_be_opene
     assert drawn["own"] == drawn["shipped"] != drawn["bare"]
 
 
-def test_a_world_without_places_is_refused(tmp_path: Path, capsys: Captured) -> None:
+def test_a_world_without_places_is_refused(tmp_path: Path) -> None:
     told = ["tabular", "--results", str(tmp_path)]
     condition = ["--condition", "rate-1", "--seeds", "1", "--steps", "500"]
-    assert main(["study", "run", *told, *condition, "--quiet"]) == 0
-    assert "pneuma/Mailman-v0 has no places to go to" in refusal(capsys, *told)
+    printed("study", "run", *told, *condition, "--quiet")
+    assert "pneuma/Mailman-v0 has no places to go to" in refused("study", "trajectories", *told)
 
 
-def test_a_run_that_diverged_is_left_out_and_said(trained: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_run_that_diverged_is_left_out_and_said(trained: Path, tmp_path: Path) -> None:
     results = shutil.copytree(trained, tmp_path / "results")
     store = Store(results)
     runs = json.loads((results / "studies" / "activation-godot.json").read_text())["runs"]
@@ -160,9 +146,12 @@ def test_a_run_that_diverged_is_left_out_and_said(trained: Path, tmp_path: Path,
         kept = {name: store.read_file(run["run_id"], name) for name in ("run.json", "provenance.json")}
         store.save_run(run["run_id"], Status("diverged", 128), kept)
         if number == 0:
-            assert main(["study", "trajectories", *GODOT, "--episodes", "1", "--results", str(results)]) == 0
-            assert "Note: 1 of 4 runs diverged, and left no policy to play." in capsys.readouterr().err
-    assert "every run diverged, and left no policy" in refusal(capsys, *GODOT, "--results", results)
+            told = call("study", "trajectories", *GODOT, "--episodes", "1", "--results", results)
+            assert told.code == 0
+            assert "Note: 1 of 4 runs diverged, and left no policy to play." in told.err
+    assert "every run diverged, and left no policy" in refused(
+        "study", "trajectories", *GODOT, "--results", results
+    )
 
 
 def test_what_stands_below_a_panel_keeps_to_its_width() -> None:

@@ -120,7 +120,7 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
 
 @pytest.mark.parametrize("case", [case for case in CASES if case not in OF_VALUES])
 def test_a_run_whose_logits_overflow_while_it_plays_diverged(case: str) -> None:
-    """Weights of 1e20 are numbers yet; what three layers make of them is none, and torch refuses to draw by it."""
+    """Weights of 1e20 are numbers yet; what three layers make of them is none, and torch draws by none."""
     run = run_of(case, activation="leaky-relu", actor=[16, 16])
     model = sb3.make_model(run, sb3.make_env(run))
     with torch.no_grad():
