@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,13 +13,13 @@ from pneuma.analysis.crossing import find_crossing
 from pneuma.analysis.effects import Effects, study_effects
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
-from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
+from ..cli.calls import call, printed, refused
 from .collapse_records import healthy, learning, save_run, study_record
 
 X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
@@ -157,23 +156,21 @@ def alike(levels: Mapping[str, tuple[str, ...]]) -> set[frozenset[frozenset[str]
 # --- The command ----------------------------------------------------------------------------------
 
 
-def call(folder: Path, *arguments: str) -> int:
-    return main(["study", "effects", "mine", *arguments, "--results", str(folder / "results")])
+def asked(folder: Path, *arguments: str) -> tuple[str | Path, ...]:
+    return ("study", "effects", "mine", *arguments, "--results", folder / "results")
 
 
-def test_the_command_prints_a_row_for_each_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_a_row_for_each_effect(tmp_path: Path) -> None:
     stored(tmp_path, two_by_two())
-    assert call(tmp_path) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed(*asked(tmp_path)).splitlines()
     assert lines[0] == "Mine: final-share-killed, 8 runs in 4 cells"
     assert any(line.split()[:6] == ["learning_rate", "2", "1,", "4", "16.00", "0.800"] for line in lines)
     assert "  learning_rate: 0.0001 0.400;  0.001 0.600" in lines
 
 
-def test_the_command_gives_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_gives_json(tmp_path: Path) -> None:
     stored(tmp_path, two_by_two())
-    assert call(tmp_path, "--json") == 0
-    document = json.loads(capsys.readouterr().out)
+    document = call(*asked(tmp_path, "--json")).document
     rows = {row["effect"]: row for row in document["effects"]}
     (both,) = (row for name, row in rows.items() if " × " in name)
     assert (both["levels"], both["df"], both["df_error"], both["runs"]) == ([2, 2], 1, 4, 8)
@@ -181,19 +178,15 @@ def test_the_command_gives_json(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert rows["learning_rate"]["p_holm"] == pytest.approx(3 * rows["learning_rate"]["p"])
 
 
-def test_an_effect_beside_which_there_are_no_errors_is_endless(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_effect_beside_which_there_are_no_errors_is_endless(tmp_path: Path) -> None:
     """Each cell's runs are alike, and the scale alone tells cells apart."""
     shares = {"unit": (0.2, 0.2), "raw": (0.4, 0.4)}
     exact = {name: (own, shares[own["scale"]]) for name, (own, _) in two_by_two().items()}
     stored(tmp_path, exact)
-    assert call(tmp_path) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    lines = [line.split() for line in printed(*asked(tmp_path)).splitlines()]
     (scale,) = (line for line in lines if line[:1] == ["scale"] and len(line) == 8)
     assert scale[4:6] == ["endless", "1.000"]
-    assert call(tmp_path, "--json") == 0
-    rows = {row["effect"]: row for row in json.loads(capsys.readouterr().out)["effects"]}
+    rows = {row["effect"]: row for row in call(*asked(tmp_path, "--json")).document["effects"]}
     assert rows["scale"]["f"] is None and rows["scale"]["partial_r2"] == pytest.approx(1)
 
 
@@ -211,12 +204,10 @@ def test_an_effect_beside_which_there_are_no_errors_is_endless(
     ],
 )
 def test_what_cannot_be_tested_is_told_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+    tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     stored(tmp_path, two_by_two())
-    assert call(tmp_path, *arguments) == 2
-    told_error = capsys.readouterr().err
-    assert message in told_error and told_error.count("\n") == 1
+    assert message in refused(*asked(tmp_path, *arguments))
 
 
 def test_a_cell_without_runs_and_mixed_engines_are_told(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import contextlib
-import io
 import os
 import shutil
 import sys
@@ -17,7 +15,7 @@ from safetensors.numpy import save
 
 import pneuma
 from pneuma.analysis.tables import StudyData
-from pneuma.cli import main, study_plot
+from pneuma.cli import study_plot
 from pneuma.config import as_settings, make_run
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
@@ -28,6 +26,8 @@ from pneuma.study.files import checksum, seal
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store, to_json
+
+from ..cli.calls import call
 
 NAME = "0123456789abcdef"
 SETTINGS: dict[str, object] = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 512}
@@ -229,10 +229,8 @@ def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def called(*arguments: str | Path) -> tuple[int, str]:
     """Return a command's exit code and all that it printed."""
-    told = io.StringIO()
-    with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
-        code = main([str(argument) for argument in arguments])
-    return code, told.getvalue()
+    code, out, err = call(*arguments)
+    return code, out + err
 
 
 @pytest.mark.parametrize(
