@@ -7,6 +7,7 @@ the means are within the margin that claims use, and a permutation test whether 
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -37,7 +38,7 @@ def compare_engines(store: Store, study: str, selection: Selection) -> dict[str,
 
     Args:
         store: the results folder, with the study's runs by both engines.
-        study: its name.
+        study: its name, or the path of its file.
         selection: seeds, steps and conditions; the engine is left open.
 
     Returns:
@@ -47,7 +48,7 @@ def compare_engines(store: Store, study: str, selection: Selection) -> dict[str,
         UserError: where runs are missing, with the commands that train them.
     """
     plans = {engine: _plan(study, selection, engine) for engine in ENGINES}
-    _refuse_missing(store, plans)
+    _refuse_missing(store, plans, study)
     data = {engine: open_study(store, selection_record(plan)) for engine, plan in plans.items()}
     some = plans[ENGINES[0]]
     rows = [
@@ -58,7 +59,7 @@ def compare_engines(store: Store, study: str, selection: Selection) -> dict[str,
     for row, corrected in zip(rows, holm([row["p_different"] for row in rows]), strict=True):
         row["p_different_corrected"] = float(corrected)
     return {
-        "study": study,
+        "study": some.study.name,
         "seeds": len(some.seeds),
         "steps": some.cells[0].run.steps,
         "rows": rows,
@@ -69,14 +70,14 @@ def _plan(study: str, selection: Selection, engine: str) -> Plan:
     return make_plan(load_study(study), replace(selection, engine=engine))
 
 
-def _refuse_missing(store: Store, plans: Mapping[str, Plan]) -> None:
+def _refuse_missing(store: Store, plans: Mapping[str, Plan], asked: str) -> None:
     for engine, plan in plans.items():
         lacking = missing(plan, {cell.run_id: store.status(cell.run_id) for cell in plan.cells})
         if lacking:
-            name = plan.study.name
             raise UserError(
-                f"{len(lacking)} of {len(plan.cells)} runs of study {name} by {engine} are not in "
-                f"{store.root}: run `pneuma study run {name} --engine {engine}` with the same options"
+                f"{len(lacking)} of {len(plan.cells)} runs of study {plan.study.name} by {engine} are not in "
+                f"{store.root}: run `pneuma study run {shlex.quote(asked)} --engine {engine}` with the same "
+                "options"
             )
 
 

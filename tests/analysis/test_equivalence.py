@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
 from pneuma.bench.equivalence import compare_engines
-from pneuma.cli import main
-from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
+from ..cli.calls import call, printed, refused
 from .claim_files import save_run
 
 STUDY = """\
@@ -57,27 +55,24 @@ def test_engines_alike_in_one_condition_and_apart_in_another(study: str, tmp_pat
     assert report["seeds"] == 5 and report["steps"] == 1024
 
 
-def test_the_command_tells_every_condition_and_outcome(
-    study: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_tells_every_condition_and_outcome(study: str, tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     save_runs(store, study, "batched", {"alike": 0.0, "apart": 0.0})
     save_runs(store, study, "sb3", {"alike": 0.0, "apart": 0.2})
-    command = ["bench", "equivalence", study, "--results", str(store.root)]
-    assert main(command) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"{study}: 5 seeds by each engine, 1,024 steps a run"
+    command = ("bench", "equivalence", study, "--results", store.root)
+    lines = printed(*command).splitlines()
+    assert lines[0] == "both: 5 seeds by each engine, 1,024 steps a run"
     at = lines.index("apart, final-share-killed: batched 0.4200, sb3 0.2200")
     assert lines[at + 1].startswith("    difference +0.2000 (95 % interval +0.")
     assert lines[at + 2] == "    within half a monster: p = 1"
     assert lines[at + 3].startswith("    different at all: p = 0.01, 0.03 after Holm's correction")
-    assert main([*command, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = call(*command, "--json").document
     assert document["schema"] == 1 and len(document["rows"]) == 4
 
 
 def test_what_is_missing_is_said_with_the_command_that_trains_it(study: str, tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     save_runs(store, study, "batched", {"alike": 0.0, "apart": 0.0})
-    with pytest.raises(UserError, match="10 of 10 runs of study both by sb3 are not in .* --engine sb3"):
-        compare_engines(store, study, Selection())
+    line = refused("bench", "equivalence", study, "--results", store.root)
+    assert line.startswith(f"10 of 10 runs of study both by sb3 are not in {store.root}: ")
+    assert f"run `pneuma study run {study} --engine sb3` with" in line
