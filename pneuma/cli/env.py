@@ -83,11 +83,10 @@ def check(
     names = REGISTERED if all_ or name is None and not set_ else (name or ENVIRONMENTS[0],)
     if names[0] not in REGISTERED:
         raise unknown_name("environment", names[0], REGISTERED)
-    settings = read_settings_options(set_)
+    settings, left = read_settings_options(set_), ()
     if len(names) > 1 and settings:
         vectors = MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()
-        left = [each for each in names if each in (MAILMAN, *vectors)]
-        say(f"Left out, as these settings do not go with them: {', '.join(left)}", json)
+        left = tuple(each for each in names if each in (MAILMAN, *vectors))
         names = tuple(each for each in names if each not in left)
     failed, rows = 0, []
     for each in names:
@@ -96,6 +95,8 @@ def check(
             rows.append({"env": each, "check": verdict.check, "problem": verdict.problem})
             if not json:
                 print(f"{each:<26} {verdict.check:<26} {verdict.problem or 'ok'}")
+    if left:
+        say(f"Left out, as these settings do not go with them: {', '.join(left)}", json)
     if json:
         print_json({"schema": 1, "checks": rows})
     return 1 if failed else 0

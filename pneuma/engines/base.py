@@ -46,7 +46,7 @@ class Result:
 
     Attributes:
         run: the run.
-        status: 'done'; 'diverged' where a loss, gradient or parameter was not finite; or 'stopped'
+        status: 'done'; 'diverged' where a loss, gradient, parameter or logit was not finite; or 'stopped'
             where `on_update` asked for it.
         step: agent steps trained, over all slots.
         records: everything up to then.

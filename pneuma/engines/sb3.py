@@ -36,6 +36,7 @@ from pneuma.engines.sb3_listening import (
     gradient_norms,
     is_finite,
     logged_losses,
+    overflows,
     rollout_metrics,
     visited_metrics,
 )
@@ -116,7 +117,7 @@ class Sb3Trainer:
         if not is_finite(records.metrics[-1], model):
             return False
         self._policy = extract_policy(model, run)
-        return True
+        return not overflows(self._policy, model._last_obs)
 
     def evaluate(self, step: int) -> Row:
         """Let the policy play where it was not trained."""
@@ -134,15 +135,14 @@ class Sb3Trainer:
 def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[str, float]:
     """Let a learner collect a rollout, by `policy`, and train on it; return what it told of both.
 
-    torch draws no action by logits that are not numbers, as of huge weights, each of which is one still:
-    that run diverged.
+    Where weights are huge, logits overflow, and torch refuses to draw: that is no crash but a run that
+    diverged.
     """
     try:
         model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
-    except ValueError:
-        with np.errstate(over="ignore", invalid="ignore"):
-            if np.isfinite(policy.logits(model._last_obs)).all():
-                raise
+    except (ValueError, RuntimeError):
+        if not overflows(policy, model._last_obs):
+            raise
         return dict.fromkeys((*LOSSES, *VISITED_METRICS), NAN)
     rollout = rollout_metrics(model, policy)
     model._update_current_progress_remaining(model.num_timesteps, run.steps)
@@ -152,14 +152,15 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
 def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
     """Let the learner train on the rollout it collected; return its log of that.
 
-    Once a weight is not a number, torch refuses the next minibatch; that is no crash but a run that
-    diverged, whose losses are then not numbers either.
+    Once a weight or a logit is not a number, torch refuses the next minibatch; that run diverged, and its
+    losses are then not numbers either.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # it measures values that are about to overflow
             model.train()
     except (ValueError, RuntimeError):
-        if all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters()):
+        met = model.rollout_buffer.observations
+        if not overflows(extract_policy(model, run), met.reshape(-1, met.shape[-1])):
             raise
         return dict.fromkeys(LOSSES, NAN)
     return logged_losses(model, run)

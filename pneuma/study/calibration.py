@@ -27,7 +27,8 @@ MEASURED_SECONDS = 4.0
 COLD_SECONDS = 30.0
 """A start that takes longer may have compiled without a word; or drawn the weights of a big network."""
 START_MATTERS = 0.1
-"""A start that is less of the whole run than this is not worth another: of big networks it takes minutes."""
+"""A start that is less of the whole run than this is measured once, though it compiled: another takes
+minutes with big networks, and without it a forecast is about a tenth too long at most."""
 COMPILED = 10.0
 """How many times as long as most steps took one is not a step's time; an evaluation adds less."""
 
@@ -43,7 +44,7 @@ def calibrate(
     for i, (name, run) in enumerate(unknown.items()):
         say(f"measuring how fast this machine trains ({i + 1} of {len(unknown)}) …")
         pace, compiled = _measure(run)
-        cold = pace and (compiled or pace.start > COLD_SECONDS)  # runs to come find the programs compiled
+        cold = compiled or (pace is not None and pace.start > COLD_SECONDS)  # later runs find it compiled
         if pace and cold and pace.start > START_MATTERS * pace.seconds(run.steps):
             say("it had to compile first; measuring once more …")
             pace = _measure(run)[0] or pace

@@ -10,7 +10,7 @@ from pneuma.config import make_run
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store, run_document
 
-from ..cli.calls import call, printed, refused
+from ..cli.calls import described, printed, refused
 from .collapse_records import BUDGET, HORIZON, healthy, learning, one_action, save_run, study_record
 
 
@@ -40,7 +40,7 @@ def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(results: Path)
 
 
 def test_collapse_as_json(results: Path) -> None:
-    document = call("study", "collapse", "mine", "--json", "--results", results).document
+    document = described("study", "collapse", "mine", "--json", "--results", results)
     assert document["schema"] == 1
     assert [run["onset_update"] for run in document["runs"]] == [None, 61, None, None]
     assert [row["collapsed"] for row in document["incidence"]] == [1, 0]
@@ -60,7 +60,7 @@ def test_summary_in_words_and_as_json(results: Path) -> None:
     out = printed("study", "summary", "mine", "--results", results)
     assert "final-share-killed: monsters killed, last evaluation" in out
     assert "median never" not in out and "collapsed 0.50" in out
-    rows = call("study", "summary", "mine", "--json", "--results", results).document["summary"]
+    rows = described("study", "summary", "mine", "--json", "--results", results)["summary"]
     assert rows[0] == {
         "condition": "relu", "outcome": "runs", "statistic": "count", "value": 2.0, "low": None, "high": None,
         "interval": "none", "runs": 2,

@@ -19,7 +19,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from ..cli.calls import call, printed, refused
+from ..cli.calls import described, printed, refused
 from .collapse_records import healthy, learning, save_run, study_record
 
 X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
@@ -170,7 +170,7 @@ def test_the_command_prints_a_row_for_each_effect(tmp_path: Path) -> None:
 
 def test_the_command_gives_json(tmp_path: Path) -> None:
     stored(tmp_path, two_by_two())
-    document = call(*asked(tmp_path, "--json")).document
+    document = described(*asked(tmp_path, "--json"))
     rows = {row["effect"]: row for row in document["effects"]}
     (both,) = (row for name, row in rows.items() if " × " in name)
     assert (both["levels"], both["df"], both["df_error"], both["runs"]) == ([2, 2], 1, 4, 8)
@@ -186,7 +186,7 @@ def test_an_effect_beside_which_there_are_no_errors_is_endless(tmp_path: Path) -
     lines = [line.split() for line in printed(*asked(tmp_path)).splitlines()]
     (scale,) = (line for line in lines if line[:1] == ["scale"] and len(line) == 8)
     assert scale[4:6] == ["endless", "1.000"]
-    rows = {row["effect"]: row for row in call(*asked(tmp_path, "--json")).document["effects"]}
+    rows = {row["effect"]: row for row in described(*asked(tmp_path, "--json"))["effects"]}
     assert rows["scale"]["f"] is None and rows["scale"]["partial_r2"] == pytest.approx(1)
 
 

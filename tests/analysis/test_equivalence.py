@@ -11,7 +11,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from ..cli.calls import call, printed, refused
+from ..cli.calls import described, printed, refused
 from .claim_files import save_run
 
 STUDY = """\
@@ -29,7 +29,7 @@ SHARES = [0.40, 0.41, 0.42, 0.43, 0.44]
 
 @pytest.fixture
 def study(tmp_path: Path) -> str:
-    path = tmp_path / "both.toml"
+    path = tmp_path / "both engines.toml"
     path.write_text(STUDY)
     return str(path)
 
@@ -61,12 +61,12 @@ def test_the_command_tells_every_condition_and_outcome(study: str, tmp_path: Pat
     save_runs(store, study, "sb3", {"alike": 0.0, "apart": 0.2})
     command = ("bench", "equivalence", study, "--results", store.root)
     lines = printed(*command).splitlines()
-    assert lines[0] == "both: 5 seeds by each engine, 1,024 steps a run"
+    assert lines[0] == "both engines: 5 seeds by each engine, 1,024 steps a run"
     at = lines.index("apart, final-share-killed: batched 0.4200, sb3 0.2200")
     assert lines[at + 1].startswith("    difference +0.2000 (95 % interval +0.")
     assert lines[at + 2] == "    within half a monster: p = 1"
     assert lines[at + 3].startswith("    different at all: p = 0.01, 0.03 after Holm's correction")
-    document = call(*command, "--json").document
+    document = described(*command, "--json")
     assert document["schema"] == 1 and len(document["rows"]) == 4
 
 
@@ -74,5 +74,5 @@ def test_what_is_missing_is_said_with_the_command_that_trains_it(study: str, tmp
     store = Store(tmp_path / "results")
     save_runs(store, study, "batched", {"alike": 0.0, "apart": 0.0})
     line = refused("bench", "equivalence", study, "--results", store.root)
-    assert line.startswith(f"10 of 10 runs of study both by sb3 are not in {store.root}: ")
-    assert f"run `pneuma study run {study} --engine sb3` with" in line
+    assert line.startswith(f"10 of 10 runs of study both engines by sb3 are not in {store.root}: ")
+    assert f"run `pneuma study run '{study}' --engine sb3` with" in line

@@ -52,6 +52,11 @@ def printed(*arguments: str | Path) -> str:
     return out
 
 
+def described(*arguments: str | Path) -> Any:
+    """Run a command that must go well; return the JSON document that it printed."""
+    return json.loads(printed(*arguments))
+
+
 def refused(*arguments: str | Path) -> str:
     """Run a command that must be refused; return the one line that it says, after its name."""
     code, out, err = call(*arguments)

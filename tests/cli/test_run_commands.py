@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import shutil
 import sys
@@ -24,7 +23,7 @@ from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
 
-from .calls import printed, refused
+from .calls import described, printed, refused
 
 ALONE = "00aa000000000000"
 """A run that no study holds."""
@@ -105,7 +104,7 @@ def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan) -
         [ALONE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
         [ALIKE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
     ]
-    document = json.loads(printed("run", "list", "--json"))
+    document = described("run", "list", "--json")
     held = [{"study": "activation", "condition": "tanh", "seed": 7}]
     assert document["schema"] == 1
     assert document["runs"][0] == {
@@ -116,7 +115,7 @@ def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan) -
 
 def test_a_run_whose_file_is_gone_is_listed_as_damaged(store: Store) -> None:
     (store.run_folder(ALONE) / "policy.safetensors").unlink()
-    states = {row["run_id"]: row["status"] for row in json.loads(printed("run", "list", "--json"))["runs"]}
+    states = {row["run_id"]: row["status"] for row in described("run", "list", "--json")["runs"]}
     assert (states[ALONE], states[ALIKE]) == ("damaged", "done")
 
 
@@ -169,7 +168,7 @@ def test_show_all_names_every_setting_once(store: Store) -> None:
 
 def test_the_document_of_show_is_complete(store: Store, plan: Plan) -> None:
     cell = plan.cells[1]
-    document = json.loads(printed("run", "show", cell.run_id, "--json"))
+    document = described("run", "show", cell.run_id, "--json")
     assert document["schema"] == 1
     assert make_run(document["settings"]) == cell.run
     changed = ("activation", "betas", "episode_steps", "horizon", "seed", "steps")
@@ -191,7 +190,7 @@ def test_a_run_that_has_not_ended_is_not_called_damaged(store: Store, plan: Plan
     told = printed("run", "show", name)
     assert "damaged" not in told
     assert "No provenance: it is written when a run has ended." in told
-    document = json.loads(printed("run", "show", name, "--json"))
+    document = described("run", "show", name, "--json")
     assert document["settings"]["seed"] == 11
 
 
@@ -205,9 +204,9 @@ def test_a_resume_that_could_give_other_bits_is_flagged(store: Store) -> None:
     assert len(resumed) == 2
     assert "step 128" in resumed[0] and "NOT" not in resumed[0]
     assert "step 192" in resumed[1] and "could differ: cpu (A processor, now another)" in resumed[1]
-    document = json.loads(printed("run", "show", ALONE, "--json"))
+    document = described("run", "show", ALONE, "--json")
     assert document["resumed_elsewhere"] is True
-    assert json.loads(printed("run", "show", ALIKE, "--json"))["resumed_elsewhere"] is False
+    assert described("run", "show", ALIKE, "--json")["resumed_elsewhere"] is False
 
 
 def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
@@ -217,7 +216,7 @@ def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
     (folder / "run.json").write_bytes(bytes(data))
     (folder / "provenance.json").unlink()
     (folder / "more.txt").write_text("mine")
-    document = json.loads(printed("run", "show", ALONE, "--json"))
+    document = described("run", "show", ALONE, "--json")
     assert document["status"] == "damaged"
     assert f"run {ALONE}: damaged (run.json)" in printed("run", "show", ALONE)
     assert {file["name"]: file["state"] for file in document["files"]} == {
@@ -237,7 +236,7 @@ def test_a_file_outside_the_folder_is_not_even_measured(store: Store) -> None:
         files = {name: checksum(b"{}")}
         status = seal({"status": "done", "step": 256, "files": files})
         (store.run_folder(ALONE) / "status.json").write_bytes(status)
-        document = json.loads(printed("run", "show", ALONE, "--json"))
+        document = described("run", "show", ALONE, "--json")
         assert {"name": name, "bytes": 0, "state": "refused"} in document["files"]
         assert document["status"] == "damaged"
 
@@ -303,7 +302,7 @@ def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path
     from stable_baselines3 import PPO
 
     out = tmp_path / "policy.zip"
-    document = json.loads(printed("run", "export", "00aa0", "--out", str(out), "--json"))
+    document = described("run", "export", "00aa0", "--out", str(out), "--json")
     assert document == {
         "schema": 1, "run_id": ALONE, "file": str(out), "bytes": out.stat().st_size, "note": "",
     }  # fmt: skip

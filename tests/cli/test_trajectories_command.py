@@ -21,7 +21,7 @@ from pneuma.env.watch import level_worlds
 from pneuma.figures.trajectories import _told, draw_trajectories
 from pneuma.study.store import Status, Store
 
-from .calls import call, printed, refused
+from .calls import call, described, printed, refused
 
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=40")
 TINY = ["--engine", "sb3", "--steps", "128", *(part for own in SETTINGS for part in ("--set", own))]
@@ -37,13 +37,13 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results
 
 
-def described(*arguments: str | Path) -> Any:
+def told_of(*arguments: str | Path) -> Any:
     """Return the JSON document that the command prints."""
-    return json.loads(printed("study", "trajectories", *arguments, "--json", "--quiet"))
+    return described("study", "trajectories", *arguments, "--json", "--quiet")
 
 
 def test_it_says_how_the_episodes_of_each_condition_end(trained: Path) -> None:
-    document = described(*GODOT, "--episodes", "3", "--results", trained)
+    document = told_of(*GODOT, "--episodes", "3", "--results", trained)
     assert (document["study"], document["episodes"]) == ("activation-godot", 3)
     rows = document["endings"]
     assert {row["condition"] for row in rows} == {"tanh", "relu"}
@@ -58,20 +58,20 @@ def test_it_says_how_the_episodes_of_each_condition_end(trained: Path) -> None:
 def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(trained: Path, tmp_path: Path) -> None:
     results = shutil.copytree(trained, tmp_path / "results")
     printed("study", "publish", *GODOT, "--results", str(results))
-    ours = described(*GODOT, "--episodes", "2", "--publish", "--out", tmp_path / "ours", "--results", results)
+    ours = told_of(*GODOT, "--episodes", "2", "--publish", "--out", tmp_path / "ours", "--results", results)
     clone = tmp_path / "clone"
     shutil.copytree(results / "published", clone / "published")
-    theirs = described(*GODOT, "--out", tmp_path / "theirs", "--format", "png", "--results", clone)
+    theirs = told_of(*GODOT, "--out", tmp_path / "theirs", "--format", "png", "--results", clone)
     assert [Path(file).suffix for file in theirs["files"]] == [".png"]
     assert ours["endings"] == theirs["endings"]
     name = "fig-6-5-godot-trajectories.png"
     assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
-    alone = described(*GODOT, "--condition", "relu", "--results", clone)
+    alone = told_of(*GODOT, "--condition", "relu", "--results", clone)
     assert {row["condition"] for row in alone["endings"]} == {"relu"}
     assert (alone["source"], alone["steps"]) == ("the published table", 256)
     published = results / "published" / "trajectories" / "activation-godot.parquet"
     whole = published.read_bytes()
-    described(*GODOT, "--episodes", "2", "--condition", "relu", "--publish", "--results", results)
+    told_of(*GODOT, "--episodes", "2", "--condition", "relu", "--publish", "--results", results)
     assert published.read_bytes() == whole
 
 
@@ -102,7 +102,7 @@ def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path) -> None
     printed("study", "run", *told, *TINY, *one, "--quiet")
     line = refused("study", "trajectories", *told)
     assert f"would read the level {level}; if you trust where it is from, give --trust" in line
-    document = described(*told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
+    document = told_of(*told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
     assert [Path(file).name for file in document["files"]] == [
         "fig-6-5-trajectories.png",
         "fig-6-5-trajectories.svg",

@@ -1,4 +1,4 @@
-"""The reference engine's A2C, TRPO, DQN and Double DQN: their bits, what is recorded, the double target."""
+"""The reference engine's learners, PPO to Double DQN: their bits, what is recorded, the double target."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import CallbackList
 
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3
@@ -32,6 +33,7 @@ SMALL = {
 }
 DQN_SETTINGS = {"learning_starts": 80, "target_every": 50, "buffer_size": 150}
 CASES: dict[str, dict[str, Any]] = {
+    "ppo": {"engine": "sb3"},
     "a2c": {"algorithm": "a2c", "optimizer": "rmsprop"},
     "a2c-no-baseline": {"algorithm": "a2c", "value_baseline": False, "gae_lambda": 1},
     "trpo": {"algorithm": "trpo"},
@@ -85,7 +87,8 @@ def test_records_have_the_columns_of_the_contract(case: str) -> None:
         assert 0 <= row["dead_units"] <= 1
     last = records.metrics[-1]
     missing = {name for name in METRIC_COLUMNS if np.isnan(last[name])}
-    none_of = {
+    none_of: dict[str, set[str]] = {
+        "ppo": set(),
         "a2c": {"approx_kl", "clip_fraction"},
         "trpo": {"clip_fraction"},
         "dqn": {
@@ -93,7 +96,7 @@ def test_records_have_the_columns_of_the_contract(case: str) -> None:
             *("grad_norm_actor", "grad_norm_critic"),
         },
     }
-    assert missing == none_of["dqn" if of_values else "trpo" if case == "trpo" else "a2c"]
+    assert missing == none_of["dqn" if of_values else case.removesuffix("-no-baseline")]
     added = ("q_estimate", "q_true") if of_values else ()
     assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
 
@@ -118,22 +121,62 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
     assert bits(after) == bits(train(clean)[0])
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case not in OF_VALUES])
-def test_a_run_whose_logits_overflow_while_it_plays_diverged(case: str) -> None:
-    """Weights of 1e20 are numbers yet; what three layers make of them is none, and torch draws by none."""
-    run = run_of(case, activation="leaky-relu", actor=[16, 16])
+def with_huge_weights(run: Run) -> Any:
+    """Return a learner with weights of 1e20, of which two layers make what is no number."""
     model = sb3.make_model(run, sb3.make_env(run))
     with torch.no_grad():
         for weight in model.policy.parameters():
             weight.fill_(1e20)
-    records = Records()
+    return model
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case not in OF_VALUES])
+def test_a_run_whose_logits_overflow_while_it_plays_diverged(case: str) -> None:
+    run, records = run_of(case, activation="leaky-relu"), Records()
+    model = with_huge_weights(run)
     with sb3.gradient_norms(model, run) as norms:
         assert not sb3.Sb3Trainer(model, run, norms).update(0, run.steps_per_update, records)
     (row,) = records.metrics
-    usual = train(run)[0].records.metrics[0]
     assert row["step"] == run.steps_per_update
-    assert set(row) == set(usual)
+    assert set(row) == set(METRIC_COLUMNS)
     assert not np.isfinite([row["policy_loss"], row["dead_units"], row["action_0"]]).any()
+
+
+def test_logits_that_overflow_between_two_minibatches_are_no_crash() -> None:
+    run = run_of("ppo", activation="leaky-relu")
+    model = sb3.make_model(run, sb3.make_env(run))
+    _, callback = model._setup_learn(run.steps, callback=CallbackList([]))
+    model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
+    model.policy.load_state_dict(with_huge_weights(run).policy.state_dict())
+    assert np.isnan(sb3.learn_from_rollout(model, run)["policy_loss"])
+
+
+def test_an_update_that_leaves_such_weights_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They would be judged, and kept as the run's policy, if it was the last."""
+    run, records = run_of("ppo", activation="leaky-relu"), Records()
+    model = sb3.make_model(run, sb3.make_env(run))
+    huge, train_on = with_huge_weights(run).policy.state_dict(), model.train
+    monkeypatch.setattr(model, "train", lambda: (train_on(), model.policy.load_state_dict(huge)))
+    with sb3.gradient_norms(model, run) as norms:
+        assert not sb3.Sb3Trainer(model, run, norms).update(0, run.steps_per_update, records)
+    assert np.isfinite(records.metrics[-1]["policy_loss"])
+
+
+@pytest.mark.parametrize("method", ["collect_rollouts", "train"])
+def test_any_other_mistake_of_a_learner_is_told(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of sound logits, and of logits that are no numbers because what is observed is none."""
+    run = run_of("ppo")
+    model = sb3.make_model(run, sb3.make_env(run))
+
+    def fail(*_: object) -> None:
+        model._last_obs[:] = np.nan
+        raise ValueError("something else")
+
+    with sb3.gradient_norms(model, run) as norms:
+        trainer = sb3.Sb3Trainer(model, run, norms)
+        monkeypatch.setattr(model, method, fail)
+        with pytest.raises(ValueError, match="something else"):
+            trainer.update(0, run.steps_per_update, Records())
 
 
 # --- Double DQN --------------------------------------------------------------------------------------

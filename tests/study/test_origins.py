@@ -169,13 +169,14 @@ def test_what_other_machines_measured_is_kept(
     assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
 
 
+@pytest.mark.parametrize("told_so", [True, False])  # else it is what the start took that shows it
 def test_a_start_that_compiled_is_measured_again(
-    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, planned: Plan, told_so: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every run of a plan would otherwise be told to take a compilation longer than it does."""
     run = replace(planned.cells[0].run, steps=1024)
-    compiled, loaded = foresight.Pace(30.0, 0.01), foresight.Pace(2.0, 0.01)
-    paces = iter([(compiled, True), (loaded, False)])
+    compiled, loaded = foresight.Pace(31.0, 0.01), foresight.Pace(2.0, 0.01)
+    paces = iter([(compiled, told_so), (loaded, False)])
     monkeypatch.setattr(calibration, "_measure", lambda run: next(paces))
     told: list[str] = []
     assert calibration.calibrate([run], Store(tmp_path), {}, told.append) == {foresight.kind(run): loaded}
@@ -195,7 +196,8 @@ def test_a_start_that_a_run_hardly_feels_is_measured_once(
 
     monkeypatch.setattr(calibration, "_measure", measure)
     monkeypatch.setattr(calibration, "_with_evaluations", lambda run, pace: pace)
-    calibration.calibrate([run], Store(tmp_path), {}, lambda text: None)
+    found = calibration.calibrate([run], Store(tmp_path), {}, lambda text: None)
+    assert found == {foresight.kind(run): foresight.Pace(60.0, 0.03)}
     assert asked == [run]
 
 
