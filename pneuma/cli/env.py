@@ -83,7 +83,8 @@ def check(
     names = REGISTERED if all_ or name is None and not set_ else (name or ENVIRONMENTS[0],)
     if names[0] not in REGISTERED:
         raise unknown_name("environment", names[0], REGISTERED)
-    settings, left = read_settings_options(set_), ()
+    settings = read_settings_options(set_)
+    left: tuple[str, ...] = ()
     if len(names) > 1 and settings:
         vectors = MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()
         left = tuple(each for each in names if each in (MAILMAN, *vectors))
