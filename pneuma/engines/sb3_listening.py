@@ -53,6 +53,7 @@ LOGGED: dict[str, dict[str, tuple[int, str]]] = {
 LOSSES = tuple(LOGGED["ppo"])
 NORMS = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES))))
+"""Columns of the metrics that tell what a policy met and did."""
 
 
 # --- Gradients -------------------------------------------------------------------------------------
@@ -188,8 +189,10 @@ def logged_losses(model: Learner, run: Run) -> dict[str, float]:
 def visited_metrics(policy: Policy, observations: np.ndarray, actions: np.ndarray) -> dict[str, float]:
     """Measure what a policy met and did: dead units over (N, features), shares of the actions (N,)."""
     shares = np.bincount(actions.astype(np.int64).ravel(), minlength=len(ACTION_NAMES)) / actions.size
-    told = (dead_share(policy, observations), *(float(share) for share in shares))
-    return dict(zip(VISITED_METRICS, told, strict=True))
+    return {
+        "dead_units": dead_share(policy, observations),
+        **{f"action_{i}": float(share) for i, share in enumerate(shares)},
+    }
 
 
 def rollout_metrics(model: Any, policy: Policy) -> dict[str, float]:
