@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,6 +11,14 @@ import pytest
 
 Points = Sequence[tuple[str, int, float]]
 WriteEvents = Callable[[Path, Points], Path]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _folders_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Stable-Baselines3's own learners leave an empty folder each in the system's: here, in the tests'."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SB3_LOGDIR", str(tmp_path_factory.mktemp("learners")))
+        yield
 
 
 @pytest.fixture(scope="session")

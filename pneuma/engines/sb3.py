@@ -152,15 +152,16 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
 def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
     """Let the learner train on the rollout it collected; return its log of that.
 
-    Once a weight or a logit is not a number, torch refuses the next minibatch; that run diverged, and its
-    losses are then not numbers either.
+    Once a weight, the critic's too, or a logit is not a number, torch refuses the next minibatch; that run
+    diverged, and its losses are then not numbers either.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # it measures values that are about to overflow
             model.train()
     except (ValueError, RuntimeError):
         met = model.rollout_buffer.observations
-        if not overflows(extract_policy(model, run), met.reshape(-1, met.shape[-1])):
+        sound = all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters())
+        if sound and not overflows(extract_policy(model, run), met.reshape(-1, met.shape[-1])):
             raise
         return dict.fromkeys(LOSSES, NAN)
     return logged_losses(model, run)

@@ -151,6 +151,20 @@ def test_logits_that_overflow_between_two_minibatches_are_no_crash() -> None:
     assert np.isnan(sb3.learn_from_rollout(model, run)["policy_loss"])
 
 
+def test_a_critic_that_is_no_number_diverged_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever torch then says of it, and however sound the actor's logits are."""
+    run = run_of("ppo")
+    model = sb3.make_model(run, sb3.make_env(run))
+
+    def fail() -> None:
+        with torch.no_grad():
+            model.policy.value_net.weight.fill_(np.nan)
+        raise RuntimeError("of a value that is no number")
+
+    monkeypatch.setattr(model, "train", fail)
+    assert np.isnan(sb3.learn_from_rollout(model, run)["policy_loss"])
+
+
 def test_an_update_that_leaves_such_weights_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
     """They would be judged, and kept as the run's policy, if it was the last."""
     run, records = run_of("ppo", activation="leaky-relu"), Records()
