@@ -120,7 +120,7 @@ def _empty(data: StudyData, condition: str, name: str) -> UserError:
     if not runs:
         return UserError(
             f"study {data.study}: no run of {condition} has finished, and every cell needs one: "
-            f"run `pneuma study run {data.study}` with the same options"
+            f"run `{data.run_command}` with the same options"
         )
     return UserError(
         f"outcome {name}: no run of {condition} has it, and every cell needs one: "

@@ -22,7 +22,7 @@ from pneuma.analysis.adaptive import looks_that_count
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
-from pneuma.study.spec import in_setting, split_setting
+from pneuma.study.definition import in_setting, run_command, split_setting
 from pneuma.study.store import Status
 
 
@@ -165,8 +165,13 @@ class StudyData:
         if not self.runs:
             raise UserError(
                 f"no run of this selection of study {self.study} has finished in {where}: "
-                f"run `pneuma study run {self.study}` with the same options first"
+                f"run `{self.run_command}` with the same options first"
             )
+
+    @property
+    def run_command(self) -> str:
+        """The command that trains the study, without options that pick from it."""
+        return run_command(self.study, self.record.get("path"))
 
     def _finished(self, run: Mapping[str, Any]) -> FinishedRun | None:
         status = self.source.status(run["run_id"])

@@ -5,6 +5,7 @@ file → Study (`spec.py`), here → Plan (`plan.py`). A study owns no results.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -160,6 +161,18 @@ def split_setting(name: str) -> tuple[str, str]:
     """Return the study's own name and the setting that a name stands for."""
     own = name.removesuffix(f"-{GODOT}")
     return (own, GODOT) if own != name else (name, TEXT)
+
+
+def run_command(name: str, path: object = None) -> str:
+    """Return the command that trains a study.
+
+    Args:
+        name: of its record.
+        path: of its file, as a record, maybe a stranger's, tells; of a shipped study none, or no string.
+    """
+    own, setting = split_setting(name)
+    asked = shlex.quote(path if isinstance(path, str) else own)
+    return f"pneuma study run {asked}" + ("" if setting == TEXT else f" --setting {setting}")
 
 
 def is_shipped_file(path: Path) -> bool:

@@ -69,10 +69,12 @@ def test_runs_that_are_not_finished_are_left_out(store: Store) -> None:
 
 
 def test_a_study_without_a_finished_run_is_told(store: Store) -> None:
-    with pytest.raises(
-        UserError, match="no run of this selection of study mine has finished in .*results.*pneuma study run"
-    ):
-        open_study(store, _record(("a", 0, CRASHED))).table("episodes")
+    record = {**_record(("a", 0, CRASHED)), "path": "/here/mine.toml"}
+    told = (
+        "no run of this selection of study mine has finished in .*: run `pneuma study run /here/mine.toml` "
+    )
+    with pytest.raises(UserError, match=told):
+        open_study(store, record).table("episodes")
 
 
 def test_a_damaged_table_is_not_read(store: Store) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.study.definition import in_setting, split_setting
+from pneuma.study.definition import in_setting, run_command, split_setting
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
@@ -82,6 +82,20 @@ def test_a_shipped_study_in_godots_setting_goes_by_its_name_too() -> None:
     assert load_study("activation-godot") == load_study("activation", "godot")
     with pytest.raises(UserError, match="--setting text: the name activation-godot stands for"):
         load_study("activation-godot", "text")
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "told"),
+    [
+        ("activation", None, "activation"),
+        ("activation-godot", None, "activation --setting godot"),
+        ("activation", ["a stranger's"], "activation"),
+        ("mine", "/here/mine.toml", "/here/mine.toml"),
+        ("mine-godot", "/my own/mine.toml", "'/my own/mine.toml' --setting godot"),
+    ],
+)
+def test_a_study_is_trained_by_its_name_or_its_file(name: str, path: object, told: str) -> None:
+    assert run_command(name, path) == f"pneuma study run {told}"
 
 
 @pytest.mark.parametrize("name", list_studies())
