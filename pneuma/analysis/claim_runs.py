@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -228,27 +228,46 @@ class ClaimRuns:
         steps = {*claim.steps.values()}
         at_step = float(min(steps)) if len(steps) > 1 else None
         runs = [found[seed] for seed in claim.seeds[condition]]
-        blank = ""
+        unknown = ""
         if claim.only:
-            counts = [outcome(data, run, claim.only, at_step) for run in runs]
-            unknown = [run.seed for run, own in zip(runs, counts, strict=True) if np.isnan(own)]
-            blank = f"{condition} seed {unknown[0]}: its {claim.only} is not known" if unknown else ""
-            runs = [run for run, own in zip(runs, counts, strict=True) if own > 0.5]
+            counts = _values(data, runs, claim.only, at_step)
+            unknown = _first(condition, runs, np.isnan(counts), lambda run: f"its {claim.only} is not known")
+            runs = [run for run, own in zip(runs, counts, strict=True) if own == 1]
             if not runs:
-                return Arm(
-                    np.array([]), (), blank or f"no run of {condition} counts: {claim.only} is 0 in all"
-                )
-        values = np.array([outcome(data, run, claim.outcome, at_step) for run in runs], float)
-        for run, value in zip(runs, values, strict=True):
-            if not np.isfinite(value) and not blank:
-                why = reason(data, run, claim.outcome, at_step) or f"its {claim.outcome} is {value}"
-                blank = f"{condition} seed {run.seed}: {why}"
-        idle = ""
-        if find_outcome(claim.outcome).supposes_rise:
-            best = np.array([outcome(data, run, "best-score", at_step) for run in runs], float)
-            if (best > RISEN).mean() <= 0.5:
-                idle = f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"
-        return Arm(values, tuple(run.run_id for run in runs), blank, idle)
+                none = f"no run of {condition} counts: {claim.only} is 0 in all"
+                return Arm(np.array([]), (), unknown or none)
+        values = _values(data, runs, claim.outcome, at_step)
+        missing = (
+            np.isnan(values) if claim.event else ~np.isfinite(values)
+        )  # an event may be endless: "never"
+        blank = _first(
+            condition, runs, missing,
+            lambda run: reason(data, run, claim.outcome, at_step) or f"its {claim.outcome} is endless",
+        )  # fmt: skip
+        idle = _idle(condition, data, runs, at_step) if find_outcome(claim.outcome).supposes_rise else ""
+        return Arm(values, tuple(run.run_id for run in runs), unknown or blank, idle)
+
+
+def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:
+    """Return an outcome of each run, (runs,)."""
+    return np.array([outcome(data, run, name, at_step) for run in runs], float)
+
+
+def _first(
+    condition: str, runs: Sequence[FinishedRun], missing: np.ndarray, told: Callable[[FinishedRun], str]
+) -> str:
+    """Tell of the first run that something is missing of; empty where none is."""
+    if not missing.any():
+        return ""
+    run = runs[int(missing.argmax())]
+    return f"{condition} seed {run.seed}: {told(run)}"
+
+
+def _idle(condition: str, data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> str:
+    """Tell of an arm of which half never learns, where an outcome supposes that runs do; empty otherwise."""
+    if (_values(data, runs, "best-score", at_step) > RISEN).mean() > 0.5:
+        return ""
+    return f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"
 
 
 def _stored(store: Store, record: Mapping[str, Any]) -> StudyData | None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.outcomes import YES_OR_NO, find_outcome
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
@@ -173,14 +173,12 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
     fixed = read_fixed_runs(file, where, study)
     _allowed(file, where, "outcome", lambda: find_outcome(texts["outcome"]))
     if texts["only"]:
-        _allowed(file, where, "only", lambda: find_outcome(texts["only"]))
+        _choice(file, where, table, "only", YES_OR_NO)
     kind = _choice(file, where, table, "kind", KINDS)
     direction = _choice(file, where, table, "direction", DIRECTIONS)
-    value = _number(file, where, table, "value")
+    value = _value(file, where, table, kind, direction)
     if bool(fixed.b) == (value is not None):
         raise file.mistake(where, "a claim holds a against either b, conditions, or value, a number")
-    if value is not None and kind not in CONSTANT_KINDS:
-        raise file.mistake(where, f"value: {', '.join(CONSTANT_KINDS)} can be held against a number", "value")
     return Claim(
         **{"name": name, **texts},
         a=fixed.a,
@@ -236,13 +234,25 @@ def _number(file: TomlFile, where: Where, table: Mapping[str, Any], key: str) ->
         raise file.mistake(where, f"{key} = {shown(value)} is not allowed: a number", key) from None
 
 
+def _value(file: TomlFile, where: Where, table: Mapping[str, Any], kind: str, direction: str) -> float | None:
+    value = _number(file, where, table, "value")
+    if value is None:
+        return None
+    if kind not in CONSTANT_KINDS:
+        raise file.mistake(where, f"value: {', '.join(CONSTANT_KINDS)} can be held against a number", "value")
+    beyond = {"less": value == 0, "greater": value == 1}.get(direction, False)
+    if kind == "incidence" and (beyond or not 0 <= value <= 1):
+        told = f"value = {value:g} is not allowed: a share of runs, from 0 to 1, that can be {direction}"
+        raise file.mistake(where, told, "value")
+    return value
+
+
 def _event(file: TomlFile, where: Where, table: Mapping[str, Any], kind: str) -> Event | None:
     above, below = (_number(file, where, table, key) for key in ("above", "below"))
-    if (kind == "incidence") != ((above is None) != (below is None)):
+    given = [number for number in (above, below) if number is not None]
+    if len(given) != (kind == "incidence"):
         raise file.mistake(where, "an incidence, and nothing else, counts runs by above or below, a number")
-    if kind != "incidence":
-        return None
-    return Event(above is not None, float(above if above is not None else below or 0.0))
+    return Event(above is not None, given[0]) if given else None
 
 
 def _margin(
@@ -254,6 +264,8 @@ def _margin(
     least = 1 if kind == "spread" else 0
     if margin is not None and margin <= least:
         raise file.mistake(where, f"margin = {margin:g} is not allowed: above {least} for {kind}", "margin")
+    if margin is not None and kind == "incidence" and margin >= 1:
+        raise file.mistake(where, f"margin = {margin:g} is not allowed: below 1, a share of runs", "margin")
     return margin
 
 

@@ -143,7 +143,7 @@ def _mean(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.rand
 
 def _spread(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
     seeds, effect = (a.size, b.size), _effect("spread", a, b)
-    equal = [name for name, arm in (("a", a), ("b", b)) if np.ptp(arm) == 0]
+    equal = [name for name, arm in (("a", a), ("b", b)) if not permutation.scaled(arm[None]).any()]
     if equal:
         reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
         return undecided("spread", reason, seeds, effect)

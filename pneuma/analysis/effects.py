@@ -58,7 +58,7 @@ def study_effects(data: StudyData, name: str = PRIMARY) -> Effects:
 
     Raises:
         UserError: for a name that is no outcome's, a study that is not crossed, mixed engines, a cell
-            without a run that has the outcome, an endless value, or no cell with a second run.
+            without a run that has the outcome, an endless value, or as few runs as effects.
     """
     find_outcome(name)
     crossing = find_crossing(data)
@@ -108,14 +108,14 @@ def _cells(data: StudyData, crossing: Crossing, name: str) -> tuple[Cells, int]:
                 f"outcome {name}: some runs of {condition} never get there; compare another outcome"
             )
         if all(map(np.isnan, own.values())):
-            raise _empty(data, condition, name)
+            raise _empty(data, condition, name, at_step)
         found.setdefault(cell, {}).update(own)
     values = {cell: np.array(list(own.values())) for cell, own in found.items()}
     without = sum(int(np.isnan(own).sum()) for own in values.values())
     return {cell: own[~np.isnan(own)] for cell, own in values.items()}, without
 
 
-def _empty(data: StudyData, condition: str, name: str) -> UserError:
+def _empty(data: StudyData, condition: str, name: str, at_step: int | None) -> UserError:
     runs = data.of_condition(condition)
     if not runs:
         return UserError(
@@ -124,7 +124,7 @@ def _empty(data: StudyData, condition: str, name: str) -> UserError:
         )
     return UserError(
         f"outcome {name}: no run of {condition} has it, and every cell needs one: "
-        f"{reason(data, runs[0], name)}; compare another outcome"
+        f"{reason(data, runs[0], name, at_step)}; compare another outcome"
     )
 
 

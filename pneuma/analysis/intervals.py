@@ -167,6 +167,8 @@ def bootstrap_interval(
 ) -> Interval:
     """Return the BCa bootstrap interval of a statistic over runs (Efron 1987).
 
+    None for fewer than three runs, or where most are equal.
+
     Args:
         values: (runs,).
         statistic: works along the last axis, as those of `pneuma.analysis.estimates` do.
@@ -184,6 +186,8 @@ def bootstrap_interval(
     z = special.ndtri(np.array([(1 - level) / 2, (1 + level) / 2]))
     shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
     low, high = np.quantile(drawn, shares)
+    if low == high:  # most runs are equal; an interval of no width would claim that all ever will be
+        return no_interval(level)
     return Interval(float(low), float(high), level, "BCa bootstrap")
 
 

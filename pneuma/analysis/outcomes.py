@@ -117,18 +117,21 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
     if found.source == "times":
         return f"{data.source.what} does not tell how long the run took"
     if found.source == "signs":
-        return _no_sign(data, run, name)
+        return _no_sign(data, run, name, at_step)
     if data.source.kept_outcome(run, name) is None and found.source not in (*data.tables, *data.quantities):
         return f"{data.source.what} holds no {found.source}"
     early = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
     return f"{early} has no value of its {found.source} to take {name} from"
 
 
-def _no_sign(data: StudyData, run: FinishedRun, name: str) -> str:
-    found = diagnose(data, run)
+def _no_sign(data: StudyData, run: FinishedRun, name: str, at_step: float | None) -> str:
+    found = diagnose(data, run, at_step)
     if len(found.unseen) == len(SIGNS):
         return f"{data.source.what} holds no sign of collapse"
-    return "the run never collapsed" if not found.collapsed else f"no evaluation tells of {name}"
+    if found.collapsed:
+        return f"no evaluation tells of {name}"
+    early = at_step is not None and at_step < run.end
+    return f"the run had not collapsed by step {at_step:,.0f}" if early else "the run never collapsed"
 
 
 # --- From evaluations ------------------------------------------------------------------------------
@@ -332,6 +335,9 @@ OUTCOMES: dict[str, Outcome] = {
         "estimated value of play less what it returned", "", "lower", ANYTHING, "evaluations", _overestimation
     ),
 }
+
+YES_OR_NO = ("collapsed", "relearned")
+"""Outcomes that are 1 or 0: by these runs can be picked."""
 """By name; `find_outcome` also knows steps-to:X."""
 
 PRIMARY = "final-share-killed"

@@ -22,7 +22,7 @@ from pneuma.analysis.adaptive import looks_that_count
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
-from pneuma.study.definition import in_setting, run_command, split_setting
+from pneuma.study.spec import in_setting, run_command, split_setting
 from pneuma.study.store import Status
 
 

@@ -25,6 +25,7 @@ from pneuma.study.definition import (
     Study,
     in_setting,
     join_settings,
+    run_command,
     split_setting,
     studies_folder,
 )
@@ -34,8 +35,8 @@ from pneuma.values import Number
 
 __all__ = [
     "GODOT", "PRESETS", "SEEDS_ALLOWED", "SETTINGS", "TEXT", "Preset", "Study", "does_nothing", "in_setting",
-    "join_settings", "list_studies", "load_study", "read_seeds", "split_setting", "studies_folder",
-    "unread_settings",
+    "join_settings", "list_studies", "load_study", "read_seeds", "run_command", "split_setting",
+    "studies_folder", "unread_settings",
 ]  # fmt: skip
 
 MOST_SEEDS = 10_000

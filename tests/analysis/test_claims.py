@@ -75,6 +75,24 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "b and value": ('b = "low"', 'b = "low"\nvalue = 1', 14, ("either b", "or value")),
     "incidence of nothing": ('"mean"', '"incidence"', 14, ("incidence", "above or below")),
     "an event of no incidence": ('"mean"', '"mean"\nabove = 1', 14, ("incidence", "above or below")),
+    "an event both ways": ('"mean"', '"mean"\nabove = 0\nbelow = 1', 14, ("incidence", "above or below")),
+    "a share of percent": (
+        'b = "low"\noutcome = "final-share-killed"\nkind = "mean"\ndirection = "greater"\nmargin = 0.04',
+        'value = 25\nabove = 0.5\noutcome = "final-share-killed"\nkind = "incidence"\ndirection = "less"', 19,
+        ("value = 25", "from 0 to 1"),
+    ),
+    "less than none": (
+        'b = "low"\noutcome = "final-share-killed"\nkind = "mean"\ndirection = "greater"\nmargin = 0.04',
+        'value = 0\nabove = 0.5\noutcome = "final-share-killed"\nkind = "incidence"\ndirection = "less"', 19,
+        ("value = 0", "that can be less"),
+    ),
+    "a margin of percent": (
+        'kind = "mean"\ndirection = "greater"\nmargin = 0.04',
+        'above = 0.5\nkind = "incidence"\ndirection = "equal"\nmargin = 10', 24, ("margin = 10", "below 1"),
+    ),
+    "only by a share": (
+        "margin = 0.04", 'margin = 0.04\nonly = "final-died"', 24, ("only", "collapsed, relearned"),
+    ),
     "unknown run of logs": (
         "margin = 0.04", 'logs = [{ a = "p", b = "r", figure = "end" }]', 23, ("logs", "unknown b 'r'"),
     ),

@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.analysis import signs
 from pneuma.analysis.collapse import Diagnosis, _one_action, diagnose, diagnoses, incidence
-from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.outcomes import outcome_values, reason
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.signs import NO_ENTROPY
@@ -130,6 +130,15 @@ def test_a_spell_shorter_than_a_twentieth_of_the_budget_is_none(
 ) -> None:
     """From update 61 at step 6,100 on, 500 steps are over at update 66."""
     assert diagnosed(tmp_path, one_action(61, last), learning()).collapsed is collapsed
+
+
+def test_that_a_run_had_not_collapsed_yet_is_told_as_such(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    save_run(store, "a0" * 8, one_action(61), after(learning(), 13, 0.05))
+    data = open_study(store, study_record({("a", 0): "a0" * 8}))
+    (run,) = data.runs
+    assert reason(data, run, "collapse-step", 5_000) == "the run had not collapsed by step 5,000"
+    assert reason(data, run, "collapse-step") == ""
 
 
 # --- Recovery -------------------------------------------------------------------------------------

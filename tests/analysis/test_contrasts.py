@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -191,9 +192,9 @@ def test_equal_runs_are_handled_without_a_warning() -> None:
     assert apart.p_less == pytest.approx(1 / 70) and not apart.interval.exists
     same = compare("mean", [3.0] * 4, [3.0] * 4, 0.5, rng())
     assert (same.p_greater, same.p_less) == (1, 1) and same.p_equivalent == pytest.approx(1 / 70)
-    for b in ([3.0] * 4, [1.0, 2.0, 3.0, 4.0]):
-        spread = compare("spread", [3.0] * 4, b, 1.5, rng())
-        assert spread.p_any == 1 and "equal" in spread.reason
+    for a, b in product(([3.0] * 4, [0.3, 0.1 + 0.2] * 2), ([3.0] * 4, [1.0, 2.0, 3.0, 4.0])):
+        spread = compare("spread", a, b, 1.5, rng())
+        assert spread.p_any == 1 and "arm a" in spread.reason and "equal" in spread.reason
     assert math.isnan(compare("spread", [3.0] * 4, [3.0] * 4, 1.5, rng()).effect)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import intervals
-from pneuma.analysis.estimates import interquartile_mean, mean
+from pneuma.analysis.estimates import interquartile_mean, mean, median
 from pneuma.analysis.intervals import Interval
 
 RUNS = np.random.default_rng(1).gamma(2, size=12)
@@ -105,6 +105,13 @@ def test_too_few_or_equal_runs_have_no_interval(runs: list[float]) -> None:
     ):
         assert own.method == "none" and np.isnan([own.low, own.high]).all() and not own.exists
     assert not intervals.incidence_interval(0, 0).exists
+
+
+def test_a_median_of_runs_that_are_nearly_all_equal_has_no_interval() -> None:
+    """Of six runs of seven at 0, hardly a resample's median is anything else: [0, 0] would claim too much."""
+    runs = [0.0] * 6 + [0.5]
+    assert not intervals.bootstrap_interval(runs, median, np.random.default_rng(0)).exists
+    assert intervals.bootstrap_interval(runs, mean, np.random.default_rng(0)).exists
 
 
 def test_arms_of_unlike_spread_do_not_look_heavy_tailed() -> None:

@@ -98,6 +98,16 @@ def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
     assert told.p == pytest.approx(2 / 12870)  # 16 over 8 relabelings; the one contrast of the list
 
 
+def test_a_run_that_never_gets_there_counts_among_those_that_were_not_there_in_time(
+    store: Store, tmp_path: Path
+) -> None:
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": [[0.6, 0.7]] * 8, "low": [[0.1, 0.2]] * 8})
+    changes = ('"final-share-killed"', '"steps-to:0.5"'), ('"mean"', '"incidence"\nbelow = 1000')
+    judged = judge_one(store, tmp_path, changed(*changes))
+    assert judged.verdict == "supported"
+
+
 def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: Path) -> None:
     """What `high` gained after `low` had ended counts nowhere."""
     claims = changed(

@@ -117,8 +117,8 @@ def test_runs_without_a_value(store: Store, tmp_path: Path) -> None:
 def test_runs_of_which_none_counts(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    reason = _untestable(store, tmp_path, ('b = "low"', 'value = 0.1\nonly = "final-died"'))
-    assert reason == "no run of high counts: final-died is 0 in all"
+    reason = _untestable(store, tmp_path, ('b = "low"', 'value = 0.1\nonly = "collapsed"'))
+    assert reason == "no run of high counts: collapsed is 0 in all"
 
 
 def test_spread_where_there_is_none(store: Store, tmp_path: Path) -> None:
