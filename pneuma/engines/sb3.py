@@ -201,7 +201,7 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     env.state.rekey(world_seeds(run))
     if run.fork_reset == "xp":
         env.state.players["xp"] = 0.0
-        model._last_obs = env.observe().copy()
+    model._last_obs = env.observe().copy()  # as this run sees it: its scale and order may be others
     seed_streams(model, run)
 
 

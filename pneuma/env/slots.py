@@ -1,8 +1,8 @@
 """Slots: every player of every world as an environment of its own, as learners want them.
 
-A slot's player may die while its world goes on. Its episode then ends, at once; until the world ends
-as well, the slot idles: observations of zeros, no reward, and no ending. When the world ends, all of
-its slots that were not idle end with it, and all begin again together.
+A slot's player may die while its world goes on. Its episode then ends, at once, with what it saw last; from
+the next step until the world ends as well, the slot idles: observations of zeros, no reward, and no ending.
+When the world ends, all of its slots that were not idle end with it, and all begin again together.
 """
 
 from __future__ import annotations

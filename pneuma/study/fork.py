@@ -6,15 +6,18 @@ run, step and change → Plan of two conditions × fork seeds, each a run like a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from pneuma.config import (
+    ENGINES,
     FORK_RESETS,
     FORK_SETTINGS,
     OPTIMIZER_SETTINGS,
+    EnvConfig,
     Run,
     as_settings,
+    beyond_engine,
     make_run,
     read_setting,
 )
@@ -34,6 +37,8 @@ FIXED = (
     "learning_starts", "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""
+OF_TRANSITIONS = tuple(own.name for own in fields(EnvConfig))
+"""Settings by which transitions in a replay buffer were made."""
 
 
 def plan_fork(
@@ -83,7 +88,7 @@ def control_run(store: Store, parent: str, at: int, trust: bool = False) -> tupl
         UserError: for a parent without such a checkpoint, or one that must not or cannot be forked.
     """
     whole = _parent_run(store, parent, trust)
-    step = _checkpoint_step(store, parent, at, whole.steps)
+    step = _checkpoint_step(store, parent, at, whole)
     return whole, make_run({**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
 
 
@@ -96,6 +101,8 @@ def changed_run(whole: Run, control: Run, settings: Mapping[str, Any], reset: st
     changes = {**_changes(whole, settings), **({"fork_reset": _reset(reset)} if reset else {})}
     if not changes:
         raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
+    if reset == "optimizer" and not settings and whole.optimizer == "sgd" and not whole.momentum:
+        raise UserError("--reset optimizer: changes nothing, because SGD without momentum keeps nothing")
     changed = _forked(as_settings(control), changes)
     if settings and replace(changed, fork_reset="") == control:
         raise UserError(f"--set {', '.join(settings)}: changes nothing, because nothing in this run reads it")
@@ -146,13 +153,19 @@ def elsewhere(store: Store, parent: str) -> list[str]:
     return [f"the parent was trained with another {', '.join(changed)}: what follows may have other bits"]
 
 
-def _checkpoint_step(store: Store, parent: str, at: int, end: int) -> int:
+def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
     """Return the step of the parent's checkpoint nearest before `at`, which leaves something to train."""
     from pneuma.study.checkpoints import checkpoint_files, read_checkpoint
 
-    if at >= end:
-        raise UserError(f"--at {at}: run {parent} ends at step {end}, so nothing would be left to train")
+    if at >= whole.steps:
+        raise UserError(
+            f"--at {at}: run {parent} ends at step {whole.steps}, so nothing would be left to train"
+        )
     files = sorted(checkpoint_files(store.run_folder(parent)), key=lambda file: file.step, reverse=True)
+    if not files and whole.parent:
+        raise UserError(
+            f"run {parent} keeps no checkpoints, as it is a fork: fork run {whole.parent} with both changes"
+        )
     if not files:
         raise UserError(
             f"run {parent} kept no checkpoints: remove {store.run_folder(parent)} and run a study of it "
@@ -177,6 +190,10 @@ def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
     for key in settings:
         if key in (*FIXED, *FORK_SETTINGS):
             raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
+        if run.buffer_size and key in OF_TRANSITIONS:
+            raise UserError(
+                f"--set {key}: cannot change at a fork, because transitions of before are replayed"
+            )
     read = {key: read_setting(Run, key, value) for key, value in settings.items()}
     for key, value in read.items():
         if getattr(run, key) == value:
@@ -190,6 +207,11 @@ def _forked(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
     other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
     if other and kept:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
+    if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **changes}))):
+        keys = ", ".join(changes)
+        raise UserError(
+            f"--set {keys}: the engine {base['engine']}, which a fork keeps, cannot train {fault}"
+        )
     own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
     run = make_run({**base, **dict.fromkeys(own), **changes})
     if kept and bool(run.momentum) != bool(base["momentum"]):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pneuma.config import Run, make_run
+from pneuma.config import Run, as_settings, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import Checkpoint
@@ -26,6 +27,7 @@ SMALL: dict[str, object] = {
     "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 320, "evaluation_episodes": 2, "episode_steps": 40,
     "betas": (0.9, 0.9), "engine": "sb3",
 }  # fmt: skip
+OF_VALUES: dict[str, object] = {"steps": 320, "evaluation_episodes": 2, "episode_steps": 40}
 AT = 128
 OWN_STREAMS = "worlds/worlds"
 """The worlds' own fields, keys of their random streams among them."""
@@ -117,6 +119,30 @@ def test_xp_that_outlives_episodes_can_be_reset(parent: tuple[Run, dict[int, Che
     assert kept._last_obs[0, seen] > 0 == poor._last_obs[0, seen]
 
 
+def test_a_fork_sees_by_its_own_scale_and_order_from_its_first_step(
+    parent: tuple[Run, dict[int, Checkpoint]],
+) -> None:
+    run, taken = parent
+    before = taken[AT].arrays["last/observations"]
+    assert np.array_equal(begun(forked(run), taken[AT])._last_obs, before)
+    model = begun(forked(run, scale="raw", order="fixed"), taken[AT])
+    assert np.abs(before[:, :2]).max() <= 1 < np.abs(model._last_obs[:, :2]).max()  # the own place
+
+
+def test_a_fork_of_several_players_sees_what_its_parent_saw_also_where_one_has_died() -> None:
+    run = make_run(
+        {**SMALL, "players": 2, "slots": 3, "steps": 1920, "ending_cost": 1.0, "episode_steps": 500}
+    )
+    idle = 0
+    for step, checkpoint in train(run)[1].items():
+        own = {**as_settings(run), "parent": run_id(run), "fork_step": step}
+        assert np.array_equal(
+            begun(make_run(own), checkpoint)._last_obs, checkpoint.arrays["last/observations"]
+        )
+        idle += int((checkpoint.arrays["last/observations"] == 0).all(axis=1).sum())
+    assert idle
+
+
 def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
     parent: tuple[Run, dict[int, Checkpoint]],
 ) -> None:
@@ -190,6 +216,39 @@ def test_what_cannot_be_forked_is_refused(store: Store, settings: dict[str, Any]
         plan(store, **settings)
 
 
+@pytest.mark.parametrize("setting", [{"scale": "raw"}, {"reward": "kills"}, {"time_limit": "terminate"}])
+def test_what_is_replayed_keeps_its_meaning_at_a_fork(tmp_path: Path, setting: dict[str, Any]) -> None:
+    store = Store(tmp_path)
+    parent = stored(store, make_run({**OF_VALUES, "algorithm": "dqn"}))
+    with pytest.raises(UserError, match="transitions of before are replayed"):
+        plan_fork(store, parent, AT, setting, "", [0])
+    assert plan_fork(store, parent, AT, {"gamma": 0.9}, "", [0])
+
+
+def test_an_optimizer_that_keeps_nothing_cannot_be_reset(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    parent = stored(store, make_run({**SMALL, "betas": None, "optimizer": "sgd"}))
+    with pytest.raises(UserError, match="--reset optimizer: changes nothing"):
+        plan_fork(store, parent, AT, {}, "optimizer", [0])
+    assert plan_fork(store, parent, AT, {"optimizer": "adam"}, "optimizer", [0])
+
+
+def test_what_the_engine_cannot_train_names_what_was_asked_for(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    parent = stored(store, make_run({**SMALL, "engine": "batched"}))
+    with pytest.raises(
+        UserError, match="--set value_baseline: the engine batched, which a fork keeps, cannot"
+    ):
+        plan_fork(store, parent, AT, {"value_baseline": False}, "", [0])
+
+
+def test_a_fork_kept_no_checkpoints_and_its_parent_is_named(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    fork = stored(store, make_run({**SMALL, "parent": "0" * 16, "fork_step": 64}), steps=())
+    with pytest.raises(UserError, match=f"as it is a fork: fork run {'0' * 16} with both"):
+        plan_fork(store, fork, AT, {"gamma": 0.9}, "", [0])
+
+
 def test_a_damaged_checkpoint_is_passed_over_for_the_sound_one_before(store: Store) -> None:
     (parent,) = store.runs()
     files = sorted(checkpoint_files(store.run_folder(parent)), key=lambda file: file.step)
@@ -210,13 +269,14 @@ def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
         plan(store, learning_rate=1e-3)
 
 
-def stored(store: Store, run: Run, **about: object) -> str:
-    """Store a run as finished, with a checkpoint."""
+def stored(store: Store, run: Run, steps: Sequence[int] = (AT,), **about: object) -> str:
+    """Store a run as finished, with checkpoints."""
     name = run_id(run)
     files = {"run.json": run_document(run, name), "provenance.json": json.dumps(about).encode()}
     store.save_run(name, Status("done", run.steps), files)
-    data = encode(Checkpoint(AT, {}), {})
-    store.write(store.run_folder(name) / "checkpoints" / file_name(AT, data), data)
+    for step in steps:
+        data = encode(Checkpoint(step, {}), {})
+        store.write(store.run_folder(name) / "checkpoints" / file_name(step, data), data)
     return name
 
 

@@ -42,7 +42,7 @@ class Rollout:
         observations: (S, T, features) float32, before each step.
         actions: (S, T) int64.
         rewards: (S, T) float32, without what a time limit cut off.
-        starts: (S, T) float32, 1 where a step is an episode's first.
+        starts: (S, T) float32, 1 where the step before ended an episode.
         last_observations: (S, features), after the last step.
         last_ends: (S,) float32, 1 where the last step ended an episode.
         ended: (K,) `ENDED`, in order.
@@ -100,7 +100,7 @@ class Collector:
     Attributes:
         worlds: as many as the run's `slots`; each of their players is a slot here.
         returns, lengths, episodes: (S,) of the episodes so far.
-        begins: (S,) float32, 1 where the next step is an episode's first.
+        begins: (S,) float32, 1 where the last step ended an episode, or none was before.
         idle: (S,) whose players died before the last step, in a world that goes on.
         generator: draws the actions.
     """
@@ -318,7 +318,7 @@ def advantages(
     Args:
         rewards: (S, T) float32, as all that follows.
         values: (S, T), of the states before each step.
-        starts: (S, T), 1 where a step is an episode's first.
+        starts: (S, T), 1 where the step before ended an episode.
         last_values: (S,), after the last step.
         last_ends: (S,), 1 where the last step ended an episode.
         gamma: discount.
