@@ -120,7 +120,7 @@ def _empty(data: StudyData, condition: str, name: str, at_step: int | None) -> U
     if not runs:
         return UserError(
             f"study {data.study}: no run of {condition} has finished, and every cell needs one: "
-            f"run `{data.run_command}` with the same options"
+            f"{data.how_to_train}"
         )
     return UserError(
         f"outcome {name}: no run of {condition} has it, and every cell needs one: "

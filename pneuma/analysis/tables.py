@@ -22,7 +22,7 @@ from pneuma.analysis.adaptive import looks_that_count
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError
-from pneuma.study.spec import in_setting, run_command, split_setting
+from pneuma.study.spec import in_setting, list_studies, run_command, split_setting
 from pneuma.study.store import Status
 
 
@@ -165,13 +165,16 @@ class StudyData:
         if not self.runs:
             raise UserError(
                 f"no run of this selection of study {self.study} has finished in {where}: "
-                f"run `{self.run_command}` with the same options first"
+                f"{self.how_to_train} first"
             )
 
     @property
-    def run_command(self) -> str:
-        """The command that trains the study, without options that pick from it."""
-        return run_command(self.study, self.record.get("path"))
+    def how_to_train(self) -> str:
+        """What trains the study; forks, searches and the like have no file that `study run` could read."""
+        path = self.record.get("path")
+        if not isinstance(path, str) and self.own_name not in list_studies():
+            return "give the command that began it again"
+        return f"run `{run_command(self.study, path)}` with the same options"
 
     def _finished(self, run: Mapping[str, Any]) -> FinishedRun | None:
         status = self.source.status(run["run_id"])

@@ -121,11 +121,14 @@ def _part(store: Store, study: str, setting: str) -> Part:
 
 
 def _where(record: Mapping[str, Any], usual: str) -> str:
-    """Return a part's heading: that of its setting, or where else its runs are played."""
+    """Return a part's heading: where its runs are played; that of its setting where it has none."""
     if record.get("source") == "tensorboard":
         return "Imported logs"
-    names = dict.fromkeys(str(run["run"].get("env")) for run in record["runs"])
-    return usual if names.keys() <= {*ENVIRONMENTS} else f"In {', '.join(names)}"
+    names = list(dict.fromkeys(str(run["run"].get("env")) for run in record["runs"]))
+    if not names:
+        return usual
+    titles = dict(zip(ENVIRONMENTS, SETTING_TITLES.values(), strict=True))
+    return titles.get(names[0] if len(names) == 1 else "", f"In {', '.join(names)}")
 
 
 def _recorded_part(

@@ -196,8 +196,10 @@ def _search(
     from pneuma.search.driver import run_search
     from pneuma.search.trials import Unfinished
 
+    noted: set[str] = set()
+
     def train(planned: Plan) -> None:
-        train_plan(planned, store, how, retry_failed, quiet)
+        train_plan(planned, store, how, retry_failed, quiet, noted)
 
     ended: list[Told] = []
 
@@ -260,8 +262,10 @@ def _tell_next(search: Search, store: Store, quiet: bool) -> None:
     say(f"Draw it with: {command('search', 'plot', search.name, '--results', store.root)}", quiet=quiet)
 
 
-def train_plan(planned: Plan, store: Store, how: Supervision, retry_failed: bool, quiet: bool) -> None:
-    """Train what a plan of trials lacks.
+def train_plan(
+    planned: Plan, store: Store, how: Supervision, retry_failed: bool, quiet: bool, noted: set[str]
+) -> None:
+    """Train what a plan of trials lacks, and note what is to be known that was not `noted` before.
 
     Raises:
         Unfinished: where a run did not come to its end.
@@ -269,6 +273,10 @@ def train_plan(planned: Plan, store: Store, how: Supervision, retry_failed: bool
     from pneuma.search.trials import Unfinished
 
     todo = execute.prepare(planned, store, retry_failed, how)
+    for note in dict.fromkeys(todo.notes):
+        if note not in noted:
+            say(f"Note: {note}.", aside=True, quiet=quiet)
+            noted.add(note)
     if todo.runs:
         with ProgressDisplay(planned, todo.runs, how.workers, quiet, todo.kept) as display:
             execute.execute(planned, todo.runs, store, how, display.update)

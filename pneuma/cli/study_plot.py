@@ -139,7 +139,8 @@ def plot(
     studies = _studies_to_draw(store, names, selection, window, setting)
     for _, data in studies:
         tell_left_out(data)
-    paths = _write(store, out, lambda folder: _draw(studies, folder, looks, chosen))
+    draw = _draw if names else _draw_what_can_be
+    paths = _write(store, out, lambda folder: draw(studies, folder, looks, chosen))
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
@@ -184,23 +185,37 @@ def _draw(
     studies: Sequence[tuple[str, StudyData]], folder: Path, looks: _Looks, chosen: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Draw studies into a folder; return what its index is to tell of them."""
+    return [entry for name, data in studies for entry in _draw_one(name, data, folder, looks, chosen)]
+
+
+def _draw_what_can_be(
+    studies: Sequence[tuple[str, StudyData]], folder: Path, looks: _Looks, chosen: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Draw studies that nobody named one by one, as `_draw` does; of those that cannot be drawn only say so.
+
+    Raises:
+        UserError: where none of several can be drawn: what hinders the first.
+    """
+    known = dict(studies)
+    drawn = each_study(list(known), lambda name: _draw_one(name, known[name], folder, looks, chosen))
+    return [entry for _, entries in drawn for entry in entries]
+
+
+def _draw_one(
+    name: str, data: StudyData, folder: Path, looks: _Looks, chosen: Sequence[str]
+) -> list[dict[str, Any]]:
     from pneuma.figures.index import index_entries
 
     draw = {"curves": _draw_curves, "summary": _draw_summary}[looks.kind]
-    entries = []
-    for name, data in studies:
-        paths, drawn = draw(data, folder, looks)
-        singles = {
-            option: drawn[option]
-            for option in ("figure", "layout", "size", "band", "window")
-            if option in drawn
-        }
-        options = [part for option, value in singles.items() for part in (f"--{option}", value)]
-        options += [part for quantity in drawn.get("quantities", ()) for part in ("--quantity", quantity)]
-        options += [part for form in looks.formats for part in ("--format", form)]
-        command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
-        entries += index_entries(paths, command, data, drawn)
-    return entries
+    paths, drawn = draw(data, folder, looks)
+    singles = {
+        option: drawn[option] for option in ("figure", "layout", "size", "band", "window") if option in drawn
+    }
+    options = [part for option, value in singles.items() for part in (f"--{option}", value)]
+    options += [part for quantity in drawn.get("quantities", ()) for part in ("--quantity", quantity)]
+    options += [part for form in looks.formats for part in ("--format", form)]
+    command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
+    return index_entries(paths, command, data, drawn)
 
 
 def _draw_curves(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:

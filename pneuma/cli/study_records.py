@@ -37,7 +37,8 @@ def study_record(
         return _pick(record, selection)
     study = spec.load_study(name, setting)
     latest = recorded_selection(record) if record and "selection" in record else plan.Selection()
-    return execute.selection_record(plan.make_plan(study, selection.over(latest)))
+    planned = plan.make_plan(study, selection.over(latest))
+    return {**execute.selection_record(planned), **execute.looked_at(record)}
 
 
 def is_shipped(name: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -66,7 +66,7 @@ def plan_(
     json: Json = False,
 ) -> None:
     """Say which runs are stored and which would be trained, and how long that takes; none is trained."""
-    from pneuma.study import calibration, foresight
+    from pneuma.study import foresight
 
     selection = selection or plan.Selection()
     planned = plan.make_plan(spec.load_study(name, setting), selection)
@@ -80,7 +80,7 @@ def plan_(
     measured = foresight.measured_runs(planned, statuses, store)
     paces = foresight.known_paces(measured, store)
     if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
-        paces = calibration.calibrate(todo.values(), store, paces, lambda text: say(text, aside=True))
+        paces = _calibrated(todo.values(), store, paces)
     seconds = _expected_seconds(planned, statuses, paces)
     if json:
         cells = [
@@ -201,12 +201,32 @@ def train(
         outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
         code = exit_code(outcomes)
     except Detached:  # as was asked
-        outcomes = [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
-        code = 0
-    if outcomes is not None and json:
-        rows = outcome_rows(outcomes)
+        outcomes, code = as_stored(planned, store), 0
+    if json:
+        rows = outcome_rows(outcomes if outcomes is not None else as_stored(planned, store))
         print_json({"schema": 1, "study": planned.study.name, "runs": rows})
     return code
+
+
+def _calibrated(
+    runs: Iterable[Run], store: Store, paces: Mapping[str, foresight.Pace]
+) -> dict[str, foresight.Pace]:
+    """Measure what paces are missing.
+
+    Raises:
+        UserError: where they could not be kept.
+    """
+    from pneuma.study import calibration
+
+    try:
+        return calibration.calibrate(runs, store, paces, lambda text: say(text, aside=True))
+    except UserError as error:
+        raise UserError(f"{error}; or plan without measuring: --no-calibrate") from None
+
+
+def as_stored(planned: plan.Plan, store: Store) -> list[execute.Outcome]:
+    """Return how a plan's cells stand, none of them trained by this command."""
+    return [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
 
 
 def train_cells(

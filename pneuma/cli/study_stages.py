@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pneuma.cli.options import print_json, read_count, say
-from pneuma.cli.study_run import exit_code, outcome_rows, train_cells
+from pneuma.cli.study_run import as_stored, exit_code, outcome_rows, train_cells
 from pneuma.errors import UserError
 from pneuma.study import execute, plan
 from pneuma.study.executors.base import Supervision
@@ -48,12 +48,14 @@ def run_stages(
     """Train a study in stages, telling after each what is decided; return the exit code."""
     from pneuma.until_decided import look_document, run_until_decided
 
-    outcomes: list[execute.Outcome] | None = []
+    outcomes: list[execute.Outcome] = []
+    code = 0
 
     def train(stage: plan.Plan) -> bool:
-        nonlocal outcomes
-        outcomes = train_cells(stage, store, how, retry_failed, json, quiet)
-        return exit_code(outcomes) == 0
+        nonlocal outcomes, code
+        found = train_cells(stage, store, how, retry_failed, json, quiet)
+        outcomes, code = as_stored(stage, store) if found is None else found, exit_code(found)
+        return code == 0
 
     selection = replace(planned.selection, seeds=None)
     looks = []
@@ -61,7 +63,7 @@ def run_stages(
         looks.append(look)
         for line in _told(look, most_seeds, planned.study.baseline):
             say(line, json)
-    if json and outcomes is not None:
+    if json:
         documents = [look_document(look) for look in looks]
         print_json(
             {
@@ -71,7 +73,7 @@ def run_stages(
                 "looks": documents,
             }
         )
-    return exit_code(outcomes)
+    return code
 
 
 def _told(look: Look, most_seeds: int, baseline: str) -> list[str]:

@@ -134,7 +134,7 @@ def _told_elsewhere(data: StudyData, found: StudyTrajectories | None, results: P
     """Say of which other runs or studies trajectories are published."""
     from pneuma.analysis.trajectories import studies_with_trajectories
 
-    train = f"train with `{data.run_command}`"
+    train = data.how_to_train
     if found is not None:
         seeds = sorted(set(found.episodes["seed"]))
         of = f"seeds {seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"seed {seeds[0]}"

@@ -20,9 +20,10 @@ from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import ABOVE_ALL, far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
 
-_WORLDS = {"text": "in the text's world", "godot": "in the published code's world"}
-_WORLD = "pneuma/Pneuma"
-"""What the names of environments begin with that are such a world."""
+_WORLDS = {
+    "pneuma/Pneuma-v0": "in the text's world",
+    "pneuma/PneumaGodot-v0": "in the published code's world",
+}
 
 _EPISODES = {
     WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
@@ -46,9 +47,9 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 def title_of(data: StudyData) -> str:
     """Return a study's title and where it is played; a level or characters of one's own are no such place."""
     plain = data.title.removesuffix(f" ({data.setting})")
-    worlds = {name.startswith(_WORLD) for name in data.environments}
-    worlds |= {_is_shipped(data.settings(run)) for run in data.runs}
-    return " ".join(filter(None, [plain, _WORLDS.get(data.setting, "") if worlds == {True} else ""]))
+    played = [_WORLDS.get(name, "") for name in data.environments]
+    one = len(played) == 1 and all(_is_shipped(data.settings(run)) for run in data.runs)
+    return " ".join(filter(None, [plain, played[0] if one else ""]))
 
 
 def _is_shipped(settings: Mapping[str, Any]) -> bool:

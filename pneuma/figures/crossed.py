@@ -38,6 +38,12 @@ def read_name(condition: str) -> CrossedName:
     return CrossedName(tuple(levels), ", ".join(parts[crossed:]))
 
 
+def are_crossed(conditions: Sequence[str]) -> bool:
+    """Tell whether all of these have the same factors; changes of one setting at a time have not."""
+    kinds = {tuple(factor for factor, _ in read_name(name).levels) for name in conditions}
+    return len(kinds) == 1 and kinds != {()}
+
+
 def factors_of(conditions: Sequence[str]) -> list[str]:
     """Return the factors that any of these is crossed by, in order."""
     return list(dict.fromkeys(factor for name in conditions for factor, _ in read_name(name).levels))

@@ -23,7 +23,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import forks_told, headline_of, looks_told
-from pneuma.figures.crossed import factors_of
+from pneuma.figures.crossed import are_crossed
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.panel import per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES, Size
@@ -79,7 +79,7 @@ def shown_outcome(data: StudyData) -> str:
 def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> Figure:
     values = {name: _known(data, name, outcome) for name in data.conditions if data.of_condition(name)}
     rows = Rows(data, outcome, values, table)
-    if len(values) > MOST_ROWS and factors_of(list(values)):
+    if len(values) > MOST_ROWS and are_crossed(list(values)):
         words = _words(data, outcome, values, table[table["statistic"] != "improvement"])
         return draw_cells(rows, size, words)
     figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")

@@ -82,6 +82,7 @@ def winners_study(winners: Sequence[Winner]) -> str:
         f"title = {toml_value('Winners of ' + ', '.join(names))}",
         f"base = {toml_value(winners[0].search.space.base)}",
         f"baseline = {toml_value(names[0])}",
+        'settings = ["text"]',  # its environment stands in the tables below
         "",
         "[run]",
         *settings_lines(shared),

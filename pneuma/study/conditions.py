@@ -136,6 +136,8 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
         where = ("conditions", name)
         if not name.strip():
             raise file.mistake(("conditions",), "a condition needs a name that can be read")
+        if name.startswith("_"):
+            raise file.mistake(where, "a condition's name cannot begin with _, which legends leave out")
         conditions[name] = read_settings_table(file, where)
         _refuse_faults(file, base, shared, name, conditions[name], check_run)
         runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))

@@ -18,6 +18,7 @@ from pneuma.config import Run, as_settings, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
+from pneuma.study.kept import lacks_checkpoints
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
@@ -100,24 +101,27 @@ def prepare(
         how = _with_gpus(plan, supervision)
         told = load_executor(how.place).check(todo, how)
     store.check_writable()
-    store.save_selection(plan.study.name, {**selection_record(plan), **_looked_at(recorded)})
+    store.save_selection(plan.study.name, {**selection_record(plan), **looked_at(recorded)})
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
     notes = [*_notes(plan, statuses, todo), *_without_checkpoints(plan, statuses, store)]
     return Todo(todo, kept, (*notes, *([told] if told else [])))
 
 
 def _without_checkpoints(plan: Plan, statuses: Mapping[str, Status], store: Store) -> list[str]:
-    """Say which stored runs cannot be forked, though the study keeps checkpoints: another trained them."""
-    if not plan.study.keep_checkpoints:
+    """Say of which stored runs checkpoints lack that the study keeps: another study trained or began them."""
+    keep, runs = plan.study.keep_checkpoints, {cell.run_id: cell.run for cell in plan.cells}
+    if not keep:
         return []
-    bare = [name for name, status in statuses.items() if status.finished and not store.has_checkpoints(name)]
+    bare = [name for name, run in runs.items() if lacks_checkpoints(store, name, run, statuses[name], keep)]
     if not bare:
         return []
-    told = f"{counted(len(bare), 'stored run')} kept no checkpoints, as this study would: to fork one, as "
+    told = (
+        f"{counted(len(bare), 'stored run')} without all checkpoints that this study keeps: to fork one, as "
+    )
     return [f"{told}{bare[0]}, remove its folder in {store.root / 'runs'} and give this command again"]
 
 
-def _looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
+def looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return what a study's record says of looks at its runs: what was looked at once stays so."""
     return (
         {key: recorded[key] for key in ("adaptive", "adaptive_before") if key in recorded} if recorded else {}

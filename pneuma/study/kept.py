@@ -6,7 +6,7 @@ from pneuma.config import Run
 from pneuma.engines.base import checkpoint_steps
 from pneuma.study.checkpoints import FOLDER, CheckpointFile, checkpoint_files, outdated
 from pneuma.study.files import read_checkpoint_name
-from pneuma.study.store import Store
+from pneuma.study.store import Status, Store
 
 
 class KeptCheckpoints:
@@ -64,3 +64,10 @@ class KeptCheckpoints:
         for file in files:
             file.path.unlink(missing_ok=True)
         self._files = [file for file in self._files if file not in files]
+
+
+def lacks_checkpoints(store: Store, name: str, run: Run, status: Status, keep: int) -> bool:
+    """Tell whether a checkpoint to keep is not there, though the run has come further."""
+    there = {file.step for file in checkpoint_files(store.run_folder(name))}
+    reached = status.step if status.finished else max(there, default=0)
+    return any(step < reached and step not in there for step in checkpoint_steps(run, keep))

@@ -77,6 +77,11 @@ def test_a_study_without_a_finished_run_is_told(store: Store) -> None:
         open_study(store, record).table("episodes")
 
 
+def test_what_has_no_file_is_begun_again_by_its_own_command(store: Store) -> None:
+    with pytest.raises(UserError, match="give the command that began it again first"):
+        open_study(store, {**_record(("a", 0, CRASHED)), "study": "fork-abcdef01-64-1a2b"})
+
+
 def test_a_damaged_table_is_not_read(store: Store) -> None:
     (store.run_folder(DONE) / "episodes.parquet").write_bytes(b"damaged")
     with pytest.raises(UserError):

@@ -136,6 +136,24 @@ def test_what_cannot_be_drawn_is_told_and_nothing_written(
     assert not (results / "figures").exists()
 
 
+def test_of_all_studies_those_are_drawn_that_can_be(results: Path) -> None:
+    """One without what is asked for hinders no other, unless it is named, or none is left."""
+    store = Store(results)
+    mine = store.selection("mine")
+    assert mine is not None
+    records = {name: file for name, file in _records(0).items() if name != "metrics.parquet"}
+    store.save_run("c" * 16, Status("done", 1000), records)
+    run = {**mine["runs"][0], "run_id": "c" * 16}
+    store.save_selection("bare", {**mine, "study": "bare", "figure": "fig-bare", "runs": [run]})
+    entropy = ("study", "plot", "--quantity", "entropy", "--format", "svg", "--results", results)
+    code, out, said = call(*entropy)
+    assert code == 0 and "fig-mine" in out and "fig-bare" not in out
+    assert said.startswith("Note: ") and "c" * 16 in said and said.count("\n") == 1
+    assert call(*entropy[:2], "bare", *entropy[2:])[0] == 2
+    store.selection_path("mine").unlink()
+    assert call(*entropy)[0] == 2
+
+
 def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:
     for command in (
         ("search", "plot", "nosuch"),

@@ -99,6 +99,20 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
 
 
+def test_a_search_says_what_it_trains_anew(
+    searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, results = searched
+    again = shutil.copytree(results, tmp_path / "results")
+    (run,) = [*(again / "runs").iterdir()][:1]
+    (run / "evaluations.parquet").write_bytes(b"damaged")
+    for file in again.glob("searches/*.db*"):
+        file.unlink()
+    assert main(["search", "run", str(path), "--results", str(again)]) == 0
+    told = capsys.readouterr().err
+    assert told.count("'evaluations.parquet' is damaged; the run is trained again") == 1
+
+
 @pytest.mark.parametrize(
     ("stop", "code"), [(Unfinished("trial-002 seed 1000 crashed"), 1), (KeyboardInterrupt(), 130)]
 )

@@ -80,7 +80,7 @@ def test_where_neither_policies_nor_trajectories_are_it_says_so(trained: Path, t
     printed("study", "publish", *GODOT, "--results", str(results))
     shutil.rmtree(results / "runs")
     line = refused("study", "trajectories", *GODOT, "--results", results)
-    train = "train with `pneuma study run activation --setting godot`"
+    train = "run `pneuma study run activation --setting godot` with the same options"
     nowhere = f"study activation-godot: its policies are not in {results}; "
     assert line == nowhere + train
     folder = results / "published" / "trajectories"

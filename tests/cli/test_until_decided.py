@@ -94,7 +94,10 @@ def test_a_study_whose_seeds_came_by_looking_says_so_while_it_goes_on_and_no_oth
     record = store.selection(STUDY)
     assert record is not None and looks_of(record) == (10,)
     assert main(["study", "status", STUDY, "--results", str(tmp_path)]) == 0
-    assert "seeds were added by --until-decided, which looked at 10 of them" in capsys.readouterr().out
+    looked = "seeds were added by --until-decided, which looked at 10 of them"
+    assert looked in capsys.readouterr().out
+    assert main(["study", "status", STUDY, "--results", str(tmp_path), "--seeds", "19"]) == 0
+    assert looked in capsys.readouterr().out  # also of those that a person picks
     execute.prepare(make_plan(study, Selection(seeds=(0, 1, 2))), store)  # another question, of fixed seeds
     assert main(["study", "status", STUDY, "--results", str(tmp_path)]) == 0
     assert "until-decided" not in capsys.readouterr().out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pneuma.figures.crossed import factors_of, read_name
+from pneuma.figures.crossed import are_crossed, factors_of, read_name
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,12 @@ def test_a_name_is_its_levels_and_what_is_left(
     found = read_name(name)
     assert (found.levels, found.own, found.short) == (levels, own, short)
     assert found.kind == (own or name)
+
+
+def test_changes_of_one_setting_at_a_time_are_not_crossed() -> None:
+    assert are_crossed(["a=1, b=2, x", "a=2, b=2, x", "a=1, b=3"])
+    for names in (["a=1", "b=1"], ["base", "a=1"], ["x", "y"]):
+        assert not are_crossed(names)
 
 
 def test_factors_are_those_of_any_name_in_order() -> None:

@@ -97,6 +97,24 @@ def test_a_figure_names_its_study_and_environment(
     assert "pneuma/Pneuma-v0" in words(drawn[0])
 
 
+@pytest.mark.parametrize(
+    ("environments", "said"),
+    [
+        (("pneuma/PneumaGodot-v0",), "Mine in the published code's world"),
+        (("pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"), "Mine"),
+        (("CartPole-v1",), "Mine"),
+    ],
+)
+def test_where_a_study_is_played_is_told_by_its_runs_not_by_its_name(
+    study: HandMade, tmp_path: Path, drawn: list[Figure], environments: tuple[str, ...], said: str
+) -> None:
+    """As of forks of runs in the published code's world, or of the winner of a search there."""
+    for place, run in enumerate(study.record["runs"]):
+        run["run"]["env"] = environments[place % len(environments)]
+    study.draw(tmp_path)
+    assert headline(drawn[0]) == said
+
+
 def test_an_a_a_comparison_is_noted_in_the_headline(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:

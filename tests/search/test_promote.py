@@ -68,6 +68,15 @@ def test_the_promoted_condition_is_the_trial(searched: Searched, tmp_path: Path)
         assert {cell.run.learning_rate for cell in plan.cells if cell.condition == BASELINE} == {3e-4}
 
 
+def test_what_is_promoted_is_run_where_it_was_searched_alone(searched: Searched, tmp_path: Path) -> None:
+    """In the other setting a learner of tables, for one, would be no study at all."""
+    task, _, record = searched
+    path = tmp_path / "promoted.toml"
+    path.write_text(promoted_study(task.search, record, winner(record, None)))
+    with pytest.raises(UserError, match="is not run in the setting godot"):
+        load_study(str(path), "godot")
+
+
 @pytest.mark.parametrize("setting", SETTINGS)
 @pytest.mark.parametrize("name", list_searches())
 def test_whatever_a_shipped_search_finds_can_be_promoted(

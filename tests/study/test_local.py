@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -73,6 +74,27 @@ def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
     note, end = events
     assert "was killed by SIGKILL" in note["text"] and note["text"].endswith("tried once more")
     assert (end["event"], end["run_id"], end["status"]) == ("end", run_id(RUN), "killed")
+
+
+def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker of two dies in the first; then each of them dies alone, and the second once more."""
+    runs = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
+    program = tmp_path / "no-worker"
+    told = '{"event": "note", "run_id": "%s", "text": "begun"}'
+    program.write_text(
+        f'#!/bin/sh\nread group\necho "$group" >> {tmp_path}/begun\n'
+        f"case $group in *{list(runs)[0]}*) echo '{told % list(runs)[0]}';; esac\nexit 3\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    events: list[Event] = []
+    local.run_groups([runs], Store(tmp_path / "results"), Supervision(1), events.append)
+    notes = [event["run_id"] for event in events if event["event"] == "note" and "once more" in event["text"]]
+    assert sorted(notes) == sorted(runs)  # of the second when it was alone
+    assert [event["status"] for event in events if event["event"] == "end"] == ["crashed", "crashed"]
+    assert len((tmp_path / "begun").read_text().splitlines()) == 4
 
 
 def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.MonkeyPatch) -> None:

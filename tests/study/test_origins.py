@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from pneuma.cli import main
+from pneuma.cli import main, study_run
 from pneuma.config import Run, as_settings, make_run
+from pneuma.errors import UserError
 from pneuma.study import calibration, foresight
 from pneuma.study.execute import selection_record
 from pneuma.study.files import seal
@@ -167,6 +168,17 @@ def test_what_other_machines_measured_is_kept(
     monkeypatch.undo()
     assert foresight.known_paces([], store) == {foresight.kind(runs[0]): foresight.Pace(1.0, 0.5)}
     assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
+
+
+def test_where_a_pace_cannot_be_kept_the_plan_is_made_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(store: Store) -> None:
+        raise UserError(f"{store.root}: cannot be written")
+
+    monkeypatch.setattr(Store, "check_writable", refuse)
+    with pytest.raises(UserError, match="cannot be written; or plan without measuring: --no-calibrate"):
+        study_run._calibrated([make_run({})], Store(tmp_path), {})
 
 
 @pytest.mark.parametrize("told_so", [True, False])  # else it is what the start took that shows it

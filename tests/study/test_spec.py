@@ -133,6 +133,12 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     ),
     "seed in run": ("gradient_limit = 0.5", "seed = 3", 8, ("[run]", "seed", "preset")),
     "steps in run": ("gradient_limit = 0.5", "steps = 3", 8, ("[run]", "steps", "preset")),
+    "a name that legends leave out": (
+        "[conditions.tanh]",
+        "[conditions._tanh]",
+        10,
+        ("cannot begin with _",),
+    ),
     "unknown key in a condition": (
         'activation = "relu"',
         'activashun = "relu"',

@@ -130,6 +130,7 @@ class _Worker:
     crashed: dict[str, Event] = field(default_factory=dict)
     late: dict[str, int] = field(default_factory=dict)
     busy: set[str] = field(default_factory=set)
+    tried: set[str] = field(default_factory=set)
     asked_to_stop: float | None = None
     timed_out: bool = False
 
@@ -266,6 +267,7 @@ class _Supervisor:
         elif event["event"] == "end":
             self._end(worker, event)
         else:
+            worker.tried.add(event["run_id"])
             worker.note_time(event)
             self._on_event(event)
 
@@ -281,6 +283,7 @@ class _Supervisor:
         """Take the end of a run; crashes and time-outs are judged when the worker, and its lock, has gone."""
         name, status = event["run_id"], event["status"]
         worker.ended.add(name)
+        worker.tried.add(name)
         if status == "crashed":
             worker.crashed[name] = event
         elif status == "stopped" and worker.timed_out:
@@ -309,8 +312,11 @@ class _Supervisor:
             for name in lost:
                 self._end_lost(worker, name, code, last_words)
             return
-        self._try_again(worker, [*lost, *worker.crashed], worker.task.tries + 1)
+        tried = worker.tried or {*worker.task.group}  # one that dies before any run has failed all of them
         for name in (*lost, *worker.crashed):
+            self._try_again(worker, [name], worker.task.tries + (name in tried))
+            if name not in tried:
+                continue
             crash = worker.crashed.get(name)
             what = f"crashed ({crash['reason']})" if crash else f"the worker process {_reason(code)}"
             self._on_event({"event": "note", "run_id": name, "text": f"{what}; tried once more"})
