@@ -86,6 +86,13 @@ class Policy:
         return save(arrays, metadata={"pneuma": json.dumps(about)})
 
 
+def overflows(policy: Policy, observations: np.ndarray) -> bool:
+    """Tell whether logits of sound observations, (N, features), are no numbers, as of huge weights."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        logits = policy.logits(observations)
+    return bool(np.isfinite(observations).all() and not np.isfinite(logits).all())
+
+
 def read_policy(data: bytes) -> Policy:
     """Read a policy back from `Policy.to_bytes`."""
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])

@@ -22,7 +22,7 @@ from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.loop import begins_fork, train_run
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Records, Row
 from pneuma.engines.sb3_learners import Learner, make_model, seed_streams
 from pneuma.engines.sb3_listening import (
@@ -36,7 +36,6 @@ from pneuma.engines.sb3_listening import (
     gradient_norms,
     is_finite,
     logged_losses,
-    overflows,
     rollout_metrics,
     visited_metrics,
 )

@@ -248,10 +248,3 @@ def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
     with torch.no_grad():
         total = sum(float(parameter.abs().sum()) for parameter in model.policy.parameters())
     return bool(np.isfinite([*(metrics[name] for name in watched), total]).all())
-
-
-def overflows(policy: Policy, observations: np.ndarray) -> bool:
-    """Tell whether logits of sound observations, (N, features), are no numbers, as of huge weights."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        logits = policy.logits(observations)
-    return bool(np.isfinite(observations).all() and not np.isfinite(logits).all())

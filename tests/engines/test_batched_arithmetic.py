@@ -6,9 +6,10 @@ gradient norms and parameters are compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import torch
@@ -16,12 +17,14 @@ from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3
+from pneuma.engines.batched import BatchedTrainer
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.networks import initial_networks
 from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Collector, Rollout, advantages
 from pneuma.engines.batched.update import joined, run_numbers
 from pneuma.engines.policy import dead_share
+from pneuma.engines.records import Records
 
 SMALL: dict[str, object] = {
     "horizon": 96, "minibatch": 32, "epochs": 3, "steps": 384, "evaluation_episodes": 2, "episode_steps": 40,
@@ -194,3 +197,39 @@ def test_advantages_worked_out_by_hand() -> None:
     # the last step ends an episode: t = 1: 4 - 2 = 2; t = 0: -1 + 0.25 · 2
     gain = advantages(rewards, values, starts, last, np.ones(1, np.float32), half, quarter)
     assert gain.tolist() == [[-0.5, 2.0]]
+
+
+# --- Divergence --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("settings", [{}, {"players": 2, "learners": "independent"}])
+def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(settings: dict[str, object]) -> None:
+    """Where more updates follow, the next one shows it in its losses."""
+    own = {
+        "horizon": 64,
+        "minibatch": 32,
+        "epochs": 1,
+        "activation": "leaky-relu",
+        "episode_steps": 40,
+        **settings,
+    }
+    run = make_run({**own, "steps": 128 * (2 if settings else 1)})
+    trainer, records = BatchedTrainer(run), Records()
+    for learner in trainer._training.learners:
+        learner.learn_from = _with_huge_weights(learner)  # type: ignore[method-assign]
+    half = run.steps_per_update
+    assert run.updates == 2
+    assert trainer.update(0, half, records) and not trainer.update(half, 2 * half, records)
+
+
+def _with_huge_weights(learner: Learner) -> Callable[[Rollout], dict[str, float]]:
+    """Return what learns as ever and leaves weights of 1e20, of which two layers make what is no number."""
+    learn_from, sound = learner.learn_from, learner.networks
+
+    def learn(rollout: Rollout) -> dict[str, float]:
+        learner.networks = sound
+        told = learn_from(rollout)
+        learner.networks = jax.tree.map(lambda leaf: np.full_like(leaf, 1e20), learner.networks)
+        return told
+
+    return learn

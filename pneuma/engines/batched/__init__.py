@@ -60,7 +60,10 @@ class BatchedTrainer:
         records.metrics.append({"step": after, **mean_metrics(told)})
         records.learners.extend(learner_rows(after, told))
         records.episodes.extend(episodes)
-        return self._training.is_finite(told)
+        if not self._training.is_finite(told):
+            return False
+        is_last = after == self.run.updates * self.run.steps_per_update  # what overflows shows in the next
+        return not (is_last and self._training.overflows())
 
     def evaluate(self, step: int) -> Row:
         """Let the policy play where it was not trained."""

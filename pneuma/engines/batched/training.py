@@ -9,7 +9,7 @@ import numpy as np
 from pneuma.config import Run
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector, episode_rows
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Row
 from pneuma.engines.team import Team
 
@@ -51,6 +51,14 @@ class Training:
     def is_finite(self, told: list[dict[str, float]]) -> bool:
         """Tell whether every learner's losses, gradient norms and parameters are finite."""
         return all(learner.is_finite(own) for learner, own in zip(self.learners, told, strict=True))
+
+    def overflows(self) -> bool:
+        """Tell whether some learner's logits of what its players see are no numbers, as of huge weights."""
+        seen, count = self.collector.worlds.observations, len(self.learners)  # seen: (N, players, features)
+        return any(
+            overflows(learner.policy(), seen[:, player::count].reshape(-1, seen.shape[2]))
+            for player, learner in enumerate(self.learners)
+        )
 
 
 def mean_metrics(told: list[dict[str, float]]) -> dict[str, float]:
