@@ -14,6 +14,7 @@ seen is told.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,30 +79,33 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     """Diagnose a run, as it stood at a step where one is given."""
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
-    found = _clipped(data.source.signs(run), seen)
-    falls = _falls(seen, steps, shares)
-    judged = falls or (len(steps) and not run.begun)  # a fork's best was its parent's
-    unseen = tuple(sign for sign in SIGNS if sign not in (*found, *([FALL] if judged else [])))
+    found, falls = _clipped(data.source.signs(run), seen), _falls(seen, steps, shares)
+    unseen = _unseen(found, bool(falls or (len(steps) and not run.begun)))  # a fork's best was its parent's
     distance = _update_steps(data, run)
     gap = GAP * seen.until + (distance or 0)
     spells = joined(_one_action(found, seen, gap, distance or 1) + falls, gap)
     if not spells:
         return Diagnosis(False, unseen=unseen)
-    onset, last = spells[0]
-    signs = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST]
+    (onset, last), ended = spells[0], spells[-1][1]
     fell = [fall for fall in falls if onset <= fall[0] <= last]
-    end, ended = min(run.end, seen.last_step), spells[-1][1]
-    recovered = None if ended >= end - gap or ended >= max(steps, default=np.inf) else int(ended)
+    held = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST]
+    lasts = ended >= min(run.end, seen.last_step) - gap or ended >= max(steps, default=np.inf)
+    recovered = None if lasts else int(ended)
     return Diagnosis(
         True,
-        int(onset),
-        round(onset / distance) if distance else None,
-        _sound_step(onset, fell, steps, distance),
-        tuple(sign for sign in SIGNS if sign in signs or (sign == FALL and fell)),
-        unseen,
-        recovered,
-        _relearned(seen, steps, shares, onset, recovered),
+        onset_step=int(onset),
+        onset_update=round(onset / distance) if distance else None,
+        sound_step=_sound_step(onset, fell, steps, distance),
+        signs=tuple(sign for sign in SIGNS if sign in held or (sign == FALL and fell)),
+        unseen=unseen,
+        recovered_step=recovered,
+        relearned=_relearned(seen, steps, shares, onset, recovered),
     )
+
+
+def _unseen(found: Mapping[str, object], falls_judged: bool) -> tuple[str, ...]:
+    """Return the signs of which nothing can be told."""
+    return tuple(sign for sign in SIGNS if sign not in found and not (sign == FALL and falls_judged))
 
 
 def diagnoses(data: StudyData) -> pd.DataFrame:

@@ -132,17 +132,21 @@ def _found_on_one_grid(
     steps = {run["run_id"]: run["run"]["steps"] for run in data.record["runs"]}
     had = {run.run_id for run in data.runs} | {*(own.finished if own else ())}
     missing = [run_id for run_id in steps if run_id not in had]
-    for budget in [own.head["budget"]] if own else sorted({table.head["budget"] for table in others})[::-1]:
-        fitting = [table for table in others if table.head["budget"] == budget]
-        found = {
-            run_id: table
-            for table in reversed(fitting)  # the first that holds a run is its table
-            for run_id in missing
-            if run_id in table.finished
-        }
-        if own or max(steps[run_id] for run_id in {*had, *found}) == budget:
+    if own:
+        return own.head["budget"], _holders(missing, others, own.head["budget"])
+    for budget in sorted({table.head["budget"] for table in others}, reverse=True):
+        found = _holders(missing, others, budget)
+        if max(steps[run_id] for run_id in {*had, *found}) == budget:
             return budget, found
     return data.budget, {}
+
+
+def _holders(
+    run_ids: Sequence[str], tables: Sequence[PublishedRuns], budget: int
+) -> dict[str, PublishedRuns]:
+    """Return the first table, of those with points up to a budget, that holds each run; of some none does."""
+    fitting = [table for table in tables if table.head["budget"] == budget]
+    return {run_id: table for table in reversed(fitting) for run_id in run_ids if run_id in table.finished}
 
 
 def runs_staying(data: StudyData, published: PublishedRuns | None) -> list[str]:
