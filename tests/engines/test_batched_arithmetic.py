@@ -203,7 +203,9 @@ def test_advantages_worked_out_by_hand() -> None:
 
 
 @pytest.mark.parametrize("settings", [{}, {"players": 2, "learners": "independent"}])
-def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(settings: dict[str, object]) -> None:
+def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(
+    settings: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where more updates follow, the next one shows it in its losses."""
     own = {
         "horizon": 64,
@@ -216,7 +218,7 @@ def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(settings: dict[st
     run = make_run({**own, "steps": 128 * (2 if settings else 1)})
     trainer, records = BatchedTrainer(run), Records()
     for learner in trainer._training.learners:
-        learner.learn_from = _with_huge_weights(learner)  # type: ignore[method-assign]
+        monkeypatch.setattr(learner, "learn_from", _with_huge_weights(learner))
     half = run.steps_per_update
     assert run.updates == 2
     assert trainer.update(0, half, records) and not trainer.update(half, 2 * half, records)
