@@ -116,14 +116,23 @@ def settle(
     Raises:
         UserError: as it does.
     """
-    wanted = window or (THESIS_WINDOW if layout == "thesis" else None)
+    wanted = data.checked_window(window or _usual_window(layout))
     names = tuple(dict.fromkeys(quantities)) or _usual(data, layout)
-    return Drawing(names, band or USUAL_BAND[layout], data.checked_window(wanted), layout, size)
+    return Drawing(names, band or USUAL_BAND[layout], wanted, layout, size)
+
+
+def _usual_window(layout: str) -> str | None:
+    """Return the usual window of a layout; None: the study's first."""
+    return THESIS_WINDOW if layout == "thesis" else None
 
 
 def file_stem(data: StudyData, drawing: Drawing) -> str:
     """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
     differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
+    if drawing.band != USUAL_BAND[drawing.layout]:
+        differs.append(drawing.band)
+    if drawing.window != (_usual_window(drawing.layout) or data.windows[0]):
+        differs.append(drawing.window.removesuffix("%"))
     if drawing.quantities != _usual(data, drawing.layout):
         every = list(drawing.quantities) == curve_names(data)
         differs = ["all" if every else _shortened(drawing.quantities), *differs]

@@ -65,11 +65,11 @@ def _index(folder: Path) -> dict[str, dict[str, Any]]:
 
 def test_the_index_leads_from_a_figure_to_its_runs_and_looks(results: Path) -> None:
     code, out, _ = call("study", "plot", "mine", "--band", "minmax", "--results", results)
-    assert code == 0 and "fig-mine.png" in out and "index.json" not in out
+    assert code == 0 and "fig-mine-minmax.png" in out and "index.json" not in out
     index = _index(results / "figures")
-    assert list(index) == ["fig-mine.png", "fig-mine.svg"]
-    entry = index["fig-mine.png"]
-    drawn = (results / "figures" / "fig-mine.png").read_bytes()
+    assert list(index) == ["fig-mine-minmax.png", "fig-mine-minmax.svg"]
+    entry = index["fig-mine-minmax.png"]
+    drawn = (results / "figures" / "fig-mine-minmax.png").read_bytes()
     assert entry["sha256"] == hashlib.sha256(drawn).hexdigest()
     assert (entry["from"], entry["runs"], entry["n"]) == ("study mine", IDS, {"tanh": 2, "relu": 1})
     assert (entry["environments"], entry["engines"]) == (["pneuma/Pneuma-v0"], ["sb3"])
@@ -103,6 +103,24 @@ def test_the_index_keeps_what_other_calls_drew_and_drops_what_is_gone(results: P
     (results / "figures" / "fig-mine.png").unlink()
     assert call("study", "plot", "mine", "--layout", "thesis", "--results", results)[0] == 0
     assert list(_index(results / "figures")) == ["fig-mine-thesis.png", "fig-mine-thesis.svg", "fig-mine.svg"]
+
+
+@pytest.mark.parametrize(
+    ("options", "stem"),
+    [
+        ((), "fig-mine"),
+        (("--band", "ci", "--window", "budget-5%"), "fig-mine"),
+        (("--window", "trailing-100"), "fig-mine-trailing-100"),
+        (("--layout", "thesis"), "fig-mine-thesis"),
+        (("--layout", "thesis", "--band", "ci", "--window", "budget-5%"), "fig-mine-thesis-ci-budget-5"),
+        (("--quantity", "entropy", "--size", "column", "--band", "runs"), "fig-mine-entropy-column-runs"),
+    ],
+)
+def test_a_files_name_tells_in_what_it_differs_from_the_usual(
+    results: Path, options: tuple[str, ...], stem: str
+) -> None:
+    assert call("study", "plot", "mine", *options, "--format", "svg", "--results", results)[0] == 0
+    assert list(_index(results / "figures")) == [f"{stem}.svg"]
 
 
 @pytest.mark.parametrize("there", ["[]", "not JSON", '{"figures": [{"file": 3}]}', '{"schema": 1}'])
