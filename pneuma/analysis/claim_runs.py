@@ -237,12 +237,11 @@ class ClaimRuns:
                 none = f"no run of {condition} counts: {claim.only} is 0 in all"
                 return Arm(np.array([]), (), unknown or none)
         values = _values(data, runs, claim.outcome, at_step)
-        missing = (
-            np.isnan(values) if claim.event else ~np.isfinite(values)
-        )  # an event may be endless: "never"
+        # What is never reached is endless: no number to compare, but one to count.
+        missing = np.isnan(values) if claim.event else ~np.isfinite(values)
         blank = _first(
             condition, runs, missing,
-            lambda run: reason(data, run, claim.outcome, at_step) or f"its {claim.outcome} is endless",
+            lambda run: reason(data, run, claim.outcome, at_step) or f"it never gets to its {claim.outcome}",
         )  # fmt: skip
         idle = _idle(condition, data, runs, at_step) if find_outcome(claim.outcome).supposes_rise else ""
         return Arm(values, tuple(run.run_id for run in runs), unknown or blank, idle)

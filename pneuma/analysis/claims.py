@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
-from pneuma.analysis.outcomes import YES_OR_NO, find_outcome
+from pneuma.analysis.outcomes import PICKING, find_outcome
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
@@ -173,7 +173,7 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
     fixed = read_fixed_runs(file, where, study)
     _allowed(file, where, "outcome", lambda: find_outcome(texts["outcome"]))
     if texts["only"]:
-        _choice(file, where, table, "only", YES_OR_NO)
+        _choice(file, where, table, "only", PICKING)
     kind = _choice(file, where, table, "kind", KINDS)
     direction = _choice(file, where, table, "direction", DIRECTIONS)
     value = _value(file, where, table, kind, direction)
@@ -240,10 +240,10 @@ def _value(file: TomlFile, where: Where, table: Mapping[str, Any], kind: str, di
         return None
     if kind not in CONSTANT_KINDS:
         raise file.mistake(where, f"value: {', '.join(CONSTANT_KINDS)} can be held against a number", "value")
-    beyond = {"less": value == 0, "greater": value == 1}.get(direction, False)
-    if kind == "incidence" and (beyond or not 0 <= value <= 1):
-        told = f"value = {value:g} is not allowed: a share of runs, from 0 to 1, that can be {direction}"
-        raise file.mistake(where, told, "value")
+    if kind == "incidence" and not 0 <= value <= 1:
+        raise file.mistake(where, f"value = {value:g} is not allowed: a share of runs, from 0 to 1", "value")
+    if kind == "incidence" and (direction, value) in (("less", 0), ("greater", 1)):
+        raise file.mistake(where, f"value = {value:g}: no share of runs is {direction} than that", "value")
     return value
 
 

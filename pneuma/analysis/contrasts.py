@@ -143,7 +143,7 @@ def _mean(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.rand
 
 def _spread(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
     seeds, effect = (a.size, b.size), _effect("spread", a, b)
-    equal = [name for name, arm in (("a", a), ("b", b)) if not permutation.scaled(arm[None]).any()]
+    equal = [name for name, arm in (("a", a), ("b", b)) if not _differ(arm)]
     if equal:
         reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
         return undecided("spread", reason, seeds, effect)
@@ -223,14 +223,19 @@ def _count(runs: np.ndarray) -> int:
     return int(runs.sum())
 
 
+def _differ(arm: np.ndarray) -> bool:
+    """Tell whether runs differ by more than rounding."""
+    return bool(permutation.scaled(arm[None]).any())
+
+
 def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
     if not a.size or not b.size:
         return float("nan")
     if kind != "spread":
         return float(a.mean() - b.mean())
     over, under = float(deviation(a)), float(deviation(b))
-    if under == 0 or np.ptp(b) == 0:
-        return float("inf") if over > 0 and np.ptp(a) > 0 else float("nan")
+    if under == 0 or not _differ(b):
+        return float("inf") if over > 0 and _differ(a) else float("nan")
     return over / under
 
 

@@ -58,7 +58,7 @@ def study_effects(data: StudyData, name: str = PRIMARY) -> Effects:
 
     Raises:
         UserError: for a name that is no outcome's, a study that is not crossed, mixed engines, a cell
-            without a run that has the outcome, an endless value, or as few runs as effects.
+            without a run that has the outcome, an endless value, or no more runs than the effects take up.
     """
     find_outcome(name)
     crossing = find_crossing(data)

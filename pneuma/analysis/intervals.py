@@ -1,8 +1,8 @@
 """Intervals: between what bounds an estimate over runs lies.
 
-Every interval says its level and its method. Where there are too few runs, or none that differ, there
-is none: its ends are NaN and its method is "none". What each covers at which number of runs is
-printed by `pneuma bench calibration` and told in docs/evidence.md.
+Every interval says its level and its method. Where there are too few runs, or none that differ, or its ends
+would not, there is none: its ends are NaN and its method is "none". What each covers at which number of runs
+is printed by `pneuma bench calibration` and told in docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -167,7 +167,8 @@ def bootstrap_interval(
 ) -> Interval:
     """Return the BCa bootstrap interval of a statistic over runs (Efron 1987).
 
-    None for fewer than three runs, or where most are equal.
+    None for fewer than three runs, or where both ends are the same, as of the median of runs most of which
+    are equal.
 
     Args:
         values: (runs,).

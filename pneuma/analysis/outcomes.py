@@ -335,9 +335,9 @@ OUTCOMES: dict[str, Outcome] = {
         "estimated value of play less what it returned", "", "lower", ANYTHING, "evaluations", _overestimation
     ),
 }
-
-YES_OR_NO = ("collapsed", "relearned")
-"""Outcomes that are 1 or 0: by these runs can be picked."""
 """By name; `find_outcome` also knows steps-to:X."""
+
+PICKING = ("collapsed",)
+"""Outcomes that are 1 or 0 of every run: by these a claim can pick its runs."""
 
 PRIMARY = "final-share-killed"

@@ -170,10 +170,11 @@ class StudyData:
 
     @property
     def how_to_train(self) -> str:
-        """What trains the study; forks, searches and the like have no file that `study run` could read."""
-        path = self.record.get("path")
-        if not isinstance(path, str) and self.own_name not in list_studies():
-            return "give the command that began it again"
+        """What trains the study, where it is known: forks and searches are none of `study run`'s."""
+        is_shipped = self.own_name in list_studies()
+        path = None if is_shipped else self.record.get("path")
+        if path is None and not is_shipped:
+            return "repeat the command that began it"
         return f"run `{run_command(self.study, path)}` with the same options"
 
     def _finished(self, run: Mapping[str, Any]) -> FinishedRun | None:

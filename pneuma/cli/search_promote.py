@@ -28,7 +28,7 @@ from pneuma.cli.options import (
 from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.search_run import SearchName, called_by_file, record_name, recorded
-from pneuma.cli.study_run import exit_code, train, train_cells
+from pneuma.cli.study_run import train, train_cells
 from pneuma.errors import UserError
 from pneuma.study import plan, spec
 from pneuma.study.executors.base import Supervision
@@ -68,7 +68,7 @@ def promote(
     store.write(path, promoting.promoted_study(search, record, chosen).encode())
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
     say(f"wrote {plain(str(path))}", aside=True, quiet=quiet)
-    code = exit_code(train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet))
+    _, code = train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet)
     if code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
         return code

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -45,6 +45,9 @@ Unpublished = Annotated[
     bool,
     typer.Option("--unpublished", help="Leave out runs that are finished in a published table of RESULTS."),
 ]
+
+STOPPED = 130
+"""The exit code after Ctrl-C; 1 is of runs that went wrong, 0 of a plan that is done."""
 
 _STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed": "partial"}
 
@@ -196,15 +199,12 @@ def train(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
-    outcomes: list[execute.Outcome] | None
     try:
-        outcomes = train_cells(planned, store, how, retry_failed, json, quiet)
-        code = exit_code(outcomes)
+        outcomes, code = train_cells(planned, store, how, retry_failed, json, quiet)
     except Detached:  # as was asked
-        outcomes, code = as_stored(planned, store), 0
+        outcomes, code = _as_stored(planned, store), 0
     if json:
-        rows = outcome_rows(outcomes if outcomes is not None else as_stored(planned, store))
-        print_json({"schema": 1, "study": planned.study.name, "runs": rows})
+        print_json({"schema": 1, "study": planned.study.name, "runs": outcome_rows(outcomes)})
     return code
 
 
@@ -224,15 +224,20 @@ def _calibrated(
         raise UserError(f"{error}; or plan without measuring: --no-calibrate") from None
 
 
-def as_stored(planned: plan.Plan, store: Store) -> list[execute.Outcome]:
-    """Return how a plan's cells stand, none of them trained by this command."""
-    return [execute.Outcome(cell, store.status(cell.run_id), False) for cell in planned.cells]
+def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> list[execute.Outcome]:
+    """Return how cells of a plan that was left stand; of what was `todo`, what is done was trained."""
+    states = [(cell, store.status(cell.run_id)) for cell in planned.cells]
+    return [
+        execute.Outcome(cell, status, status.finished and cell.run_id in todo)
+        for cell, status in states
+        if status.finished or cell.run_id not in planned.published
+    ]
 
 
 def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
-) -> list[execute.Outcome] | None:
-    """Train what a plan lacks and tell how it went; return the cells' outcomes, None after Ctrl-C.
+) -> tuple[list[execute.Outcome], int]:
+    """Train what a plan lacks and tell how it went; return the cells' outcomes and the exit code.
 
     Raises:
         Detached: where the runs were left to go on, as --detach asks.
@@ -247,12 +252,12 @@ def train_cells(
         say(str(left), aside=True)
         if left.asked:
             raise
-        return None
+        return _as_stored(planned, store, todo.runs), STOPPED
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
-        return None
+        return _as_stored(planned, store, todo.runs), STOPPED
     _tell_outcomes(planned, outcomes, store, json, quiet)
-    return outcomes
+    return outcomes, int(any(outcome.status.name in UNWELL for outcome in outcomes))
 
 
 def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
@@ -280,13 +285,6 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
 def outcome_rows(outcomes: list[execute.Outcome]) -> list[dict[str, Any]]:
     """Return the runs of a JSON document."""
     return [{**_cell(o.cell), "status": o.status.name, "trained": o.trained} for o in outcomes]
-
-
-def exit_code(outcomes: list[execute.Outcome] | None) -> int:
-    """Return what the outcomes of a plan come to: 130 stopped, 1 a run went wrong, 0 done."""
-    if outcomes is None:
-        return 130
-    return 1 if any(outcome.status.name in UNWELL for outcome in outcomes) else 0
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:

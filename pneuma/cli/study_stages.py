@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pneuma.cli.options import print_json, read_count, say
-from pneuma.cli.study_run import as_stored, exit_code, outcome_rows, train_cells
+from pneuma.cli.study_run import outcome_rows, train_cells
 from pneuma.errors import UserError
 from pneuma.study import execute, plan
 from pneuma.study.executors.base import Supervision
@@ -49,12 +49,14 @@ def run_stages(
     from pneuma.until_decided import look_document, run_until_decided
 
     outcomes: list[execute.Outcome] = []
+    trained: set[str] = set()
     code = 0
 
     def train(stage: plan.Plan) -> bool:
         nonlocal outcomes, code
-        found = train_cells(stage, store, how, retry_failed, json, quiet)
-        outcomes, code = as_stored(stage, store) if found is None else found, exit_code(found)
+        found, code = train_cells(stage, store, how, retry_failed, json, quiet)
+        trained.update(own.cell.run_id for own in found if own.trained)
+        outcomes = [replace(own, trained=own.cell.run_id in trained) for own in found]
         return code == 0
 
     selection = replace(planned.selection, seeds=None)

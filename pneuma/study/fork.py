@@ -208,10 +208,8 @@ def _forked(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
     if other and kept:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
     if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **changes}))):
-        keys = ", ".join(changes)
-        raise UserError(
-            f"--set {keys}: the engine {base['engine']}, which a fork keeps, cannot train {fault}"
-        )
+        keys = ", ".join(key for key in changes if key != "fork_reset")
+        raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
     own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
     run = make_run({**base, **dict.fromkeys(own), **changes})
     if kept and bool(run.momentum) != bool(base["momentum"]):

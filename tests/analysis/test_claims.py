@@ -84,14 +84,14 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "less than none": (
         'b = "low"\noutcome = "final-share-killed"\nkind = "mean"\ndirection = "greater"\nmargin = 0.04',
         'value = 0\nabove = 0.5\noutcome = "final-share-killed"\nkind = "incidence"\ndirection = "less"', 19,
-        ("value = 0", "that can be less"),
+        ("value = 0", "no share of runs is less than that"),
     ),
     "a margin of percent": (
         'kind = "mean"\ndirection = "greater"\nmargin = 0.04',
         'above = 0.5\nkind = "incidence"\ndirection = "equal"\nmargin = 10', 24, ("margin = 10", "below 1"),
     ),
     "only by a share": (
-        "margin = 0.04", 'margin = 0.04\nonly = "final-died"', 24, ("only", "collapsed, relearned"),
+        "margin = 0.04", 'margin = 0.04\nonly = "final-died"', 24, ("only", "final-died", "collapsed"),
     ),
     "unknown run of logs": (
         "margin = 0.04", 'logs = [{ a = "p", b = "r", figure = "end" }]', 23, ("logs", "unknown b 'r'"),

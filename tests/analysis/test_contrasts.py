@@ -195,7 +195,10 @@ def test_equal_runs_are_handled_without_a_warning() -> None:
     for a, b in product(([3.0] * 4, [0.3, 0.1 + 0.2] * 2), ([3.0] * 4, [1.0, 2.0, 3.0, 4.0])):
         spread = compare("spread", a, b, 1.5, rng())
         assert spread.p_any == 1 and "arm a" in spread.reason and "equal" in spread.reason
+    nearly = [0.3, 0.1 + 0.2] * 2
     assert math.isnan(compare("spread", [3.0] * 4, [3.0] * 4, 1.5, rng()).effect)
+    assert math.isnan(compare("spread", nearly, nearly, 1.5, rng()).effect)
+    assert compare("spread", [1.0, 2.0, 3.0, 4.0], nearly, 1.5, rng()).effect == math.inf
 
 
 @pytest.mark.parametrize("kind", ["mean", "spread", "paired"])

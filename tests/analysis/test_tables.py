@@ -78,7 +78,7 @@ def test_a_study_without_a_finished_run_is_told(store: Store) -> None:
 
 
 def test_what_has_no_file_is_begun_again_by_its_own_command(store: Store) -> None:
-    with pytest.raises(UserError, match="give the command that began it again first"):
+    with pytest.raises(UserError, match="repeat the command that began it first"):
         open_study(store, {**_record(("a", 0, CRASHED)), "study": "fork-abcdef01-64-1a2b"})
 
 

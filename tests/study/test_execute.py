@@ -12,12 +12,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pneuma.cli import study_run
 from pneuma.cli.study_records import study_record
 from pneuma.config import Run, as_settings
 from pneuma.engines.base import checkpoint_steps
@@ -89,6 +90,28 @@ def _missing(plan: Plan, store: Store) -> dict[str, Run]:
 def _execute(plan: Plan, folder: Path, workers: int) -> Executed:
     store, progress = Store(folder / "results"), list[Progress]()
     return Executed(plan, store, _run(plan, store, workers, progress.append), progress)
+
+
+# --- Ctrl-C ------------------------------------------------------------------------------------------
+
+
+def test_what_had_ended_before_ctrl_c_is_told_as_trained_and_what_is_published_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, store = _plan(tmp_path, seeds=(0, 1, 2), conditions=("one",)), Store(tmp_path / "results")
+    first, second, elsewhere = plan.cells
+    plan = replace(plan, published=frozenset({elsewhere.run_id}))
+
+    def stop(*_: object) -> None:
+        store.save_run(first.run_id, Status("done", 640), {"run.json": run_document(first.run, first.run_id)})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pneuma.study.execute.execute", stop)
+    code = study_run.train(plan, store, Supervision(1), retry_failed=False, json=True, quiet=True)
+    rows = [
+        (row["seed"], row["status"], row["trained"]) for row in json.loads(capsys.readouterr().out)["runs"]
+    ]
+    assert (code, rows) == (130, [(0, "done", True), (1, "planned", False)])
 
 
 # --- Checkpoints that the study keeps ----------------------------------------------------------------

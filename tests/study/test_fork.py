@@ -239,7 +239,7 @@ def test_what_the_engine_cannot_train_names_what_was_asked_for(tmp_path: Path) -
     with pytest.raises(
         UserError, match="--set value_baseline: the engine batched, which a fork keeps, cannot"
     ):
-        plan_fork(store, parent, AT, {"value_baseline": False}, "", [0])
+        plan_fork(store, parent, AT, {"value_baseline": False}, "critic", [0])
 
 
 def test_a_fork_kept_no_checkpoints_and_its_parent_is_named(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ def test_what_other_machines_measured_is_kept(
     assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
 
 
-def test_where_a_pace_cannot_be_kept_the_plan_is_made_without(
+def test_where_a_pace_cannot_be_kept_a_plan_names_the_option_that_needs_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(store: Store) -> None:

@@ -130,7 +130,6 @@ class _Worker:
     crashed: dict[str, Event] = field(default_factory=dict)
     late: dict[str, int] = field(default_factory=dict)
     busy: set[str] = field(default_factory=set)
-    tried: set[str] = field(default_factory=set)
     asked_to_stop: float | None = None
     timed_out: bool = False
 
@@ -267,7 +266,6 @@ class _Supervisor:
         elif event["event"] == "end":
             self._end(worker, event)
         else:
-            worker.tried.add(event["run_id"])
             worker.note_time(event)
             self._on_event(event)
 
@@ -283,7 +281,6 @@ class _Supervisor:
         """Take the end of a run; crashes and time-outs are judged when the worker, and its lock, has gone."""
         name, status = event["run_id"], event["status"]
         worker.ended.add(name)
-        worker.tried.add(name)
         if status == "crashed":
             worker.crashed[name] = event
         elif status == "stopped" and worker.timed_out:
@@ -312,7 +309,7 @@ class _Supervisor:
             for name in lost:
                 self._end_lost(worker, name, code, last_words)
             return
-        tried = worker.tried or {*worker.task.group}  # one that dies before any run has failed all of them
+        tried = {*lost[:1], *worker.crashed}  # a group is trained in its order: the others were not begun
         for name in (*lost, *worker.crashed):
             self._try_again(worker, [name], worker.task.tries + (name in tried))
             if name not in tried:
