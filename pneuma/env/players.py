@@ -145,17 +145,26 @@ class Hunter:
         along_y = np.where(dy > 0, rules.DOWN, rules.UP)
         sideways = np.abs(dx) > np.maximum(np.abs(dy), worlds.player_stats["sword_half_width"][:, rules.UP])
         straight, across = np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
-
         stand_off = worlds.monster_stats["stand_off"].max(initial=0.0)
-        crowded = (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off) & (self._detour == 0) & walks
+        crowded = walks & (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off)
+        self._go_round(worlds, walks, crowded, back=(along_y + 2) % 4, across=across)
+        return np.where(self._detour > 0, self._way, straight)
+
+    def _go_round(
+        self, worlds: Worlds, walks: np.ndarray, crowded: np.ndarray, back: np.ndarray, across: np.ndarray
+    ) -> None:
+        """Begin, go on with and end detours: back from a monster too close to strike, across where stopped.
+
+        A detour that is stopped as well turns round. All are (N, P): who walks, who is crowded, and the ways.
+        """
+        crowded = crowded & (self._detour == 0)
         stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
         stopped &= walks
-        again = stopped & (self._detour > 0)  # the way round is closed as well: back
+        again = stopped & (self._detour > 0)
         self._detour = np.maximum(self._detour - walks, 0)
         self._detour[crowded], self._detour[stopped] = self.BACK_STEPS, self.SIDE_STEPS
-        self._way = np.where(crowded, (along_y + 2) % 4, self._way)
+        self._way = np.where(crowded, back, self._way)
         self._way = np.where(again, (self._way + 2) % 4, np.where(stopped, across, self._way))
-        return np.where(self._detour > 0, self._way, straight)
 
     def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Tell which monsters a swing begun now would meet, the way the player faces: (N, P, M).
