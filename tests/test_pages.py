@@ -41,7 +41,10 @@ def _mistake(line: str) -> str:
         command = command.commands[words.pop(0)]
     known = {name for own in command.params for name in (*own.opts, *own.secondary_opts)} | {"--help", "-h"}
     asked = [word.partition("=")[0] for word in words if word.startswith("--")]
-    return "; ".join(f"{command.name} has no {name}" for name in asked if name not in known)
+    wrong = [f"{command.name} has no {name}" for name in asked if name not in known]
+    needed = [own for own in command.params if own.required and own.param_type_name == "option"]
+    wrong += [f"{command.name} needs {own.opts[0]}" for own in needed if asked and own.opts[0] not in asked]
+    return "; ".join(wrong)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -60,6 +63,8 @@ def test_pages_have_commands() -> None:
         ("pneuma study plto activation", "'plto' is no command of study"),
         ("pneuma study plot activation --bnad se  # a band", "plot has no --bnad"),
         ("pneuma study plot activation --band se", ""),
+        ("pneuma study export activation --table curves", "export needs --out"),
+        ("pneuma study export", ""),  # by its name alone
     ],
 )
 def test_a_mistake_in_a_page_is_seen(line: str, told: str) -> None:
