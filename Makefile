@@ -24,6 +24,7 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 	$(BIN)/pneuma study run activation --results "$(RESULTS)"
 	$(BIN)/pneuma study plot activation --results "$(RESULTS)"
 
+figures: RESULTS = results
 figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md
 	$(call takes_results_alone)
 	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)"
@@ -38,7 +39,7 @@ figures: install  ## Draw everything in paper_figures/, and write the verdicts i
 # RETRY=1 tries runs again that crashed or timed out before.
 
 DO ?= run
-RESULTS ?= results
+RESULTS ?= $(or $(PNEUMA_RESULTS),results)
 PNEUMA = $(BIN)/pneuma study $(DO)
 BEGUN := $(shell date +%s)
 
@@ -66,24 +67,28 @@ CURVES_collapse = entropy,dead_units,actions
 CURVES_robustness = none
 SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
 
-# A study in a setting; a run that crashed stops no other study, Ctrl-C and mistakes stop all.
+# A study in a setting; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
+# stop all.
 define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
   $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
   $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \
-  || { code=$$?; [ $$code = 1 ] || exit $$code; failed="$$failed $(1) ($(2))"; };
+  || { code=$$?; [ $$code = $(if $(filter publish,$(DO)),2,1) ] || exit $$code; failed="$$failed $(1) ($(2))"; };
 endef
+
+FAILED = $(if $(filter publish,$(DO)),Not published (why stands above):$$failed.,\
+Runs failed of:$$failed. RETRY=1 beside the same words tries those again that crashed.)
 
 define each
 @failed=; $(foreach study,$(or $(STUDIES),$(1)),\
 $(foreach setting,$(or $(SETTINGS_$(study)),$(SETTINGS)),$(call one,$(study),$(setting)))) \
 took=$$(( $$(date +%s) - $(BEGUN) )); \
 echo "$@: $$(( took / 3600 )) h $$(( took / 60 % 60 )) min $$(( took % 60 )) s."; \
-[ -z "$$failed" ] || { echo "Runs failed of:$$failed. RETRY=1 beside the same words tries those again that crashed."; exit 1; }
+[ -z "$$failed" ] || { echo "$(FAILED)"; exit 1; }
 endef
 
-reproduction: PRESET = paper
+reproduction: PRESET = $(if $(filter publish,$(DO)),paper+claims,paper)
 reproduction: CONDITIONS_actor-size = --condition smallest --condition small --condition small-critic
 reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, both settings
 	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)

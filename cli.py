@@ -5,7 +5,10 @@ import sys
 try:
     from pneuma.cli import run
 except ModuleNotFoundError as missing:
-    print(f"pneuma: {missing.name} is not installed: pip install -c constraints.txt .", file=sys.stderr)
+    mend = f"{missing.name} is not installed: pip install -c constraints.txt ."
+    if sys.platform == "win32":
+        mend = "Windows has no file locks as runs need them: use Linux, macOS or WSL"
+    print(f"pneuma: {mend}", file=sys.stderr)
     raise SystemExit(2) from None
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -105,3 +106,36 @@ def test_a_target_that_has_no_plan_refuses_to_be_asked_for_one(target: str) -> N
     )  # fmt: skip
     assert told.returncode == 2 and f"{target} takes RESULTS" in told.stderr
     assert not told.stdout
+
+
+@pytest.mark.parametrize(
+    ("do", "status", "reached"), [("publish", 2, 4), ("run", 1, 4), ("run", 2, 1), ("publish", 130, 1)]
+)
+def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
+    do: str, status: int, reached: int, tmp_path: Path
+) -> None:
+    """What cannot be published is no mistake of the target: another study's runs may be here."""
+    program, asked = tmp_path / "pneuma", tmp_path / "asked"
+    program.write_text(f'#!/bin/sh\necho "$3" >> {asked}\n[ "$3" != activation ] || exit {status}\n')
+    program.chmod(0o755)
+    words = [f"DO={do}", "STUDIES=activation clip-range", f"BIN={tmp_path}"]
+    told = subprocess.run(
+        [MAKE or "make", "--assume-old=install", "reproduction", *words],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert told.returncode and len(asked.read_text().split()) == reached
+    failed = "activation (text) activation (godot)"
+    assert (f"Not published (why stands above): {failed}." in told.stdout) == (
+        do == "publish" and reached == 4
+    )
+    assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 4)
+
+
+def test_whoever_names_a_results_folder_for_all_commands_names_it_for_make(tmp_path: Path) -> None:
+    own = {**os.environ, "PNEUMA_RESULTS": str(tmp_path)}
+    for target, said in (("study", True), ("figures", False)):  # figures rewrite README and findings
+        told = subprocess.run(
+            [MAKE or "make", "--dry-run", "--assume-old=install", target],
+            cwd=ROOT, capture_output=True, text=True, check=True, env=own,
+        )  # fmt: skip
+        assert (f'--results "{tmp_path}"' in told.stdout) == said

@@ -10,7 +10,6 @@ the same for people.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -28,6 +27,7 @@ from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, read_entries
 from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
 from pneuma.figures.settings_table import settings_table
+from pneuma.study.cores import available_cores
 from pneuma.study.files import write_whole
 
 RESULTS = Path("results")
@@ -74,7 +74,7 @@ def _draw_studies(tasks: Sequence[Task]) -> Iterator[list[dict[str, Any]]]:
     if len(tasks) < FEW:
         yield from starmap(_draw_one, tasks)
         return
-    with ProcessPoolExecutor(min(len(tasks), os.cpu_count() or 1), get_context("spawn")) as pool:
+    with ProcessPoolExecutor(min(len(tasks), available_cores()), get_context("spawn")) as pool:
         try:
             yield from pool.map(_draw_one, *zip(*tasks, strict=True))
         except BaseException:

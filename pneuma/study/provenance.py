@@ -204,10 +204,18 @@ def _commit() -> str | None:
         return None
 
 
+_ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
+
+
 @cache
 def _cpu() -> str:
-    if sys.platform == "linux":
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or "unknown"
+    told = _read_cpu(Path("/proc/cpuinfo").read_text()) if sys.platform == "linux" else ""
+    return told or platform.processor() or "unknown"
+
+
+def _read_cpu(text: str) -> str:
+    """Return the model of Linux's first processor, or ARM's numbers; empty where it tells neither."""
+    pairs = [line.partition(":")[::2] for line in text.split("\n\n")[0].splitlines()]
+    told = {key.strip(): value.strip() for key, value in pairs}
+    numbers = [f"{key.removeprefix('CPU ')} {told[key]}" for key in _ARM if key in told]
+    return told.get("model name") or (f"ARM {', '.join(numbers)}" if numbers else "")

@@ -27,6 +27,27 @@ def test_one_that_comes_too_late_is_written_into_no_other_file() -> None:
         os.close(writer)
 
 
+def test_a_closed_terminal_is_one_interrupt_however_often_it_is_told() -> None:
+    with Interrupts() as interrupts:
+        for _ in range(3):
+            signal.raise_signal(signal.SIGHUP)
+        assert interrupts.count == 1
+        signal.raise_signal(signal.SIGINT)
+        assert interrupts.count == 2
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+
+
+def test_a_closed_terminal_ends_nothing_where_it_is_to_be_ignored() -> None:
+    """As under `nohup`."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interrupts() as interrupts:
+            signal.raise_signal(signal.SIGHUP)
+            assert interrupts.count == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_one_that_another_thread_takes_wakes_the_wait() -> None:
     # Like a thread of a mathematical library, it does not block what the main thread does.
     other = threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGTERM])

@@ -10,7 +10,9 @@ from contextlib import suppress
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+HANGUP = getattr(signal, "SIGHUP", None)
+"""Of a terminal that was closed; the system and a shell may each send one."""
+SIGNALS = tuple(number for number in (signal.SIGINT, signal.SIGTERM, HANGUP) if number)
 
 
 class Interrupts:
@@ -31,7 +33,7 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         """Begin to count."""
         if threading.current_thread() is threading.main_thread():
-            self._take(SIGNALS)
+            self._take(number for number in SIGNALS if not _is_ignored(number))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -65,9 +67,16 @@ class Interrupts:
         self._woken_before = signal.set_wakeup_fd(self._other_end, warn_on_full_buffer=False)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
+        if number == HANGUP and self.count:
+            return
         if self.count == 0:
             with suppress(OSError):
                 os.write(
                     2, b"Stopping: every run comes to a checkpoint first. Again, and all stop at once.\n"
                 )
         self.interrupt()
+
+
+def _is_ignored(number: int) -> bool:
+    """Tell whether a closed terminal is to end nothing, as `nohup` asks."""
+    return number == HANGUP and signal.getsignal(number) == signal.SIG_IGN

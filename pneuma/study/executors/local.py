@@ -24,6 +24,7 @@ from typing import IO
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
 from pneuma.study.compiling import WAITS
+from pneuma.study.cores import available_cores
 from pneuma.study.executors.base import TRIES, Event, OnEvent, Place, Supervision, read_event
 from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.locks import is_held
@@ -41,13 +42,6 @@ STOP_SECONDS = 30.0
 STOP_UPDATES = 10.0
 """How many times as long as the slowest update before that one may take; it may be evaluated as well."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-
-
-def available_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def one_thread_environment() -> dict[str, str]:

@@ -19,9 +19,10 @@ from typing import Any
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
+from pneuma.study.cores import available_cores
 from pneuma.study.executors.base import OnEvent, Place, Supervision
 from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.executors.local import BUSY_SECONDS, available_cores
+from pneuma.study.executors.local import BUSY_SECONDS
 from pneuma.study.executors.ray_cluster import (
     NODE_LABEL,
     Cluster,

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.local import available_cores
+from pneuma.study.cores import available_cores
 from pneuma.study.provenance import machine
 
 LISTEN_SECONDS = 2.0
