@@ -16,6 +16,7 @@ from typing import Any
 import optuna
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
+from sqlalchemy.pool import NullPool
 
 from pneuma.errors import UserError
 from pneuma.search.sampling import distributions
@@ -44,6 +45,7 @@ class Database:
         self.url = url or f"sqlite:///{self._own}"
         self.name = f"{task.search.name}-{task.digest}"
         with self._told():
+            self._storage = open_storage(self.url)
             self._study = self._load()
 
     @property
@@ -65,7 +67,7 @@ class Database:
 
     def _load(self) -> optuna.Study:
         study = optuna.create_study(
-            storage=self.url,
+            storage=self._storage,
             study_name=self.name,
             directions=[
                 StudyDirection[objective.direction.upper()] for objective in self._task.search.objectives
@@ -103,7 +105,7 @@ class Database:
         """Drop what the search's own file holds under its name; refuse to in anybody else's."""
         if self._own is None:
             raise self._foreign()
-        optuna.delete_study(study_name=self.name, storage=self.url)
+        optuna.delete_study(study_name=self.name, storage=self._storage)
         return self._load()
 
     def _frozen(self, told: Told) -> FrozenTrial:
@@ -123,6 +125,11 @@ class Database:
             f"--storage {self.shown_url}: its study {self.name} holds another search; "
             "name another storage with --storage, or another folder with --results"
         )
+
+
+def open_storage(url: str) -> optuna.storages.RDBStorage:
+    """Open a database for Optuna that keeps no connection while it is not asked: nobody would close it."""
+    return optuna.storages.RDBStorage(url, engine_kwargs={"poolclass": NullPool})
 
 
 def _essence(trial: FrozenTrial) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ import optuna
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.database import Database, _without_password
+from pneuma.search.database import Database, _without_password, open_storage
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, Solve
@@ -22,7 +22,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def read(database: Database) -> list[optuna.trial.FrozenTrial]:
-    return optuna.load_study(study_name=database.name, storage=database.url).trials
+    return optuna.load_study(study_name=database.name, storage=open_storage(database.url)).trials
 
 
 def test_it_holds_what_was_told(make_task: MakeTask, solve: Solve, store: Store) -> None:
@@ -57,7 +57,7 @@ def test_another_search_of_the_name_is_refused(
 ) -> None:
     task = make_task(8)
     url = f"sqlite:///{tmp_path / 'shared.db'}"
-    foreign = optuna.create_study(storage=url, study_name=Database(task, None, store).name)
+    foreign = optuna.create_study(storage=open_storage(url), study_name=Database(task, None, store).name)
     foreign.add_trial(optuna.trial.create_trial(value=1.0))
     with pytest.raises(UserError, match="holds another search"):
         Database(task, url, store)
@@ -98,10 +98,10 @@ def test_what_is_no_file_is_left_alone(
 def test_what_a_storages_driver_says_is_told_without_the_password(
     make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*, storage: str, **_: object) -> None:
-        raise ConnectionError(f"nobody answers at {storage}")
+    def refuse(url: str, **_: object) -> None:
+        raise ConnectionError(f"nobody answers at {url}")
 
-    monkeypatch.setattr("optuna.create_study", refuse)
+    monkeypatch.setattr("optuna.storages.RDBStorage", refuse)
     with pytest.raises(UserError) as caught:
         Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
     assert "secret" not in str(caught.value)
