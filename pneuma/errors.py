@@ -35,7 +35,7 @@ def nearest_name(word: str, names: Iterable[str]) -> str:
     The beginning of a long name, misspelt, is near as well: `final-shre` of `final-share-killed`.
     """
     known = list(names)
-    likeness = {name: _likeness(word.lower(), name) for name in known}
+    likeness = {name: _likeness(str(word).lower(), name) for name in known}
     best = max(known, key=likeness.__getitem__, default="")
     return f" (did you mean {best}?)" if likeness.get(best, 0.0) >= NEAR else ""
 

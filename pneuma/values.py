@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from os import PathLike, fspath
 from typing import Any
 
 MOST_NAMES = 8
@@ -112,9 +113,10 @@ class Text:
 
     def read(self, value: object) -> str:
         """Return the text, or raise ValueError."""
-        if not isinstance(value, str) or not (value or self.empty):
+        text = fspath(value) if isinstance(value, PathLike) else value
+        if not isinstance(text, str) or not (text or self.empty):
             raise ValueError
-        return value
+        return text
 
 
 @dataclass(frozen=True)

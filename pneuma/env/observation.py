@@ -144,6 +144,7 @@ def observation_space(
         [bounds[name] for name in PLAYER_FEATURES[config.observation]] + row * int(settings["perceived"])
     )
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
+    high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 

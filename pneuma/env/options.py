@@ -7,12 +7,12 @@ environment, which is who Gymnasium's users mean with it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from os.path import commonprefix
 from typing import Any
 
 import numpy as np
 
 from pneuma.env.worlds import Worlds
-from pneuma.errors import nearest_name
 
 
 def read_options(options: Mapping[str, Any] | None, known: Sequence[str] = ("start",)) -> Mapping[str, Any]:
@@ -27,10 +27,21 @@ def read_options(options: Mapping[str, Any] | None, known: Sequence[str] = ("sta
     if not isinstance(options, Mapping):
         raise TypeError(f"options must be a mapping such as {{'start': 0}}, not {options!r}")
     for key in options:
-        hint = nearest_name(key, known) if isinstance(key, str) and key not in known else ""
-        if hint:
-            raise ValueError(f"unknown option {key!r}{hint}")
+        meant = [name for name in known if isinstance(key, str) and key not in known and _is_slip(key, name)]
+        if meant:
+            raise ValueError(f"unknown option {key!r} (did you mean {meant[0]}?)")
     return options
+
+
+def _is_slip(word: str, name: str) -> bool:
+    """Tell whether a word is a name but for a letter too many, too few or wrong, or two that changed places.
+
+    What is less alike is a wrapper's: `stage` and `state` are no `start`.
+    """
+    alike = len(commonprefix([word.lower(), name]))
+    left, right = word.lower()[alike:], name[alike:]
+    swapped = left[:2] == right[1::-1] and left[2:] == right[2:]
+    return swapped or left[1:] == right or left == right[1:] or left[1:] == right[1:]
 
 
 def chosen_starts(state: Worlds, start: object) -> np.ndarray | None:

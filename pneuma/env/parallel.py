@@ -40,12 +40,16 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         **settings: object,
     ) -> None:
         self.worlds = Worlds(1, make_env_config({"players": players, **settings}, env_id))
+        players = self.worlds.config.players
         self.possible_agents = [f"player_{i}" for i in range(players)]
         self.agents: list[str] = []
         self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
         self._actions = np.zeros((1, players), np.int64)
         count = int(self.worlds.action_space.n)
         self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
+        own = self.worlds.spaces
+        low, high = np.concatenate([each.low for each in own]), np.concatenate([each.high for each in own])
+        self.state_space = spaces.Box(low, high, dtype=np.float32)  # of `state`
         self._keyed = False
         self._set_up_rendering(render_mode, camera)
 

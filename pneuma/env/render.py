@@ -122,11 +122,11 @@ class Renderer:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
         if index not in self._scenes:
             level = self.worlds.levels[index]
-            ground = ground_kinds(level).repeat(self._split, 0).repeat(self._split, 1)
-            if ground.size > MOST_TILES:
+            if level.terrain.size * self._split**2 > MOST_TILES:
                 raise UserError(
                     f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles of 64 px"
                 )
+            ground = ground_kinds(level).repeat(self._split, 0).repeat(self._split, 1)
             solid = (level.terrain == rules.SOLID).repeat(self._split, 0).repeat(self._split, 1)
             self._scenes[index] = sprites.paint_ground(ground), tuple(_obstacles(solid, ground))
         return self._scenes[index]

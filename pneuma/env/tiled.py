@@ -123,7 +123,8 @@ class Layers:
 
 def layer_name(title: str) -> str | None:
     """Return which layer is meant by the last word of a file's or layer's name; None for no layer."""
-    return _LAYERS.get(re.split(r"[\W_]+", title.strip().lower())[-1])
+    words = [word for word in re.split(r"[\W_]+", title.lower()) if word]
+    return _LAYERS.get(words[-1]) if words else None
 
 
 def kinds_by_code(monster_codes: Mapping[int, str]) -> dict[int, str]:

@@ -96,13 +96,27 @@ def _write_mp4(path: Path, frames: Iterator[np.ndarray], frames_per_second: floa
         quality=8,
         ffmpeg_log_level="error",
     )
-    writer.send(None)  # runs up to where it waits for frames
+    try:
+        writer.send(None)  # runs up to where it waits for frames
+    except RuntimeError as error:  # there is no ffmpeg in its package, or for this system
+        raise OSError(f"imageio-ffmpeg: {error}") from None
     try:
         writer.send(first)
         for frame in frames:
             writer.send(_with_even_sides(frame))
     finally:
         writer.close()
+    _check_whole(path)
+
+
+def _check_whole(path: Path) -> None:
+    """Refuse a video that cannot be read back: nobody tells that ffmpeg did not come to its end."""
+    try:
+        frames, _ = importlib.import_module("imageio_ffmpeg").count_frames_and_secs(str(path))
+    except RuntimeError:
+        frames = 0
+    if not frames:
+        raise OSError("ffmpeg did not come to its end: is the disk full?")
 
 
 def _with_even_sides(frame: np.ndarray) -> np.ndarray:

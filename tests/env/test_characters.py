@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -311,3 +312,17 @@ def test_a_file_that_is_no_text_is_told(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_bytes(b"\xff\xfe\x00")
     assert complaint(str(path)) == f"{path}: cannot be read: it is not UTF-8 text"
+
+
+def test_what_nobody_has_leaves_a_space_that_has_room(tmp_path: Path) -> None:
+    """Gymnasium warns of a box whose least is its greatest, such as of the energy of who has none."""
+    file = write(tmp_path, "[players.base]\nenergy = 0\n[monsters.bamboo]\nxp = 0\n")
+    env = gymnasium.make("pneuma/Pneuma-v0", characters=file, observation="pygame")
+    space = env.observation_space
+    assert isinstance(space, gymnasium.spaces.Box) and (space.low < space.high).all()
+    assert space.contains(env.reset(seed=0)[0])
+
+
+def test_a_file_may_be_named_by_its_path(tmp_path: Path) -> None:
+    path = Path(write(tmp_path, ROGUE))
+    assert make_env_config({"characters": path}) == make_env_config({"characters": str(path)})

@@ -37,6 +37,8 @@ def reset(face: str, options: Any) -> Any:
     ("options", "error", "told"),
     [
         ({"strt": 0}, ValueError, r"unknown option 'strt' \(did you mean start\?\)"),
+        ({"Starts": 0}, ValueError, r"did you mean start\?"),
+        ({"satrt": 0}, ValueError, r"did you mean start\?"),
         ({"start": 1.5}, TypeError, "start = 1.5 is not the index of a start place: a whole number"),
         ({"start": "first"}, TypeError, "is not the index of a start place"),
         ({"start": True}, TypeError, "is not the index of a start place"),
@@ -47,6 +49,11 @@ def test_a_slip_is_refused_in_one_line(face: str, options: Any, error: type, tol
     with pytest.raises(error, match=told) as caught:
         reset(face, options)
     assert "\n" not in str(caught.value)
+
+
+@each_face
+def test_a_wrappers_own_words_are_left_to_it(face: str) -> None:
+    reset(face, {"stage": 2, "state": 0, "target": 1, "restart": True, "part": 3, "stats": None, "": 1, 7: 2})
 
 
 @pytest.mark.parametrize("face", ["single", "vector", "parallel"])

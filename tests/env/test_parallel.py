@@ -151,6 +151,11 @@ def test_there_are_as_many_agents_as_players(players: int) -> None:
     assert env.possible_agents == env.agents == NAMES[:players]
     assert list(observations) == list(infos) == NAMES[:players]
     assert env.state().shape == (players * 60,)
+    assert env.state_space.contains(env.state())
+
+
+def test_a_whole_number_of_players_may_be_a_float_as_for_the_other_faces() -> None:
+    assert parallel_env(players=2.0).possible_agents == NAMES[:2]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("players", [0, 9, -1])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
+from pneuma.env.tiled import layer_name
 
 from .arena import layer, player_at, stage, write_level
 from .isle import BAMBOO, EMPTY, ENTITIES, GROUND, START, complaint, load, write_folder
@@ -30,6 +31,12 @@ def test_a_folder_needs_no_header(folder: Path) -> None:
     assert level.monsters == (BAMBOO,)
     assert np.array_equal(level.ground, GROUND)
     assert np.array_equal(level.terrain == COAST, GROUND == 0)  # no codes given: what is drawn as water
+
+
+@pytest.mark.parametrize("title", ["Terrain (Ground)", "isle_ground_", "GROUND", "the ground!"])
+def test_a_layer_is_known_by_its_last_word(title: str) -> None:
+    assert layer_name(title) == "ground"
+    assert layer_name(f"{title} of old") is None and layer_name("") is None and layer_name("(!)") is None
 
 
 def test_a_folder_needs_no_ground_and_has_no_coast_then(folder: Path) -> None:

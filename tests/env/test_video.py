@@ -128,6 +128,47 @@ def test_what_cannot_be_written_is_told_before_a_frame_is_drawn(
     assert len(list(stream)) == 3 and list(tmp_path.iterdir()) == []
 
 
+def test_an_mp4_that_ffmpeg_did_not_end_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ffmpeg = pytest.importorskip(
+        "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested"
+    )
+    write_frames = ffmpeg.write_frames
+
+    def cut_short(path: str, *arguments: object, **options: object) -> Iterator[None]:
+        writer = write_frames(path, *arguments, **options)
+        try:
+            frame = yield writer.send(None)
+            while True:
+                frame = yield writer.send(frame)
+        finally:
+            writer.close()
+            Path(path).write_bytes(
+                Path(path).read_bytes()[:-200]
+            )  # as of a full disk: its table is at the end
+
+    monkeypatch.setattr(ffmpeg, "write_frames", cut_short)
+    with pytest.raises(
+        UserError, match="a.mp4: cannot be written .ffmpeg did not come to its end: is the disk full"
+    ):
+        video.write_video(tmp_path / "a.mp4", squares(30), 10)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_mp4_for_a_system_without_ffmpeg_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ffmpeg = pytest.importorskip(
+        "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested"
+    )
+
+    def refuse() -> str:
+        raise RuntimeError("No ffmpeg exe could be found.")
+
+    monkeypatch.setattr(ffmpeg._io, "get_ffmpeg_exe", refuse)
+    with pytest.raises(
+        UserError, match="a.mp4: cannot be written .imageio-ffmpeg: No ffmpeg exe could be found"
+    ):
+        video.write_video(tmp_path / "a.mp4", squares(3), 10)
+
+
 def test_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"pip install '.\[video\]' in Pneuma's folder, or choose .gif"):
