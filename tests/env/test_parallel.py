@@ -155,7 +155,7 @@ def test_there_are_as_many_agents_as_players(players: int) -> None:
 
 
 def test_a_whole_number_of_players_may_be_a_float_as_for_the_other_faces() -> None:
-    assert parallel_env(players=2.0).possible_agents == NAMES[:2]  # type: ignore[arg-type]
+    assert parallel_env(players=2.0).possible_agents == NAMES[:2]
 
 
 @pytest.mark.parametrize("players", [0, 9, -1])
