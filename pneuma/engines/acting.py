@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from pneuma.engines.policy import LEAKY_SLOPE, Policy, flat, sizes
 from pneuma.env import rules
+from pneuma.env.compiled import cached
 from pneuma.env.worlds import Worlds
 
 ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
@@ -30,7 +30,7 @@ MOST_WEIGHTS = 65_536
 STEPS_AT_ONCE = 256
 """Steps whose random numbers are drawn together."""
 
-kernel: Any = njit(cache=True, error_model="numpy")
+kernel: Any = cached(error_model="numpy")
 
 
 def play_episodes(

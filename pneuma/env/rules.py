@@ -29,6 +29,7 @@ import numpy as np
 from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
+from pneuma.env.compiled import cached
 from pneuma.env.state import (
     CHASE,
     EVENTS,
@@ -60,7 +61,7 @@ SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 # numba's reference counts, which took half the time of a step.
 _INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _UNCOUNTED: Any = {**_INNER, "_nrt": False}
-entry: Any = njit(cache=True, error_model="numpy")
+entry: Any = cached(error_model="numpy")
 opening: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
 part: Any = njit(**_UNCOUNTED, forceinline=True)

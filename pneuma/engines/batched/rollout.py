@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.acting import ACTIVATION_CODES, activate, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
+from pneuma.env.compiled import cached
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.env_settings import own_rewards
 
@@ -31,7 +31,7 @@ ENDED = np.dtype(
 )  # fmt: skip
 """A finished episode; `step` counts steps of the rollout from 1."""
 
-kernel: Any = njit(cache=True, error_model="numpy")
+kernel: Any = cached(error_model="numpy")
 
 
 @dataclass(frozen=True)
