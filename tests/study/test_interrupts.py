@@ -28,13 +28,17 @@ def test_one_that_comes_too_late_is_written_into_no_other_file() -> None:
 
 
 def test_a_closed_terminal_is_one_interrupt_however_often_it_is_told() -> None:
-    with Interrupts() as interrupts:
-        for _ in range(3):
-            signal.raise_signal(signal.SIGHUP)
-        assert interrupts.count == 1
-        signal.raise_signal(signal.SIGINT)
-        assert interrupts.count == 2
-    assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored
+    try:
+        with Interrupts() as interrupts:
+            for _ in range(3):
+                signal.raise_signal(signal.SIGHUP)
+            assert interrupts.count == 1
+            signal.raise_signal(signal.SIGINT)
+            assert interrupts.count == 2
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_closed_terminal_ends_nothing_where_it_is_to_be_ignored() -> None:
