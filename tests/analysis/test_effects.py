@@ -213,7 +213,9 @@ def test_what_cannot_be_tested_is_told_in_one_line(
 def test_a_cell_without_runs_and_mixed_engines_are_told(tmp_path: Path) -> None:
     conditions = two_by_two()
     empty = stored(tmp_path / "empty", conditions, unfinished="0.001 raw")
-    with pytest.raises(UserError, match=r"no run of 0.001 raw has finished.* `pneuma study run mine`"):
+    with pytest.raises(
+        UserError, match=r"no run of 0.001 raw has finished.*: repeat the command that began it"
+    ):
         study_effects(empty)
     settings, finals = conditions["0.001 raw"]
     mixed = stored(tmp_path / "mixed", {**conditions, "0.001 raw": ({**settings, "engine": "jax"}, finals)})

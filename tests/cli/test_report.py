@@ -173,7 +173,7 @@ def test_a_study_of_another_world_is_not_said_to_be_the_thesiss(
 
 def test_both_settings_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
     _record(store, "activation", TWO)
-    _record(store, "activation-godot", TWO)
+    _record(store, "activation-godot", TWO, settings={"env": "pneuma/PneumaGodot-v0"})
     page = make("activation")
     assert len(page.all("img")) == 2
     headings = [each.text for each in page.all("h3")]
