@@ -211,15 +211,15 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         return self.slots.masks.astype(np.bool_)
 
     def render(self, mode: str | None = None) -> np.ndarray | None:
-        """Return one picture of all worlds for `rgb_array`; bring the window up to date for `human`."""
+        """Return one picture of all slots for `rgb_array`; bring the window up to date for `human`."""
         if self.render_mode == "human":
             self._show()
             return None
         return VecEnv.render(self, mode)
 
     def get_images(self) -> Sequence[np.ndarray]:
-        """Return a picture of every world."""
-        return [self._frame(world) for world in range(len(self.state))]
+        """Return a picture for every slot, of its world as its player is shown."""
+        return self._frames()
 
     def close(self, **keywords: Any) -> None:
         """Close the window, if there is one."""

@@ -21,8 +21,8 @@ CAMERAS = ("map", "follow")
 class ShowsWorld:
     """What the faces share: a world to show, drawn only when somebody looks.
 
-    `rgb_array` gives the frame of the first world, or of every world for a vector environment; `human`
-    opens a window, which needs the extra `play`.
+    `rgb_array` gives the frame of the first world, or one a slot for a vector environment: that slot's
+    world, with its player followed and told of. `human` opens a window, which needs the extra `play`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -59,15 +59,20 @@ class ShowsWorld:
         if self.render_mode is None:
             return None
         if hasattr(self, "num_envs"):
-            return tuple(self._frame(world) for world in range(len(self.rendered)))
+            return tuple(self._frames())
         return self._frame(0)
 
-    def _frame(self, world: int) -> np.ndarray:
+    def _frames(self) -> list[np.ndarray]:
+        """Return a frame for every slot, as recorders of vector environments want them."""
+        worlds, players = self.rendered.players.shape
+        return [self._frame(world, player) for world in range(worlds) for player in range(players)]
+
+    def _frame(self, world: int, player: int = 0) -> np.ndarray:
         if self._renderer is None:
             from pneuma.env.render import Renderer
 
             self._renderer = Renderer(self.rendered, self.camera)
-        return self._renderer.frame(world)
+        return self._renderer.frame(world, player)
 
     def _show(self) -> None:
         """Bring the window up to date, if there is to be one."""

@@ -242,7 +242,7 @@ def test_world_i_is_seeded_s_plus_i_with_several_players_too() -> None:
     assert seeds[0] == seeds[1] == seeds[2] - 1  # type: ignore[operator]
 
 
-def test_a_picture_holds_a_picture_of_every_world() -> None:
+def test_a_picture_holds_a_picture_of_every_slot() -> None:
     env = PneumaVecEnv(4, seed=0, render_mode="rgb_array")
     env.reset()
     images = env.get_images()
@@ -251,6 +251,13 @@ def test_a_picture_holds_a_picture_of_every_world() -> None:
     assert picture is not None and picture.shape[0] == 2 * images[0].shape[0]
     assert np.array_equal(picture[: images[0].shape[0], : images[0].shape[1]], images[0])
     assert env.metadata["render_fps"] == 8
+
+
+def test_slots_of_several_players_each_get_a_picture() -> None:
+    env = PneumaVecEnv(4, seed=0, players=2, render_mode="rgb_array", camera="follow")
+    env.reset()
+    images = env.get_images()
+    assert len(images) == 4 and not np.array_equal(images[0], images[1])
 
 
 def test_its_camera_may_follow() -> None:

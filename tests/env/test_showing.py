@@ -121,11 +121,18 @@ def test_a_vector_environment_notes_that_it_was_closed(arena: str) -> None:
     env.close()
 
 
-def test_of_several_players_a_world_is_drawn_once(arena: str) -> None:
-    env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array")
+@pytest.mark.parametrize("camera", ["map", "follow"])
+def test_of_several_players_each_slot_gets_a_frame_of_its_own_player(arena: str, camera: str) -> None:
+    env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array", camera=camera)
     env.reset(seed=0)
+    env.step(np.array([ATTACK, RIGHT, RIGHT, RIGHT]))
+    painter = Renderer(env.state, camera)
     frames = env.render()
-    assert len(frames) == 2 and frames[0].shape == (SIDE + STRIP, SIDE, 3)
+    assert len(frames) == env.num_envs
+    for slot, frame in enumerate(frames):
+        assert np.array_equal(frame, painter.frame(slot // 2, slot % 2))
+    same_picture = np.array_equal(frames[0][STRIP:], frames[1][STRIP:])
+    assert same_picture == (camera == "map")
 
 
 def test_pettingzoo_gets_a_frame(arena: str) -> None:
