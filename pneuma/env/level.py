@@ -66,6 +66,7 @@ class Level:
         left: x of the grid's left edge.
         top: y of the grid's upper edge.
         ground: (rows, columns) codes of the ground, for drawing; -1 where there is none.
+        ground_names: which of `GROUNDS` each code is; None: their indices.
         terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`.
         starts: (S, 2) start places.
         monsters: kind, x and y of each.
@@ -80,6 +81,7 @@ class Level:
     terrain: np.ndarray
     starts: np.ndarray
     monsters: tuple[tuple[str, float, float], ...]
+    ground_names: Mapping[int, str] | None = None
 
     @property
     def land(self) -> tuple[float, float, float, float]:
@@ -127,6 +129,7 @@ def load_level(name: str, monster_codes: dict[int, str], body: tuple[float, floa
         terrain=_terrain(layers),
         starts=np.array([(entity.x, entity.y) for entity in starts], np.float64),
         monsters=tuple((entity.kind, entity.x, entity.y) for entity in monsters),
+        ground_names=layers.header.ground,
     )
     lost = first_cut_off(level, body)
     if lost is not None:
@@ -292,7 +295,7 @@ def _read_header(folder: Path) -> Header:
 
 
 def _header_value(key: str, value: Any, where: str) -> Any:
-    """Check one key of `level.toml`; the table [ground] becomes the set of its codes."""
+    """Check one key of `level.toml`; the codes of the table [ground] become numbers."""
     allowed = {name: reader.allowed for name, reader in _HEADER.items()}
     allowed["ground"] = f'a table of code = "name", each name one of {", ".join(GROUNDS)}'
     if key not in allowed:
@@ -302,7 +305,7 @@ def _header_value(key: str, value: Any, where: str) -> Any:
             return _HEADER[key].read(value)
         if not all(name in GROUNDS for name in {**value}.values()):
             raise ValueError
-        return frozenset(int(code) for code in value)
+        return {int(code): ground for code, ground in value.items()}
     except (ValueError, TypeError):
         shown = json.dumps(value, default=str)
         raise UserError(f"{where}: {key} = {shown} is not allowed: {allowed[key]}") from None

@@ -7,16 +7,14 @@ from the state alone: the same state gives the same bytes.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pneuma.env import rules, sprites
-from pneuma.env.level import LEVELS, Level
+from pneuma.env.level import Level
 from pneuma.env.panel import Panel, filled_part
 from pneuma.env.showing import CAMERAS
 from pneuma.env.tiled import GROUNDS
@@ -257,24 +255,12 @@ class Renderer:
 def ground_kinds(level: Level) -> np.ndarray:
     """Return what every tile of a level is made of, (rows, columns) of indices into `GROUNDS`.
 
-    The level's `level.toml` may name the codes in its table `[ground]`; without, they are those of
-    the shipped level. Any other code is grass, and where the land ends there is always water.
+    A code that the level does not name is grass, and where the land ends there is always water.
     """
     kinds = np.full(level.ground.shape, sprites.GRASS)
-    for code, name in _ground_names(level.name).items():
+    for code, name in (level.ground_names or dict(enumerate(GROUNDS))).items():
         kinds[level.ground == code] = GROUNDS.index(name)
     return np.where(level.terrain == rules.COAST, sprites.WATER, kinds)
-
-
-def _ground_names(name: str) -> dict[int, str]:
-    """Return the names of a level's ground codes."""
-    for folder in (LEVELS / name, Path(name)):
-        header = folder / "level.toml"
-        if header.is_file():
-            names = tomllib.loads(header.read_text(encoding="utf-8-sig")).get("ground")
-            if names:
-                return {int(code): name for code, name in names.items()}
-    return dict(enumerate(GROUNDS))
 
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:

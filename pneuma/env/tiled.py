@@ -74,7 +74,7 @@ class Header:
         origin: column and row of the tile at whose upper left corner (0, 0) lies; None: the centre.
         coast: ground codes where the land ends; None: those that are drawn as water unless named.
         obstacles: codes that block besides 395.
-        ground: the ground codes that there are; None: any.
+        ground: the ground codes that there are, and which of `GROUNDS` each is; None: any.
     """
 
     title: str
@@ -82,7 +82,7 @@ class Header:
     origin: tuple[float, float] | None = None
     coast: tuple[int, ...] | None = None
     obstacles: tuple[int, ...] = ()
-    ground: frozenset[int] | None = None
+    ground: Mapping[int, str] | None = None
 
     @property
     def coast_codes(self) -> tuple[int, ...]:

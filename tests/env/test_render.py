@@ -6,6 +6,7 @@ The arena's grid spans -640 … 640 on both axes, so that the art pixel of a pla
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,7 +18,7 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules, sprites
-from pneuma.env.render import Renderer
+from pneuma.env.render import Renderer, ground_kinds
 from pneuma.env.window import Window
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
@@ -248,6 +249,20 @@ def test_small_tiles_leave_bodies_in_proportion(tmp_path: Path, arena: str) -> N
     worlds.players["hp"] = 0.0
     x, _ = changed(before, bare(worlds))
     assert 24 <= np.ptp(x) <= 32
+
+
+def test_ground_is_what_the_level_called_it_when_it_was_loaded(
+    tmp_path: Path, arena: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path leads elsewhere later on."""
+    shutil.copytree(arena, tmp_path / "beach")
+    with (tmp_path / "beach/level.toml").open("a") as header:
+        header.write('\n[ground]\n0 = "water"\n2 = "sand"\n')
+    monkeypatch.chdir(tmp_path)
+    worlds = stage("beach")
+    monkeypatch.chdir("/")
+    assert set(ground_kinds(worlds.level).flat) == {sprites.WATER, sprites.SAND}
+    assert set(ground_kinds(stage(arena).level).flat) == {sprites.WATER, sprites.GRASS}
 
 
 @pytest.mark.parametrize(
