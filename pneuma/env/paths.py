@@ -19,6 +19,8 @@ from pneuma.env.level import Level, walkable_regions
 NOWHERE = math.inf
 MOST_PLACES = 4000
 """How many places a search looks at before it gives up."""
+MOST_CELLS = 20_000_000
+"""How many cells of fields are kept, of 12 bytes each: all that the thesis's level can have, and more."""
 
 Place = tuple[float, float]
 Plan = dict[Place, int]
@@ -26,7 +28,7 @@ Plan = dict[Place, int]
 
 
 class Ways:
-    """Ways of one body over levels of one shape, found when first asked for and then kept.
+    """Ways of one body over levels of one shape, found when first asked for and kept while there is room.
 
     A cell is the upper left tile of a block of tiles that the body fits into; `lengths` and the
     fields behind it count from cell to cell. All grids have a rim of closed tiles.
@@ -70,6 +72,7 @@ class Ways:
             x: (N,) where the body is.
             y: (N,).
         """
+        self._make_room()
         goals = self._tiles(to_x, to_y, 0.0)
         numbers = self._numbers[level[:, None], goals]
         for world, monster in np.argwhere(numbers < 0).tolist():
@@ -86,6 +89,7 @@ class Ways:
             goal: where it is going.
             reach: how far one step goes.
         """
+        self._make_room()
         tile = int(self._tiles(np.array(goal[0]), np.array(goal[1]), 0.0))
         field = self._lists[self._number(level, tile)]
         first = self._length(field, *place)
@@ -125,6 +129,13 @@ class Ways:
         column = np.floor((x - self._corner[0]) / self._tile + shift).astype(np.int64)
         row = np.floor((y - self._corner[1]) / self._tile + shift).astype(np.int64)
         return np.asarray(row * self._shape[1] + column)
+
+    def _make_room(self) -> None:
+        """Forget all fields if they are too many: which tiles are asked for changes over an episode."""
+        if len(self._lists) * self._fields.shape[1] > MOST_CELLS:
+            self._numbers.fill(-1)
+            self._lists.clear()
+            self._fields = self._fields[:64].copy()
 
     def _number(self, level: int, tile: int) -> int:
         """Return the number of the field of distances to a tile, which is walked if it is new."""

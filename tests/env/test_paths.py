@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneuma.env import rules
+from pneuma.env import paths, rules
 from pneuma.env.level import Level
 from pneuma.env.paths import NOWHERE, Ways
 
@@ -52,6 +52,21 @@ def test_nowhere_leads_to_where_a_body_does_not_fit() -> None:
     """Among tiles of 32 px a body needs two abreast: the gap of one is closed to it."""
     ways = Ways([rooms(32.0)], *HALVES, False)
     assert lengths(ways, (16, 16), (32, 32), (224, 32), (224, 144)) == [0, 6, NOWHERE]
+
+
+def test_fields_that_are_too_many_are_forgotten_and_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a large level, or of many, those to every tile would fill the memory."""
+    level = rooms()
+    far = (480.0, 32.0)
+    goals = [(x, y) for y in (32.0, 96.0, 224.0) for x in np.arange(32.0, 512.0, 64.0)]
+    free = Ways([level], *HALVES, False)
+    expected = [lengths(free, goal, far) for goal in goals]
+    monkeypatch.setattr(paths, "MOST_CELLS", 5 * free._fields.shape[1])
+    tight = Ways([level], *HALVES, False)
+    for _ in range(2):
+        assert [lengths(tight, goal, far) for goal in goals] == expected
+        assert len(tight._lists) <= 6
+        assert tight.plan(0, far, goals[-1], REACH) == free.plan(0, far, goals[-1], REACH) != {}
 
 
 @pytest.mark.parametrize("coast", ["wall", "deadly"])
