@@ -15,6 +15,7 @@ from pneuma.analysis.corrections import holm
 from pneuma.analysis.crossing import Crossing, find_crossing
 from pneuma.analysis.factorial import Effect, factorial
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome, reason
+from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed
@@ -57,10 +58,12 @@ def study_effects(data: StudyData, name: str = PRIMARY) -> Effects:
         name: an outcome.
 
     Raises:
-        UserError: for a name that is no outcome's, a study that is not crossed, mixed engines, a cell
-            without a run that has the outcome, an endless value, or no more runs than the effects take up.
+        UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed,
+            mixed engines, a cell without a run that has the outcome, an endless value, or no more runs than
+            the effects take up.
     """
     find_outcome(name)
+    refuse_unlike_returns(data, name)
     crossing = find_crossing(data)
     cells, without = _cells(data, crossing, name)
     values = np.concatenate(list(cells.values()))  # (runs,)

@@ -59,6 +59,11 @@ class Outcome:
     alike: float = 1e-9
 
 
+def is_return(name: str) -> bool:
+    """Tell whether an outcome is a return, whose unit is its reward's."""
+    return name.endswith("-return")
+
+
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
     """Return a run's outcome; NaN where it has none.
 

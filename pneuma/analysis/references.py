@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
+from pneuma.analysis.outcomes import is_return
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
 
 PLAYERS = ("random player", "scripted hunter")
 NEAR = 0.02
@@ -20,10 +24,24 @@ _OF_RETURNS = ("reward", "players")
 """Settings of which a return is the sum: where they differ, returns are in unlike units."""
 
 
-def have_one_return(data: StudyData) -> bool:
-    """Tell whether all conditions have the same reward and as many players: else no returns compare."""
-    settings = [data.settings(own[0]) for name in data.conditions if (own := data.of_condition(name))]
+def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
+    """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
+    names = data.conditions if conditions is None else conditions
+    settings = [data.settings(own[0]) for name in names if (own := data.of_condition(name))]
     return len({str([own.get(key) for key in _OF_RETURNS]) for own in settings}) <= 1
+
+
+def refuse_unlike_returns(data: StudyData, outcome: str, conditions: Iterable[str] | None = None) -> None:
+    """Refuse to compare conditions, or all, by an outcome that is of another unit in some.
+
+    Raises:
+        UserError: for a return, where rewards or numbers of players differ.
+    """
+    if is_return(outcome) and not have_one_return(data, conditions):
+        raise UserError(
+            f"outcome {outcome}: returns of unlike rewards, or of more players, cannot be compared; "
+            "name another, such as final-share-killed"
+        )
 
 
 def reference_levels(data: StudyData, quantity: str) -> dict[str, dict[str, float]]:

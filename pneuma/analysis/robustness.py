@@ -24,6 +24,7 @@ from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.corrections import holm
 from pneuma.analysis.crossing import condition_settings
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
+from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_setting, stream_seed
@@ -97,7 +98,7 @@ def robustness_map(
 
     Raises:
         UserError: for one value twice, where no pair of conditions is such a contrast, or for an outcome
-            without a direction.
+            without a direction, or in which the two values do not compare.
     """
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
@@ -114,6 +115,8 @@ def robustness_map(
             f"{shown_setting(values[0])} in one and {shown_setting(values[1])} in the other"
             + _told_differences(data)
         )
+    for one, other, _ in pairs:
+        refuse_unlike_returns(data, outcome, (one, other))
     factors = _factors([settings for _, _, settings in pairs])
     at_step = common_step(data)
     values_of = {

@@ -30,7 +30,8 @@ from pneuma.analysis.intervals import (
     mean_interval,
     no_interval,
 )
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
+from pneuma.analysis.references import have_one_return
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed
@@ -104,6 +105,8 @@ def _improvement(
     if condition == baseline or baseline not in data.conditions:
         return
     if data.engines(condition) != data.engines(baseline):  # no contrast mixes them
+        return
+    if is_return(name) and not have_one_return(data, (condition, baseline)):
         return
     others = _known(outcome_values(data, baseline, name, at_step))
     if not len(others):

@@ -10,6 +10,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,9 +93,11 @@ def _place(study: str) -> tuple[bool, list[int], str]:
 
 def _recorded_title(store: Store, study: str) -> str:
     for setting in SETTING_TITLES:
-        record = store.selection(in_setting(study, setting))
-        if record:
-            return str(record["title"])
+        if (name := in_setting(study, setting)) in known_studies(store):
+            try:
+                return str(study_record(store, name, None)["title"])
+            except UserError:  # which its part tells of
+                continue
     return study
 
 
@@ -145,7 +148,7 @@ def _recorded_part(
         part,
         setting=_where(record, part.setting),
         notes=tuple(_notes(record, [state.status for state in states])),
-        mend="" if whole else _same_again(study, record),
+        mend="" if whole else _same_again(study, record, states),
         extent=_extent(record),
         conditions=_conditions(study, record),
         runs=rows,
@@ -169,6 +172,7 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     """Add what only finished runs have: figures, numbers, and what produced them."""
     from dataclasses import replace
 
+    from pneuma.analysis.run_view import common_step
     from pneuma.analysis.sources import open_study
     from pneuma.analysis.summaries import summary_table
     from pneuma.figures.report_pictures import study_pictures
@@ -176,14 +180,17 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     try:
         data = open_study(store, record)
         found, notes = _trajectories(store, data)
-        part = replace(part, notes=(*part.notes, *notes))
-        return replace(
+        if step := common_step(data):
+            told = f"numbers and effects are of runs as they stood at {step:,} steps, collapses of whole runs"
+            notes = (*notes, f"Budgets are unlike: {told}.")
+        part = replace(
             part,
-            pictures=study_pictures(data, found),
+            notes=(*part.notes, *notes),
             summary=summary_table(data),
             effects=_effects(data),
             origins=tuple(_origins(data)),
         )
+        return replace(part, pictures=study_pictures(data, found))
     except UserError as error:
         return replace(part, notes=(*part.notes, anywhere(store, error)))
 
@@ -256,16 +263,33 @@ def _command(study: str, setting: str) -> str:
     return command("study", "run", name, *([] if setting == spec.TEXT else ["--setting", setting]))
 
 
-def _same_again(study: str, record: Mapping[str, Any]) -> str:
+def _same_again(study: str, record: Mapping[str, Any], states: Sequence[RunState]) -> str:
     """Return the command that trains what a record's runs lack; '' of a study that is no file."""
     if study not in spec.list_studies() and not record.get("path"):
         return ""
     try:
-        options = selecting_words(recorded_selection(record))
+        made_by = recorded_selection(record) if "selection" in record else _lacking(states)
+        options = selecting_words(made_by)
     except (KeyError, UserError):  # a stranger's
         return ""
     setting = spec.GODOT if record.get("setting") == spec.GODOT else spec.TEXT
     return " ".join([_command(study, setting), shlex.join(options)]).strip()
+
+
+def _lacking(states: Sequence[RunState]) -> plan.Selection:
+    """Return what selects the runs that a published table lacks.
+
+    Raises:
+        KeyError: where no one selection does.
+    """
+    lacking = [state.run for state in states if state.status not in FINISHED]
+    cells = {(run["condition"], run["seed"]) for run in lacking}
+    conditions = tuple(dict.fromkeys(run["condition"] for run in lacking))
+    seeds = tuple(sorted({run["seed"] for run in lacking}))
+    steps = {run["run"]["steps"] for run in lacking}
+    if len(steps) > 1 or cells != {*product(conditions, seeds)}:
+        raise KeyError("selection")
+    return plan.Selection(seeds=seeds, steps=steps.pop(), conditions=conditions)
 
 
 def anywhere(store: Store, error: UserError) -> str:

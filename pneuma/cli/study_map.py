@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -112,7 +113,9 @@ def _meant(readings: list[Contrasted], data: StudyData) -> Contrasted:
 def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> list[Path]:
     from pneuma.figures.robustness import draw_robustness
 
-    return draw_robustness(data, [found], out, f"{data.figure}-{found.setting}", formats)
+    parts = [found.setting, *map(shown_setting, found.values), *[found.outcome] * (found.outcome != PRIMARY)]
+    told = (re.sub(r"[^\w.]+", "-", part).strip("-") for part in parts)
+    return draw_robustness(data, [found], out, "-".join([data.figure, *told]), formats)
 
 
 def _document(found: Map, at_step: int | None) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.analysis import EPISODE_QUANTITIES, WINDOWS
+from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
 from pneuma.analysis.coverage import coverage
 from pneuma.analysis.curves import Curve
@@ -16,6 +16,7 @@ from pneuma.analysis.references import have_one_return, reference_levels, shared
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
+from pneuma.errors import UserError
 from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import ABOVE_ALL, far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
@@ -25,10 +26,9 @@ _WORLDS = {
     "pneuma/PneumaGodot-v0": "in the published code's world",
 }
 
-_EPISODES = {
-    WINDOWS[0]: "the episodes of the last 5 % of the budget before each point",
-    WINDOWS[1]: "each run's last 100 episodes",
-}
+_, _TRAILING_WINDOW = WINDOWS
+MOST_ABSENT = 6
+"""Conditions without a run that are named; of more there is a count."""
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
@@ -38,10 +38,24 @@ def headline_of(data: StudyData, shown: str = "") -> str:
         data: the study.
         shown: what the figure shows of it, such as 'every condition'; where left out, the thesis's figure
             that it is the counterpart of, if it has one.
+
+    Raises:
+        UserError: where a name, as a stranger's record may have it, is made of what are no characters.
     """
+    _refuse_unwritable(data)
     same = "; ".join(" = ".join(names) for names in data.same)
     told = ": ".join(filter(None, [title_of(data), shown or _counterpart(data)]))
     return told + (f"   (A/A: {same} are one configuration)" if same else "")
+
+
+def _refuse_unwritable(data: StudyData) -> None:
+    for name in (data.title, *data.conditions):
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            raise UserError(
+                f"study {data.study}: the name {name!a} is no text, so nothing is drawn"
+            ) from None
 
 
 def title_of(data: StudyData) -> str:
@@ -75,6 +89,7 @@ def caption_of(data: StudyData, curves: Mapping[str, Sequence[Curve]], band: str
     return [
         *_origin(data),
         *looks_told(data),
+        *absent_told(data),
         *_lines(drawn, band),
         *_averages(data, curves, window),
         *_marks(data, curves, drawn, band),
@@ -106,6 +121,20 @@ def looks_told(data: StudyData) -> list[str]:
     return [f"Seeds were added until all was decided (looked at with {at}): intervals do not allow for it."]
 
 
+def step_told(data: StudyData) -> list[str]:
+    """Say at what step runs of unlike budgets are compared."""
+    step = common_step(data)
+    return [f"All as they stood at {step:,} steps, the most that all runs were to reach."] if step else []
+
+
+def absent_told(data: StudyData) -> list[str]:
+    """Say which conditions are not shown, as no run of theirs has finished."""
+    absent = [name for name in data.conditions if not data.of_condition(name)]
+    if len(absent) > MOST_ABSENT:
+        return [f"Not run: {len(absent)} of {len(data.conditions)} conditions."]
+    return [f"Not run: {', '.join(absent)}."] if absent else []
+
+
 def _lines(drawn: Sequence[Curve], band: str) -> list[str]:
     words = []
     if any((curve.count < len(curve.runs)).any() for curve in drawn):
@@ -134,13 +163,21 @@ def _worth(few: Sequence[Curve], band: str) -> list[str]:
 
 
 def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
-    trained = [name for name in curves if name in EPISODE_QUANTITIES]
-    if not trained:
-        return []
-    if data.averaged_over:
+    """Say what each point of a training curve averages."""
+    words, averaged = [], []
+    episodes, updates = (
+        any(name in curves for name in kind) for kind in (EPISODE_QUANTITIES, UPDATE_QUANTITIES)
+    )
+    if episodes and data.averaged_over:
+        of = " of episodes" if updates else ""
         logger = f"averaged over its last {data.averaged_over} episodes by Stable-Baselines3"
-        return [f"Values are as they were logged: each run's is already {logger}."]
-    return [f"Curves of training average {_EPISODES[window]}."]
+        words.append(f"Values{of} are as they were logged: each run's is already {logger}.")
+    elif episodes and window == _TRAILING_WINDOW:
+        averaged.append("each run's last 100 episodes")
+    over_budget = ["episodes"] * (episodes and not words and not averaged) + ["updates"] * updates
+    if over_budget:
+        averaged.append(f"the {' or '.join(over_budget)} of the last 5 % of the budget before each point")
+    return [*words, f"Curves of training average {', or '.join(averaged)}."] if averaged else words
 
 
 def _marks(

@@ -14,11 +14,12 @@ from matplotlib.ticker import EngFormatter, FuncFormatter
 
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
-from pneuma.analysis.run_view import Series, view
+from pneuma.analysis.run_view import Series, common_step, view
 from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.figures.captions import forks_told, headline_of
-from pneuma.figures.crossed import factors_of, read_name
+from pneuma.errors import UserError
+from pneuma.figures.captions import absent_told, forks_told, headline_of
+from pneuma.figures.crossed import row_names
 from pneuma.figures.looks import condition_looks, told_apart
 from pneuma.figures.panel import BELOW_ZERO, per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES
@@ -66,16 +67,23 @@ def draw_collapse(
     On the left, where any run collapsed, every one that did, its steps counted from its onset, in what is
     held of its curves; on the right the share of each condition's runs that did, with its interval. Of many
     conditions those of which none did are left out on the right, and the caption says so.
+
+    Raises:
+        UserError: where no run has records that a collapse shows in.
     """
     found, shares = diagnoses(data), incidence(data)
+    blind = list(shares["condition"][shares["unknown"] > 0])
     shares = shares[shares["runs"] > 0]
+    if shares.empty:
+        raise UserError(
+            f"study {data.study}: no run has evaluations or an entropy, in which a collapse shows"
+        )
     shown = shares if len(shares) <= MOST_ROWS else shares[shares["collapsed"] > 0]
     collapsed = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
     held = _held(data, collapsed)
     colours = _colours(data, list(shares["condition"][shares["collapsed"] > 0]))
-    words = Words(
-        headline_of(data, _told(shares)), "", _caption(data, list(held), shown, len(shares) - len(shown))
-    )
+    caption = _caption(data, list(held), shown, len(shares) - len(shown), blind)
+    words = Words(headline_of(data, _told(shares)), "", caption)
     with house_style(SIZE.type_points):
         figure = Figure(layout="constrained")
         mosaic = _mosaic(list(held))
@@ -121,16 +129,22 @@ def _told(shares: pd.DataFrame) -> str:
     return f"{shares['collapsed'].sum()} of {shares['runs'].sum()} runs collapsed"
 
 
-def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out: int) -> list[str]:
+def _caption(
+    data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out: int, blind: Sequence[str]
+) -> list[str]:
     left, bars = _left(held), "share of each condition's runs that collapsed"
     dashed = "dashed: " if any(name in held for name in THRESHOLDS) else ""
     hollow = "Hollow: no longer so at the end. " * bool(shown["recovered"].any())
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
-    rows = f"Rows: {', '.join(_parts(list(shown['condition'])))}. " if _by_levels(shown) else ""
+    _, rows = row_names(list(shown["condition"]), LABEL_CHARACTERS)
     forked = any(run.begun for run in data.runs)
-    falls = ["Of a fork its parent's best is not known: a fall from that is not seen."] if forked else []
+    mind = ["Of a fork its parent's best is not known: a fall from that is not seen."] if forked else []
+    if common_step(data):
+        mind.append("Budgets are unlike: each run is looked at over its own.")
+    if blind:
+        mind.append(f"Of runs of {', '.join(blind)} nothing is recorded that a collapse shows in.")
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
-    if unseen:
+    if unseen := unseen.difference(blind):
         told = ", ".join(name for name in data.conditions if name in unseen)
         none = f"Of {told} no entropy is recorded, and only a fall is seen. {none}"
     return [
@@ -139,16 +153,11 @@ def _caption(data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out
         f"Collapsed: in most updates over {100 * SHORTEST:g} % of the budget down to one action "
         f"({dashed}{LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions), or in two evaluations in a "
         f"row at {100 * FALLEN_TO:g} % of its best at most and {100 * DEPTH:g} points below it. "
-        f"{hollow}{rows}{none}".strip(),
+        f"{hollow}{rows} {none}".strip(),
         *forks_told(data),
-        *falls,
+        *absent_told(data),
+        *mind,
     ]
-
-
-def _parts(conditions: Sequence[str]) -> list[str]:
-    """Return what the names of crossed conditions consist of."""
-    named = any(read_name(name).own for name in conditions)
-    return [*factors_of(conditions), "condition"] if named else factors_of(conditions)
 
 
 def _left(held: Sequence[str]) -> str:
@@ -210,8 +219,8 @@ def _draw_bars(axes: Axes, colours: Mapping[str, str], shares: pd.DataFrame) -> 
         axes.plot([row["low"], row["high"]], [place, place], color="#222222", linewidth=1.1)
         if not row["collapsed"]:
             axes.plot(0, place, marker="o", markersize=3, color=colour, clip_on=False, zorder=4)
-    by_levels = _by_levels(shares)
-    names = [_bar_label(row, by_levels) for row in rows]
+    shown, _ = row_names(list(shares["condition"]), LABEL_CHARACTERS)
+    names = [_bar_label(name, row) for name, row in zip(shown, rows, strict=True)]
     points = 72 * LONGEST_INCHES / max(len(rows), 1)
     axes.set_yticks(range(len(rows)), names, fontsize=7 if len(rows) <= FEW_ROWS else min(6.2, 0.8 * points))
     axes.set(xlim=(0, 1), ylim=(len(rows) - 0.5, -0.5), xlabel="Share of runs", title="How often")
@@ -220,15 +229,8 @@ def _draw_bars(axes: Axes, colours: Mapping[str, str], shares: pd.DataFrame) -> 
     axes.grid(visible=False, axis="y")
 
 
-def _by_levels(shares: pd.DataFrame) -> bool:
-    """Tell whether rows are named by their levels alone: those of crossed conditions whose names are long."""
-    names = list(shares["condition"])
-    return bool(factors_of(names)) and max(map(len, names), default=0) > LABEL_CHARACTERS
-
-
-def _bar_label(row: dict[Any, Any], by_levels: bool) -> str:
+def _bar_label(name: str, row: dict[Any, Any]) -> str:
     """Return a condition, broken where it would take the panels' room, and how many of its runs collapsed."""
-    name = str(row["condition"])
     count = f"{row['collapsed']} of {row['runs']}".replace(" ", "\u00a0")
-    lines = wrap_label(read_name(name).short if by_levels else name, LABEL_CHARACTERS)
+    lines = wrap_label(name, LABEL_CHARACTERS) or [""]
     return "\n".join([*lines[:-1], *wrap_label(f"{lines[-1]}: {count}", LABEL_CHARACTERS)])

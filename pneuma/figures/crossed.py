@@ -44,6 +44,19 @@ def are_crossed(conditions: Sequence[str]) -> bool:
     return len(kinds) == 1 and kinds != {()}
 
 
+def row_names(conditions: Sequence[str], characters: int) -> tuple[list[str], str]:
+    """Return what conditions are called beside their rows, and what the names consist of if that is not said.
+
+    Crossed ones of which a name is longer than so many characters go by their levels alone.
+    """
+    factors = factors_of(conditions)
+    if not factors or max(map(len, conditions)) <= characters:
+        return list(conditions), ""
+    named = any(read_name(name).own for name in conditions)
+    told = ", ".join([*factors, *["condition"] * named])
+    return [read_name(name).short for name in conditions], f"Rows: {told}."
+
+
 def factors_of(conditions: Sequence[str]) -> list[str]:
     """Return the factors that any of these is crossed by, in order."""
     return list(dict.fromkeys(factor for name in conditions for factor, _ in read_name(name).levels))

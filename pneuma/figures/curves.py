@@ -14,6 +14,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pneuma.analysis import EPISODE_QUANTITIES
 from pneuma.analysis.curves import Curve, curve_names, study_curves
 from pneuma.analysis.references import PLAYERS, have_one_return, shared_levels
 from pneuma.analysis.run_view import common_step
@@ -118,6 +119,8 @@ def settle(
     """
     wanted = data.checked_window(window or _usual_window(layout))
     names = tuple(dict.fromkeys(quantities)) or _usual(data, layout)
+    if not _has_episodes(names):
+        wanted = data.windows[0]  # nothing that is drawn is read in a window of one's choice
     return Drawing(names, band or USUAL_BAND[layout], wanted, layout, size)
 
 
@@ -131,12 +134,16 @@ def file_stem(data: StudyData, drawing: Drawing) -> str:
     differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
     if drawing.band != USUAL_BAND[drawing.layout]:
         differs.append(drawing.band)
-    if drawing.window != (_usual_window(drawing.layout) or data.windows[0]):
+    if _has_episodes(drawing.quantities) and drawing.window != (_usual_window(drawing.layout) or data.windows[0]):
         differs.append(drawing.window.removesuffix("%"))
     if drawing.quantities != _usual(data, drawing.layout):
         every = list(drawing.quantities) == curve_names(data)
         differs = ["all" if every else _shortened(drawing.quantities), *differs]
     return "-".join([data.figure, *differs])
+
+
+def _has_episodes(quantities: Sequence[str]) -> bool:
+    return any(name in EPISODE_QUANTITIES for name in quantities)
 
 
 def _shortened(names: Sequence[str]) -> str:
@@ -188,5 +195,6 @@ def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
     wanted: tuple[str, ...] = USUAL_QUANTITIES if layout == "pneuma" else ("return",)
     if layout == "pneuma" and not have_one_return(data):
         wanted = tuple(IN_PLACE_OF_RETURN if name == "return" else name for name in wanted)
-    names = tuple(name for name in wanted if name in curve_names(data)) or ("return",)
+    known = curve_names(data)
+    names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
     return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
@@ -14,6 +15,8 @@ from pneuma.figures.captions import title_of
 
 INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
+MOST_NAMED = 12
+"""Conditions whose runs are counted one by one for people; of more there is a sum."""
 
 
 def index_entries(
@@ -53,10 +56,12 @@ def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
     head = f"Drawn by `make figures`, which writes this page too. As data, with run ids: `{INDEX}`."
     lines = ["# Figures and tables", "", head, ""]
     for source, own in sections.items():
-        title = own[0].get("title")
+        title = " ".join(own[0].get("title", "").split())
         lines += [f"## {title}", "", f"From {source}.", ""] if title else [f"## {source}", ""]
         lines += [
-            f"- [{entry['file']}]({entry['file']}){_drawn(entry)}" for entry in own if not _is_twin(entry)
+            f"- [{entry['file']}]({quote(entry['file'])}){_drawn(entry)}"
+            for entry in own
+            if not _is_twin(entry)
         ]
         lines += [""]
     return "\n".join(lines).encode()
@@ -71,10 +76,15 @@ def _drawn(entry: Mapping[str, Any]) -> str:
     """Say what a file shows: which figure or table, of which quantities, and of how many runs."""
     kind = entry.get("figure", f"table: {entry['table']}" if "table" in entry else "")
     quantities = ", ".join(name.replace("_", " ") for name in entry.get("quantities", ()))
-    runs = ", ".join(f"{name} {count}" for name, count in entry.get("n", {}).items() if count)
-    shown = ": ".join(filter(None, [kind, quantities]))
-    told = "; ".join(filter(None, [shown, f"runs: {runs}" if runs else ""]))
+    told = "; ".join(filter(None, [": ".join(filter(None, [kind, quantities])), _runs(entry.get("n", {}))]))
     return f": {told}" if told else ""
+
+
+def _runs(counts: Mapping[str, int]) -> str:
+    known = {name: count for name, count in counts.items() if count}
+    if len(known) > MOST_NAMED:
+        return f"{sum(known.values()):,} runs of {len(known)} conditions"
+    return "runs: " + ", ".join(f"{name} {count}" for name, count in known.items()) if known else ""
 
 
 def read_index(folder: Path) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
-"""Which condition has which colour: in every figure of a study the same, and the same in related studies.
+"""Which condition has which colour: in all figures of a selection the same, and the same in related studies.
 
-A study's conditions take the looks of `style` in their order. But some configurations stand in several
+A selection's conditions take the looks of `style` in their order. But some configurations stand in several
 studies under other names: Table 6.2 is `tanh` beside ReLU, `non-stationary` beside the other Adam.
 """
 
@@ -40,7 +40,7 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     a panel or row of its own there, and `tanh` is to be seen as such under every limit.
 
     Args:
-        conditions: all of the study's, of which a figure may show some.
+        conditions: all of the selection's, of which a figure may show some.
     """
     kinds = {name: read_name(name).kind if len(conditions) > MOST_IN_A_PANEL else name for name in conditions}
     tuned = {kind.removesuffix(TUNED) for kind in kinds.values() if kind.endswith(TUNED)}

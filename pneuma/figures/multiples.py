@@ -6,7 +6,7 @@ They are placed by hand: a layout engine would take longer over fifty of them th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import matplotlib as mpl
@@ -42,7 +42,9 @@ LINE = 0.75
 MORE_ROWS = 2
 """So many at most, if panels then leave no hole."""
 LONGEST_INCHES = 7.6
-"""Of a block of panels: with what is said around them a figure still fits a page."""
+"""Of a block of panels: with what is said around it a figure fits a page, unless they are too many."""
+LEAST_PANEL_INCHES = 0.22
+"""Of a panel below its name."""
 MOST_OTHERS = 24
 """Panels up to which all other means stand behind each; of more they would be a grey blur."""
 OTHERS_COLOUR = "#C4C4C4"
@@ -81,7 +83,12 @@ def draw_multiples(
     entries = _entries(data, curves)
     gap = size.line_inches if len(curves) > 1 else 0.0
     around = 4 * size.line_inches + gap  # the block's title, ticks and label
-    wanted = min(rows * size.small_height, LONGEST_INCHES) + around
+    labels = {label_of(data, curve) for group in curves.values() for curve in group}
+    lines = max(_heading(label, size, columns).count("\n") + 1 for label in labels)
+    least = rows * (LEAST_PANEL_INCHES + _title_inches(lines, size))
+    wanted = max(min(rows * size.small_height, LONGEST_INCHES), least) + around
+    told = _told_levels(data.conditions, size, columns)
+    words = replace(words, caption=[*words.caption, *filter(None, [told])])
     low, high = words.put(figure, size, len(curves) * wanted, entries)
     size.check_room(len(curves) * rows, high - low - around * len(curves))
     height = (high - low) / len(curves)
@@ -149,9 +156,6 @@ def _draw_block(
         set_axes(axes, look, data.budget, curves)
         axes.set_title(heading, fontsize=size.small_points, weight="normal", pad=TITLE_PAD, linespacing=1.05)
         axes.tick_params(labelsize=size.small_points, length=2, pad=1.5)
-    told = _told_levels([curve.condition for curve in curves], size, block.columns)
-    place = (1 - 0.1 / width, (block.top - 0.3 * line) / height)
-    figure.text(*place, told, fontsize="small", color="#666666", ha="right", va="top")
     _align(panels, block.columns, look.log)
     bottom = (block.top - block.height + block.gap) / height
     figure.text(0.5, bottom + 0.25 * line / height, "Environment steps", ha="center")
@@ -167,7 +171,7 @@ def _place_panels(figure: Figure, headings: Sequence[str], block: _Block, size: 
     width, height = figure.get_size_inches()
     cell = (width - left - 0.1) / block.columns, (block.height - above - below) / block.rows
     lines = max(heading.count("\n") for heading in headings) + 1
-    gap, title = 0.14 * cell[0], (1.25 * lines * size.small_points + 2 * TITLE_PAD) / 72
+    gap, title = 0.14 * cell[0], _title_inches(lines, size)
     return [
         figure.add_axes(
             (
@@ -196,6 +200,11 @@ def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str 
             )
 
 
+def _title_inches(lines: int, size: Size) -> float:
+    """Return how much of a row the names above its panels take."""
+    return (1.25 * lines * size.small_points + 2 * TITLE_PAD) / 72
+
+
 def _characters(size: Size, columns: int) -> int:
     """Return how many characters a panel's name has room for in one line."""
     return int(size.width * 72 / columns * 0.85 / (0.56 * size.small_points))
@@ -205,7 +214,7 @@ def _told_levels(conditions: Sequence[str], size: Size, columns: int) -> str:
     """Name the factors whose levels alone head the panels, where their names have no room there."""
     factors = factors_of(conditions)
     long = any(len(wrap_label(name, _characters(size, columns))) > NAME_LINES for name in conditions)
-    return f"panels: {', '.join(factors)}" if factors and long else ""
+    return f"Panels: {', '.join(factors)}." if factors and long else ""
 
 
 def _heading(label: str, size: Size, columns: int) -> str:

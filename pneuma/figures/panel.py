@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -25,6 +26,7 @@ RUN_WIDTH, RUN_ALPHA = 0.2, 0.4
 """Of a single run's line, in widths of a mean's: there may be thirty behind one mean."""
 MANY_RUNS = 30
 """From which number of runs in a panel on their lines are fainter, so that means stay in front."""
+MOST_LOG_TICKS = 4
 BELOW_ZERO = 0.02
 """How far an axis of shares reaches below 0, in parts of what it reaches above."""
 ABOVE_ALL = 1 + BELOW_ZERO
@@ -58,7 +60,7 @@ def draw_curve(
     marks = {"markersize": 1.7 * width, "markevery": _marked(len(curve.step), look["marker"])}
     low, high = curve.band(band)
     if BANDS[band].about_mean:  # those that are left where others diverged are no sample
-        low = np.where(curve.count == curve.count.max(initial=0), low, np.nan)
+        low = np.where(curve.count == len(curve.runs), low, np.nan)
     axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
     if shows_runs(curve, band):
         for run in curve.runs:
@@ -164,6 +166,18 @@ def shorten_thousands(axes: Axes) -> None:
 def whole_ticks(most: int) -> MaxNLocator:
     """Return what places few ticks at round numbers, whose labels do not meet."""
     return MaxNLocator(most, steps=[1, 2, 5, 10])
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Return few round numbers between two positive ones for a logarithmic axis, or these two."""
+    first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
+    powers = [float(f"1e{power}") for power in range(first, last + 1)]
+    steps = [float(f"{digit}e{power}") for power in range(first, last + 1) for digit in (1, 2, 5)]
+    for candidates in (powers, steps):
+        within = [value for value in candidates if low <= value <= high]
+        if len(within) > 1:
+            return within[:: -(-len(within) // MOST_LOG_TICKS)]
+    return [low, high]
 
 
 def is_log(look: Look, curves: Sequence[Curve]) -> bool:

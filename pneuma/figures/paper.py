@@ -133,5 +133,6 @@ if __name__ == "__main__":
     parser.add_argument("--results", type=Path, default=RESULTS)
     try:
         main(**vars(parser.parse_args()))
-    except UserError as error:
-        sys.exit(f"pneuma: {error}")
+    except (UserError, OSError) as error:
+        print(f"pneuma: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -61,7 +61,7 @@ def draw_published(
         entries += _indexed(data, drawing, paths)
     ways = found and found.of_runs({run.run_id for run in data.runs})  # some may have been published anew
     if ways and len(ways.episodes) and ways.level:
-        own = data.of_conditions(ways.conditions).of_runs({*ways.episodes["run_id"]})
+        own = data.of_runs({*ways.episodes["run_id"]})  # a condition may have been renamed since
         drawn = draw_trajectories(own, ways, folder, f"{data.figure}-trajectories")
         entries += _indexed(own, {"figure": "trajectories"}, drawn)
     return [*entries, *_write_tables(data, folder / TABLES)]
@@ -95,7 +95,8 @@ def _figures(data: StudyData, folder: Path) -> Drawn:
         yield {"figure": "collapses"}, draw_collapse(data, folder, f"{data.figure}-collapses")
     if maps := study_maps(data):
         contrasts = [found.setting for found in maps]
-        yield {"figure": "map", "contrasts": contrasts}, draw_robustness(data, maps, folder, data.figure)
+        stem = f"{data.figure}-map"
+        yield {"figure": "map", "contrasts": contrasts}, draw_robustness(data, maps, folder, stem)
 
 
 def _draw_curves(data: StudyData, folder: Path) -> Drawn:

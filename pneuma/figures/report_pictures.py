@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 
 from PIL import Image
 
+from pneuma.analysis.curves import curve_names
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.robustness import Map
 from pneuma.analysis.tables import StudyData
@@ -18,6 +20,7 @@ from pneuma.figures.curves import MOST_CURVES, draw_study, settle
 from pneuma.figures.quantities import look_of
 from pneuma.figures.report_html import Picture
 from pneuma.figures.robustness import draw_robustness, study_maps
+from pneuma.figures.shrink import with_palette
 from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories, share_told
 from pneuma.values import shown_setting
@@ -26,8 +29,6 @@ LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
 WIDEST_PIXELS = 1600
 """Twice the width that the page gives a figure at most."""
-COLOURS = 128
-"""Of a PNG, which has few and so loses nothing that is seen."""
 
 Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 
@@ -42,7 +43,7 @@ def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> t
         found: its trajectories on one level, where these are published.
     """
     walked = [_trajectories(data, found)] if found is not None else []
-    shown = _curves(data) if len(data.conditions) <= MOST_CURVES else _rows(data)
+    shown = _curves(data) if curve_names(data) and len(data.conditions) <= MOST_CURVES else _rows(data)
     return (shown, *_collapses(data), *walked, *_maps(data))
 
 
@@ -50,14 +51,14 @@ def _curves(data: StudyData) -> Picture:
     shown = " and ".join(look_of(name).title.lower() for name in settle(data).quantities)
     lines = ", ".join(f"{name} ({len(data.of_condition(name))} runs)" for name in data.conditions)
     alt = f"{data.title}: {shown} over {data.budget:,} environment steps, for {lines}."
-    caption = f"Drawn by: pneuma study plot {data.study}. Other bands and windows are options of it."
+    caption = f"Drawn by: pneuma study plot {quote(data.study)}. Other bands and windows are options of it."
     return Picture(*_smaller(lambda folder, forms: draw_study(data, folder, formats=forms)), alt, caption)
 
 
 def _rows(data: StudyData) -> Picture:
     shown = find_outcome(shown_outcome(data)).words
     alt = f"{data.title}: {shown}, every run and means with intervals, of {len(data.conditions)} conditions."
-    caption = f"What the runs came to. As numbers: pneuma study summary {data.study}."
+    caption = f"What the runs came to. As numbers: pneuma study summary {quote(data.study)}."
     return Picture(*_smaller(lambda folder, forms: draw_summary(data, folder, forms)), alt, caption)
 
 
@@ -69,7 +70,7 @@ def _collapses(data: StudyData) -> list[Picture]:
     counted = zip(collapsed["condition"], collapsed["collapsed"], collapsed["runs"], strict=True)
     told = ", ".join(f"{name} {count} of {runs} runs" for name, count, runs in counted)
     alt = f"{data.title}: entropy, commonest action, dead units and kills at each onset. Collapsed: {told}."
-    caption = f"Runs that collapsed. As a list: pneuma study collapse {data.study}."
+    caption = f"Runs that collapsed. As a list: pneuma study collapse {quote(data.study)}."
     drawn = _smaller(lambda folder, forms: draw_collapse(data, folder, "collapse", forms))
     return [Picture(*drawn, alt, caption)]
 
@@ -82,7 +83,7 @@ def _trajectories(data: StudyData, found: StudyTrajectories) -> Picture:
         for condition, own in shares.set_index("outcome").groupby("condition", sort=False)["value"]
     )
     alt = f"{data.title}: ways of the final policies on the map, and how their episodes end. {told}."
-    caption = f"Where the policies go. As numbers: pneuma study trajectories {data.study}."
+    caption = f"Where the policies go. As numbers: pneuma study trajectories {quote(data.study)}."
     drawn = _smaller(lambda folder, forms: draw_trajectories(data, found, folder, "ways", forms))
     return Picture(*drawn, alt, caption)
 
@@ -97,7 +98,7 @@ def _maps(data: StudyData) -> list[Picture]:
         f"{', '.join(maps[0].factors) or 'nothing else'}. {told}."
     )
     asked = f"{maps[0].setting}={':'.join(map(shown_setting, maps[0].values))}".replace(", ", ",")
-    told = f"pneuma study robustness {data.study} --contrast {asked}"
+    told = f"pneuma study robustness {quote(data.study)} --contrast {quote(asked)}"
     caption = f"Do the contrasts hold elsewhere? As numbers: {told}."
     drawn = _smaller(lambda folder, forms: draw_robustness(data, maps, folder, "maps", forms))
     return [Picture(*drawn, alt, caption)]
@@ -125,5 +126,5 @@ def _small_image(data: bytes) -> bytes:
         width = min(image.width, WIDEST_PIXELS)
         small = image.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)
     sink = io.BytesIO()
-    small.quantize(COLOURS, dither=Image.Dither.NONE).save(sink, "PNG", optimize=True)
+    with_palette(small).save(sink, "PNG", optimize=True)
     return sink.getvalue()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 import pandas as pd
@@ -224,7 +225,9 @@ def _summary(part: Part) -> Html:
     first = _headlines(part, frame[[_leads(row) for row in frame.itertuples()]])
     if len(frame) > MOST_ROWS:
         told = text(f"All {len(frame):,} statistics: ")
-        return join([first, paragraph(join([told, code(f"pneuma study summary {part.record}")]), "note")])
+        return join(
+            [first, paragraph(join([told, code(f"pneuma study summary {quote(part.record)}")]), "note")]
+        )
     return join([first, _every(part, frame)])
 
 

@@ -28,7 +28,7 @@ from pneuma.analysis.robustness import (
 )
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
-from pneuma.figures.captions import headline_of
+from pneuma.figures.captions import headline_of, step_told
 from pneuma.figures.panel import whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, house_style, save_figure
@@ -219,6 +219,7 @@ def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
     return [
         f"{', '.join(data.environments)}. Differences of means in {outcome.words}{unit}{turned}, {runs} runs "
         "an arm; lines: 95 % intervals, each for itself.",
+        *step_told(data),
         f"Rows: {', '.join(rows)}." if rows else "",
         "Filled: other than 0 by relabelings and by Welch's t, at 5 % over each column (Holm).",
         f"{meanings[:1].upper()}{meanings[1:]}.",

@@ -16,11 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FixedLocator, Formatter, FuncFormatter, NullLocator
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import counted
-from pneuma.figures.panel import per_cent
+from pneuma.figures.panel import log_ticks, per_cent
 from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
 from pneuma.search.importance import LEAST_TRIALS, importances
 from pneuma.search.record import trial_values
@@ -286,7 +286,7 @@ def _scale(axis: Any, parameter: Parameter, set_scale: Callable[[str], None]) ->
     if isinstance(parameter.domain, Range):
         if parameter.domain.log:
             set_scale("log")
-            axis.set_major_locator(LogLocator(numticks=4))
+            axis.set_major_locator(FixedLocator(log_ticks(parameter.domain.low, parameter.domain.high)))
             axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         return
@@ -330,7 +330,7 @@ def _ticks(parameter: Parameter) -> list[tuple[float, str]]:
     spread = np.geomspace if domain.log else np.linspace
     shares = np.linspace(0, 1, 4)
     return [
-        (share, f"{value:.2g}")
+        (share, f"{value:.3g}" if 0 < share < 1 else f"{value:g}")
         for share, value in zip(shares, spread(domain.low, domain.high, 4), strict=True)
     ]
 

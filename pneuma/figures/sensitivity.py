@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import counted
+from pneuma.figures.panel import log_ticks
 from pneuma.figures.style import COLOURS, house_style, put_caption, save_figure
 
 COLUMNS = 3
@@ -73,7 +74,7 @@ def _draw_parameter(
             axes.plot(place, mean, "D", color=COLOURS[1], markersize=6, zorder=3)
     if name in document["logarithmic"]:
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(numticks=4))
+        axes.xaxis.set_major_locator(FixedLocator(log_ticks(min(at), max(at))))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     elif not numbers:

@@ -1,4 +1,4 @@
-"""Make pictures small without a difference that is seen: they are committed anew with every study."""
+"""Make pictures small without a difference that is seen: they are committed, and sent as parts of a page."""
 
 from __future__ import annotations
 
@@ -25,12 +25,7 @@ def shrink(path: Path) -> None:
 
 
 def _shrink_png(path: Path, most_dots: float) -> None:
-    """Give it a palette, which takes a third of the space, and no more dots an inch than are asked for.
-
-    The palette covers all colours that there are, however few dots have them. One made by their number
-    (Pillow's default, the median cut) spends itself on the greys of letters, and gives the marks of one
-    condition the colour of another's.
-    """
+    """Give it a palette, and no more dots an inch than are asked for."""
     with Image.open(path) as image:
         dots = image.info["dpi"][0]
         share = min(1.0, most_dots / dots)
@@ -38,8 +33,17 @@ def _shrink_png(path: Path, most_dots: float) -> None:
         small = image.convert("RGB")
         if share < 1:
             small = small.resize(size, Image.Resampling.LANCZOS)
-    palette = small.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
-    palette.save(path, "PNG", optimize=True, dpi=(dots * share, dots * share))
+    with_palette(small).save(path, "PNG", optimize=True, dpi=(dots * share, dots * share))
+
+
+def with_palette(image: Image.Image) -> Image.Image:
+    """Return an RGB picture with a palette in place of full colours, which takes a third of the space.
+
+    The palette covers all colours that there are, however few dots have them. One made by their number
+    (Pillow's default, the median cut) spends itself on the greys of letters, and gives the marks of one
+    condition the colour of another's.
+    """
+    return image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
 
 
 def shrunk_svg(drawing: bytes) -> bytes:

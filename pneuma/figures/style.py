@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,6 +28,8 @@ DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 TYPE_POINTS = 8.0
+CAPTION_POINTS = 6.2
+"""Of `put_caption`."""
 HOUSE_FONT = "DejaVu Sans"
 """It comes with matplotlib, so that words are as wide everywhere."""
 
@@ -94,10 +97,13 @@ def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
 
 
 def put_caption(figure: Figure, caption: str) -> None:
-    """Put one line of small print below the panels of a figure with constrained layout."""
-    bottom = 0.3 / figure.get_size_inches()[1]
+    """Put small print below the panels of a figure with constrained layout, in as many lines as it takes."""
+    width, height = figure.get_size_inches()
+    lines = textwrap.wrap(caption, int(width * 72 / (0.56 * CAPTION_POINTS)))
+    bottom = (0.18 + 0.12 * len(lines)) / height
     figure.get_layout_engine().set(rect=(0, bottom, 1, 1 - bottom))  # type: ignore[union-attr, call-arg]
-    figure.text(0.01, 0.3 * bottom, caption, fontsize=6.2, color="#444444")
+    place = 0.01, 0.09 / height
+    figure.text(*place, "\n".join(lines), fontsize=CAPTION_POINTS, color="#444444", va="bottom")
 
 
 def save_figure(

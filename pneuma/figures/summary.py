@@ -7,6 +7,7 @@ evaluations are held. Of many crossed conditions each cell is a panel of its own
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,8 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.captions import forks_told, headline_of, looks_told
-from pneuma.figures.crossed import are_crossed
+from pneuma.figures.captions import absent_told, forks_told, headline_of, looks_told, step_told
+from pneuma.figures.crossed import are_crossed, row_names
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.panel import per_cent, whole_ticks
 from pneuma.figures.sizes import SIZES, Size
@@ -38,11 +39,17 @@ from pneuma.figures.summary_rows import (
     label_rows,
     row_entries,
 )
-from pneuma.figures.words import Words
+from pneuma.figures.words import Words, wrap_label
 
 WITHOUT_EVALUATIONS = "final-return"
+LABEL_LINE = 0.7
+"""How far apart rows are for each line of their names, in parts of the usual distance."""
 LONGEST_INCHES = 7.6
 """Of the rows: with what is said around them a figure still fits a page."""
+LABEL_CHARACTERS = 32
+"""Of a line of a condition's name at most, so that it leaves room for the panels."""
+LEAST_RESAMPLED = 3
+"""Runs of which there is a bootstrap interval."""
 MOST_ROWS = 24
 """Conditions up to which crossed ones, too, are rows one below the other."""
 
@@ -83,7 +90,10 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
         words = _words(data, outcome, values, table[table["statistic"] != "improvement"])
         return draw_cells(rows, size, words)
     figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
-    pitch = min(ROW_LINES * size.line_inches, LONGEST_INCHES / len(values))
+    labels, told = _labels(values, size)
+    usual = ROW_LINES * size.line_inches
+    lines = max(label.count("\n") + 1 for label in labels)
+    pitch = min(usual * max(1, LABEL_LINE * lines), LONGEST_INCHES / len(values))
     rows_inches = pitch * len(values) + 0.75
     improved = table[table["statistic"] == "improvement"]
     profiled = len(values) <= MOST_IN_A_PANEL
@@ -99,16 +109,25 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
         squeeze=False,
         height_ratios=panels if stacked else None,
     ).ravel()
-    with dense(pitch / (ROW_LINES * size.line_inches)):
-        _draw_runs(places[0], rows)
+    with dense(min(1.0, pitch / usual)):
+        _draw_runs(places[0], rows, labels)
         if len(improved):
-            _draw_improvement(places[1], data, list(values), improved, labelled=stacked)
+            _draw_improvement(places[1], data, list(values), improved, labels if stacked else ())
     if profiled:
         _draw_profiles(places[-1], rows)
     words = _words(data, outcome, values, table)
+    words = replace(words, caption=[*words.caption, *filter(None, [told])])
     low, high = words.put(figure, size, sum(panels) if stacked else max(panels), row_entries(places[0]))
     size.check_room(1 + len(values) // 3, high - low)
     return figure
+
+
+def _labels(values: Values, size: Size) -> tuple[list[str], str]:
+    """Return every condition's words beside its row, and what these are if that is not said."""
+    characters = min(LABEL_CHARACTERS, size.characters(size.type_points) // 3)
+    names, told = row_names(list(values), characters)
+    counted = (f"{name} (n = {len(runs)})" for name, runs in zip(names, values.values(), strict=True))
+    return ["\n".join(wrap_label(label, characters)) for label in counted], told
 
 
 def _words(data: StudyData, outcome: str, values: Values, table: pd.DataFrame) -> Words:
@@ -120,15 +139,15 @@ def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _draw_runs(axes: Axes, rows: Rows) -> None:
+def _draw_runs(axes: Axes, rows: Rows, labels: Sequence[str]) -> None:
     rows.draw(axes, {name: place for place, name in enumerate(rows.values)})
-    label_rows(axes, [f"{name} (n = {len(runs)})" for name, runs in rows.values.items()])
+    label_rows(axes, labels)
     axes.set(title="Every run", xlabel=rows.label)
     rows.set_axis(axes)
 
 
 def _draw_improvement(
-    axes: Axes, data: StudyData, shown: Sequence[str], table: pd.DataFrame, labelled: bool
+    axes: Axes, data: StudyData, shown: Sequence[str], table: pd.DataFrame, labels: Sequence[str]
 ) -> None:
     looks = condition_looks(data.conditions)
     for one in table.itertuples():
@@ -142,7 +161,7 @@ def _draw_improvement(
             "baseline", place, (4, 0), textcoords="offset points", size="small", color="#666666", va="center"
         )
     axes.set(xlim=(0, 1), title="Against the baseline", xlabel="Probability of being better")
-    label_rows(axes, shown if labelled else [""] * len(shown))
+    label_rows(axes, labels or [""] * len(shown))
 
 
 def _draw_profiles(axes: Axes, rows: Rows) -> None:
@@ -171,19 +190,17 @@ def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame)
     words += [*forks_told(data), *looks_told(data)]
     if len(values) <= MOST_IN_A_PANEL:
         words.append("Runs above a level: in the colours of the rows.")
-    step = common_step(data)
-    if step is not None:
-        words.append(f"All as they stood at {step:,} steps, the most that all runs were to reach.")
+    words += step_told(data)
     improved = table[table["statistic"] == "improvement"]
     if len(improved):
-        hollow = "; hollow where there is none: no resample differs" if improved["low"].isna().any() else ""
+        resampled = min(len(known) for known in values.values()) >= LEAST_RESAMPLED
+        why = ": no resample differs" if resampled else ""
+        hollow = f"; hollow where there is none{why}" if improved["low"].isna().any() else ""
         words.append(
             "Against the baseline: the probability that a run is better than one of "
             f"{data.record['baseline']}, a tie being half of it, with 95 % intervals (bootstrap){hollow}."
         )
-    absent = [name for name in data.conditions if name not in values]
-    if absent:
-        words.append(f"Not run: {', '.join(absent)}.")
+    words += absent_told(data)
     for name, known in values.items():
         total = len(data.of_condition(name))
         if len(known) < total:
@@ -193,8 +210,8 @@ def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame)
     if known_outcome.bounds == (0.0, 1.0) and (table["low"] < 0).any():
         words.append("Intervals are cut off below 0 %.")
     counts = [len(known) for known in values.values()]
-    if any(0 < count < 3 for count in counts):
+    if any(0 < count < LEAST_RESAMPLED for count in counts):
         words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
-    if any(count >= 3 and not is_trusted("bootstrap", count) for count in counts):
+    if any(count >= LEAST_RESAMPLED and not is_trusted("bootstrap", count) for count in counts):
         words.append("With so few runs bootstrap intervals cover less often than in 95 % of cases.")
     return words

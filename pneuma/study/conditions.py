@@ -136,8 +136,7 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
         where = ("conditions", name)
         if not name.strip():
             raise file.mistake(("conditions",), "a condition needs a name that can be read")
-        if name.startswith("_"):
-            raise file.mistake(where, "a condition's name cannot begin with _, which legends leave out")
+        _refuse_underscore(file, where)
         conditions[name] = read_settings_table(file, where)
         _refuse_faults(file, base, shared, name, conditions[name], check_run)
         runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))
@@ -146,6 +145,12 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
     for key in unread_settings(runs, file.table(("run",)) if runs else ()):
         raise file.mistake(("run",), does_nothing(key, runs), key)
     return conditions
+
+
+def _refuse_underscore(file: TomlFile, where: Where) -> None:
+    """Refuse a name, the last of a table's, that matplotlib would take for one of its own."""
+    if where[-1].startswith("_"):
+        raise file.mistake(where, "a condition's name cannot begin with _, which legends leave out")
 
 
 def _check_environments(
@@ -215,6 +220,8 @@ def _read_factors(file: TomlFile) -> dict[str, Levels]:
     factors = {}
     for factor, values in file.table(("factors",)).items():
         if isinstance(values, dict):
+            for name in values:
+                _refuse_underscore(file, ("factors", factor, name))
             factors[factor] = {name: read_settings_table(file, ("factors", factor, name)) for name in values}
         else:
             factors[factor] = _read_field_factor(file, factor, values)

@@ -60,7 +60,7 @@ def find_logs(root: Path) -> tuple[list[LogFolder], list[str]]:
         by_folder.setdefault(path.parent, []).append(path)
     parts = {folder: _parts(folder, root) for folder in by_folder}
     shared = _shared_length(list(parts.values()))
-    named = {folder: _name_and_number(own[shared:]) for folder, own in parts.items()}
+    named = {folder: _condition_and_number(own[shared:]) for folder, own in parts.items()}
     seeds, notes = _seeds({"/".join(parts[folder]): name for folder, name in named.items()})
     folders = [
         LogFolder("/".join(own), named[folder][0], seeds["/".join(own)], tuple(by_folder[folder]))
@@ -94,6 +94,12 @@ def _shared_length(paths: list[tuple[str, ...]]) -> int:
     """Return how many leading folders all have in common, the last of each left out."""
     least = min(len(parts) for parts in paths) - 1
     return next((k for k in range(least) if len({parts[k] for parts in paths}) > 1), least)
+
+
+def _condition_and_number(parts: tuple[str, ...]) -> tuple[str, int | None]:
+    """Return a condition's name and a number, if there is one; legends leave out what begins with _."""
+    name, number = _name_and_number(parts)
+    return name.lstrip("_") or name.replace("_", "-"), number
 
 
 def _name_and_number(parts: tuple[str, ...]) -> tuple[str, int | None]:

@@ -13,6 +13,7 @@ from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
 from pneuma.figures import collapse
 from pneuma.figures.report_pictures import study_pictures
 from pneuma.study.store import Store
@@ -113,6 +114,34 @@ def test_what_cannot_be_seen_of_a_condition_is_said_of_it_alone(
     texts = [text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text)]
     caption = " ".join(texts).replace("\n", " ")
     assert "Of dqn no entropy is recorded, and only a fall is seen." in caption
+
+
+def test_where_nothing_shows_a_collapse_nothing_is_drawn(
+    tmp_path: Path, figures: list[Figure], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of imported logs without an entropy."""
+    data = _study(tmp_path)
+    blind = collapse.incidence(data).assign(runs=0, unknown=2)
+    monkeypatch.setattr(collapse, "incidence", lambda data: blind)
+    with pytest.raises(UserError, match="no run has evaluations or an entropy, in which a collapse shows"):
+        collapse.draw_collapse(data, tmp_path, "collapse")
+    assert not figures
+
+
+def test_a_level_may_be_empty(tmp_path: Path, figures: list[Figure]) -> None:
+    """As `characters = ""`, the package's own, beside a long path to one's own."""
+    long = "characters=/home/somebody/with/monsters/of/their/own.toml"
+    collapse.draw_collapse(_study(tmp_path, "characters=", long), tmp_path, "collapse")
+    assert len(figures) == 1
+
+
+def test_of_unlike_budgets_each_run_is_looked_at_over_its_own(tmp_path: Path, figures: list[Figure]) -> None:
+    data = _study(tmp_path)
+    for run in data.record["runs"][:2]:
+        run["run"]["steps"] *= 2
+    collapse.draw_collapse(open_study(Store(tmp_path / "results"), data.record), tmp_path, "collapse")
+    caption = " ".join(text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text))
+    assert "Budgets are unlike: each run is looked at over its own." in caption.replace("\n", " ")
 
 
 def test_a_reports_pictures_are_told_in_words(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.robustness import Map, _contrast, map_table, robustness_map
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
@@ -119,6 +120,21 @@ def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
         robustness_map(data, "activation", "tanh", "tanh")
     with pytest.raises(UserError, match="neither better high nor better low"):
         robustness_map(data, "activation", "tanh", "relu", "final-entropy")
+
+
+def test_returns_of_unlike_rewards_are_no_contrast(tmp_path: Path) -> None:
+    data = crossed(tmp_path, gains(0.2, 0.2, 0.2, 0.2), seeds=2)
+    assert robustness_map(data, "activation", "tanh", "relu", "final-return").cells
+    settings = {"tanh": "thesis", "relu": "kills"}
+    for run in data.record["runs"]:
+        run["run"] = {**run["run"], "reward": settings[run["run"]["activation"]]}
+    unlike = open_study(Store(tmp_path / "results"), data.record)
+    with pytest.raises(
+        UserError, match="final-return: returns of unlike rewards, or of more players, cannot"
+    ):
+        refuse_unlike_returns(unlike, "final-return")
+    refuse_unlike_returns(unlike, "final-share-killed")
+    refuse_unlike_returns(unlike, "final-return", unlike.conditions[:1])
 
 
 def test_a_lesser_outcome_is_turned(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pneuma.figures.crossed import are_crossed, factors_of, read_name
+from pneuma.figures.crossed import are_crossed, factors_of, read_name, row_names
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,11 @@ def test_changes_of_one_setting_at_a_time_are_not_crossed() -> None:
 
 def test_factors_are_those_of_any_name_in_order() -> None:
     assert factors_of(["a=1, b=2, x", "b=3, c=1, y", "z"]) == ["a", "b", "c"]
+
+
+def test_rows_of_long_crossed_names_go_by_their_levels() -> None:
+    names = ["scale=raw, tanh", "scale=unit, tanh"]
+    assert row_names(names, 16) == (names, "")
+    assert row_names(names, 15) == (["raw, tanh", "unit, tanh"], "Rows: scale, condition.")
+    assert row_names(["a=1, b=2", "a=2, b=2"], 5) == (["1, 2", "2, 2"], "Rows: a, b.")
+    assert row_names(["a long name"], 5) == (["a long name"], "")

@@ -7,11 +7,13 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.looks import MOST_IN_A_PANEL
+from pneuma.figures.panel import log_ticks
 from pneuma.study.store import Status
 
 from .hand_made import BUDGET, HandMade, headline, legend, make_id, words
@@ -87,6 +89,44 @@ def test_a_figure_says_what_a_point_averages(
 ) -> None:
     study.draw(tmp_path, window=window)
     assert said in words(drawn[0]).replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("quantities", "window", "said"),
+    [
+        (("entropy",), "trailing-100", "the updates of the last 5 % of the budget before each point."),
+        (("return", "entropy"), "budget-5%", "the episodes or updates of the last 5 % of the budget"),
+        (
+            ("return", "entropy"),
+            "trailing-100",
+            "each run's last 100 episodes, or the updates of the last 5 %",
+        ),
+    ],
+)
+def test_what_updates_average_is_said_of_them(
+    study: HandMade, tmp_path: Path, drawn: list[Figure], quantities: tuple[str, ...], window: str, said: str
+) -> None:
+    study.draw(tmp_path, quantities=quantities, window=window)
+    assert f"Curves of training average {said}" in words(drawn[0]).replace("\n", " ")
+
+
+def test_evaluations_alone_average_nothing(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
+    study.draw(tmp_path, quantities=("share_killed",))
+    assert "average" not in words(drawn[0])
+
+
+def test_conditions_that_were_not_run_are_named(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
+    study.add("leaky-relu", 0, status="crashed")
+    study.draw(tmp_path)
+    assert "Not run: leaky-relu." in words(drawn[0]).replace("\n", " ")
+
+
+def test_a_name_that_is_no_text_is_refused(study: HandMade, tmp_path: Path) -> None:
+    """A stranger's record may hold half a character."""
+    study.add("half\ud800", 0)
+    with pytest.raises(UserError, match="the name 'half.ud800' is no text"):
+        study.draw(tmp_path / "figures")
+    assert not (tmp_path / "figures").exists()
 
 
 def test_a_figure_names_its_study_and_environment(
@@ -182,6 +222,8 @@ def test_a_diverged_run_that_was_never_evaluated_is_still_counted(
     study.add("tanh", 2, episodes=episodes, evaluations=(), status="diverged")
     study.draw(tmp_path)
     assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
+    tanh, _ = (band for band in drawn[0].axes[0].collections if isinstance(band, PolyCollection))
+    assert not tanh.get_paths()  # those that are left are no sample, so there is no band
 
 
 def test_a_condition_whose_runs_all_diverged_at_once_stays_in_the_legend(
@@ -208,6 +250,36 @@ def test_more_conditions_than_colours_are_still_told_apart(tmp_path: Path, drawn
         for line in drawn[0].axes[0].get_lines()[: 2 * MOST_IN_A_PANEL : 2]
     ]
     assert len({colour for colour, _, _ in looks}) == len(set(looks)) == MOST_IN_A_PANEL
+
+
+@pytest.mark.parametrize("size", ["page", "column"])
+def test_a_page_of_any_number_of_conditions_has_room_for_all(
+    tmp_path: Path, drawn: list[Figure], size: str
+) -> None:
+    study = HandMade(tmp_path)
+    for number in range(90):
+        study.add(f"learning_rate={number + 1}e-4, reward=thesis, scale=raw, wide-clip", 0)
+    study.draw(tmp_path, formats=("svg",), size=size)
+    assert len(drawn[0].axes) == 90
+    least = min(axes.get_position().height for axes in drawn[0].axes) * drawn[0].get_figheight()
+    assert least >= 0.2  # inches
+    assert "Panels: learning_rate, reward, scale." in words(drawn[0]).replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (1e-4, 1e-3, [1e-4, 1e-3]),
+        (1e-6, 1e-1, [1e-6, 1e-4, 1e-2]),
+        (2e-4, 8e-4, [2e-4, 5e-4]),
+        (256, 2048, [500, 1000, 2000]),
+        (3e-4, 4e-4, [3e-4, 4e-4]),
+    ],
+)
+def test_a_logarithmic_axis_has_numbers_however_short_it_is(
+    low: float, high: float, ticks: list[float]
+) -> None:
+    assert log_ticks(low, high) == ticks
 
 
 def test_a_study_without_a_finished_run_is_told_and_nothing_is_written(tmp_path: Path) -> None:

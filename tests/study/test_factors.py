@@ -115,6 +115,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "value out of range": ("1e-3]", "-1]", 9, ("[factors]", "learning_rate = -1", "above 0")),
     "no list": ("[3e-4, 1e-3]", "3e-4", 9, ("learning_rate = 0.0003", "a list of different values")),
     "a value twice": ('["thesis", "kills"]', '["kills", "kills"]', 10, ("reward", "different values")),
+    "a name for nobody": ("fast = {", "_fast = {", 14, ("cannot begin with _",)),
     "one value": ("[3e-4, 1e-3]", "[3e-4]", 9, ("learning_rate", "two values or more")),
     "a seed": ("reward = [", "seed = [1, 2]\nreward = [", 10, ("seed", "preset")),
     "a named value's key": ("epsilon =", "epsilom =", 14, ("'epsilom'", "did you mean epsilon?")),
