@@ -46,6 +46,9 @@ SUMMARISED = (
 )
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
 
+LEAST_RESAMPLED = 3
+"""Runs of which there is a bootstrap interval."""
+
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
 STATISTICS = (
     "mean", "median", "iqm", "deviation", "improvement", "reached", "share", "count",
@@ -122,7 +125,7 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
 
     None for fewer than three runs, or where the resamples do not differ: it would claim too much.
     """
-    if min(len(a), len(b)) < 3:
+    if min(len(a), len(b)) < LEAST_RESAMPLED:
         return no_interval()
     first = generator.integers(0, len(a), (RESAMPLES, len(a)))  # (resamples, runs)
     second = generator.integers(0, len(b), (RESAMPLES, len(b)))

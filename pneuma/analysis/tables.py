@@ -17,11 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import LEARNERS_TABLE
+from pneuma.analysis import LEARNERS_TABLE, WINDOWS
 from pneuma.analysis.adaptive import looks_that_count
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import in_setting, list_studies, run_command, split_setting
 from pneuma.study.store import Status
 
@@ -246,12 +246,16 @@ class StudyData:
         return self._settings[run.condition, run.run_id]
 
     def of_conditions(self, names: Sequence[str]) -> StudyData:
-        """Return the study with some of its conditions alone, on the same grid and for the same figure.
+        """Return the study with some conditions, or one, alone, on the same grid and for the same figure.
 
         Raises:
-            UserError: when no run of theirs has finished.
+            UserError: for a condition that it has not, or when no run of theirs has finished.
         """
-        return self._of([run for run in self.record["runs"] if run["condition"] in names])
+        wanted = [names] if isinstance(names, str) else names
+        for name in wanted:
+            if name not in self.conditions:
+                raise unknown_name(f"condition of study {self.study}", name, self.conditions)
+        return self._of([run for run in self.record["runs"] if run["condition"] in wanted])
 
     def of_runs(self, run_ids: Collection[str]) -> StudyData:
         """Return the study with some of its runs alone, as `of_conditions` does."""
@@ -273,14 +277,14 @@ class StudyData:
     def table(self, name: str) -> pd.DataFrame:
         """Return one of `RECORD_TABLES`, or that of learners, of the finished runs in the selection's order.
 
-        Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.base`).
+        Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
 
         Raises:
             UserError: where the source has no such table.
         """
         frames = []
         for run in self._runs_with(name):
-            frame = self.run_table(run, name).copy()
+            frame = self.run_table(run, name)
             for place, column in enumerate(("condition", "seed", "run_id")):
                 frame.insert(place, column, getattr(run, column))
             frames.append(frame)
@@ -297,7 +301,7 @@ class StudyData:
                 f"study {self.study}: {self.source.what} holds no {name}; "
                 f"there are {', '.join((*self.tables, 'curves'))}"
             )
-        return self.source.table(run, name)
+        return self.source.table(run, name).copy(deep=False)  # that of all who ask is not to be written on
 
     def _runs_with(self, table: str) -> list[FinishedRun]:
         """Return the finished runs that have a table.
@@ -361,6 +365,8 @@ class StudyData:
         """
         if window is None:
             return self.windows[0]
+        if window not in WINDOWS:
+            raise unknown_name("window", window, WINDOWS)
         if window not in self.windows:
             raise UserError(
                 f"window {window} cannot be had of study {self.study}: {self.source.what} holds returns that "

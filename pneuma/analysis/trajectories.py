@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 
 from pneuma.analysis.checksums import NO_SUM, is_whole, with_sum
 from pneuma.analysis.intervals import mean_interval
+from pneuma.analysis.tables import FinishedRun
 from pneuma.errors import UserError
 from pneuma.study.store import read_whole
 from pneuma.study.tables import from_parquet
@@ -73,10 +74,17 @@ class StudyTrajectories:
         """Episodes that each run played."""
         return int(self.episodes["episode"].max()) + 1
 
-    def of_runs(self, run_ids: Collection[str]) -> StudyTrajectories:
-        """Return those of some runs alone."""
-        own = self.episodes[self.episodes["run_id"].isin(run_ids)]
-        return StudyTrajectories(self.level, own.reset_index(drop=True))
+    def of_runs(self, runs: Iterable[FinishedRun]) -> StudyTrajectories:
+        """Return those of some runs alone, by their conditions' names, which may have changed since."""
+        names: dict[str, list[str]] = {}
+        for run in runs:
+            names.setdefault(run.run_id, []).append(run.condition)
+        own = self.episodes[self.episodes["run_id"].isin(names)].reset_index(drop=True)
+        cells = zip(own["run_id"], own["condition"], strict=True)
+        told = [name if name in names[run_id] else names[run_id][0] for run_id, name in cells]
+        return StudyTrajectories(
+            self.level, own.assign(condition=pd.Series(told, own.index, own["condition"].dtype))
+        )
 
 
 def beside(found: StudyTrajectories, before: StudyTrajectories) -> StudyTrajectories:

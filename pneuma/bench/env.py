@@ -102,7 +102,7 @@ def _kernel(count: int, engaged: bool = False) -> Step:
     actions = np.random.default_rng(0).integers(5, size=(200, count, 1))
 
     def step(i: int) -> None:
-        if worlds.step(actions[i]):
+        if worlds.advance(actions[i]):
             worlds.reset(worlds.worlds["ending"] != 0)
 
     step(0)

@@ -10,7 +10,6 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -181,7 +180,7 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
         data = open_study(store, record)
         found, notes = _trajectories(store, data)
         if step := common_step(data):
-            told = f"numbers and effects are of runs as they stood at {step:,} steps, collapses of whole runs"
+            told = f"numbers and effects are of runs as they stood at {step:,} steps, figures of whole runs"
             notes = (*notes, f"Budgets are unlike: {told}.")
         part = replace(
             part,
@@ -213,7 +212,7 @@ def _trajectories(store: Store, data: StudyData) -> tuple[StudyTrajectories | No
         found = read_trajectories(store.root, data.study)
     except UserError as error:
         return None, (anywhere(store, error),)
-    own = found and found.of_runs({run.run_id for run in data.runs})
+    own = found and found.of_runs(data.runs)
     if own is None or not len(own.episodes):
         return None, ()
     if not own.level:
@@ -268,7 +267,7 @@ def _same_again(study: str, record: Mapping[str, Any], states: Sequence[RunState
     if study not in spec.list_studies() and not record.get("path"):
         return ""
     try:
-        made_by = recorded_selection(record) if "selection" in record else _lacking(states)
+        made_by = recorded_selection(record) if "selection" in record else _lacking(study, record, states)
         options = selecting_words(made_by)
     except (KeyError, UserError):  # a stranger's
         return ""
@@ -276,20 +275,22 @@ def _same_again(study: str, record: Mapping[str, Any], states: Sequence[RunState
     return " ".join([_command(study, setting), shlex.join(options)]).strip()
 
 
-def _lacking(states: Sequence[RunState]) -> plan.Selection:
-    """Return what selects the runs that a published table lacks.
+def _lacking(study: str, record: Mapping[str, Any], states: Sequence[RunState]) -> plan.Selection:
+    """Return what selects the runs that a shipped study's published table lacks.
 
     Raises:
         KeyError: where no one selection does.
     """
     lacking = [state.run for state in states if state.status not in FINISHED]
-    cells = {(run["condition"], run["seed"]) for run in lacking}
-    conditions = tuple(dict.fromkeys(run["condition"] for run in lacking))
-    seeds = tuple(sorted({run["seed"] for run in lacking}))
-    steps = {run["run"]["steps"] for run in lacking}
-    if len(steps) > 1 or cells != {*product(conditions, seeds)}:
+    selection = plan.Selection(
+        seeds=tuple(sorted({run["seed"] for run in lacking})),
+        steps=min(run["run"]["steps"] for run in lacking),  # before they were rounded up to whole horizons
+        conditions=tuple(dict.fromkeys(run["condition"] for run in lacking)),
+    )
+    planned = plan.make_plan(spec.load_study(study, record.get("setting")), selection)
+    if {cell.run_id for cell in planned.cells} != {run["run_id"] for run in lacking}:
         raise KeyError("selection")
-    return plan.Selection(seeds=seeds, steps=steps.pop(), conditions=conditions)
+    return selection
 
 
 def anywhere(store: Store, error: UserError) -> str:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 PRIMARY = "final-share-killed"
+LONGEST_STEM = 150
+"""Characters of a figure's name."""
 
 Contrasted = tuple[str, Any, Any]
 """A setting, its value that is said to do better, and the other."""
@@ -114,8 +116,9 @@ def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> 
     from pneuma.figures.robustness import draw_robustness
 
     parts = [found.setting, *map(shown_setting, found.values), *[found.outcome] * (found.outcome != PRIMARY)]
-    told = (re.sub(r"[^\w.]+", "-", part).strip("-") for part in parts)
-    return draw_robustness(data, [found], out, "-".join([data.figure, *told]), formats)
+    told = (re.sub(r"[^\w.-]+", "-", part).strip("-") for part in parts)
+    stem = "-".join([data.figure, *told])[:LONGEST_STEM]
+    return draw_robustness(data, [found], out, stem, formats)
 
 
 def _document(found: Map, at_step: int | None) -> dict[str, Any]:

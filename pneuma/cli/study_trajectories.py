@@ -119,7 +119,7 @@ def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
     if not isinstance(data.source, PublishedRuns):
         return None
     found = read_trajectories(results, data.study)
-    own = found and found.of_runs({run.run_id for run in data.runs})
+    own = found and found.of_runs(data.runs)
     if own is None or not len(own.episodes):
         raise UserError(
             f"study {data.study}: its policies are not in {results}; " + _told_elsewhere(data, found, results)

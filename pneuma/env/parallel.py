@@ -109,7 +109,7 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
                     f"action {actions[agent]!r} of {agent} is outside {self.action_space(agent)}"
                 )
             self._actions[0, self._index[agent]] = actions[agent]
-        over = self.worlds.step(self._actions) > 0
+        over = self.worlds.advance(self._actions) > 0
         cut = bool(self.worlds.truncated[0])
         alive = {agent: bool(self.worlds.players["hp"][0, self._index[agent]] > 0) for agent in acting}
         rewards = {a: float(self.worlds.events["reward"][0, self._index[a]]) for a in acting}

@@ -20,7 +20,8 @@ NOWHERE = math.inf
 MOST_PLACES = 4000
 """How many places a search looks at before it gives up."""
 MOST_CELLS = 20_000_000
-"""How many cells of fields are kept, of 12 bytes each: all that the thesis's level can have, and more."""
+"""How many cells of fields are kept, of 12 bytes each: all that the thesis's level can have, and more.
+But always twice those that were asked for at once."""
 
 Place = tuple[float, float]
 Plan = dict[Place, int]
@@ -72,8 +73,8 @@ class Ways:
             x: (N,) where the body is.
             y: (N,).
         """
-        self._make_room()
         goals = self._tiles(to_x, to_y, 0.0)
+        self._make_room(goals.size)
         numbers = self._numbers[level[:, None], goals]
         for world, monster in np.argwhere(numbers < 0).tolist():
             numbers[world, monster] = self._number(int(level[world]), int(goals[world, monster]))
@@ -89,7 +90,6 @@ class Ways:
             goal: where it is going.
             reach: how far one step goes.
         """
-        self._make_room()
         tile = int(self._tiles(np.array(goal[0]), np.array(goal[1]), 0.0))
         field = self._lists[self._number(level, tile)]
         first = self._length(field, *place)
@@ -130,9 +130,9 @@ class Ways:
         row = np.floor((y - self._corner[1]) / self._tile + shift).astype(np.int64)
         return np.asarray(row * self._shape[1] + column)
 
-    def _make_room(self) -> None:
+    def _make_room(self, wanted: int) -> None:
         """Forget all fields if they are too many: which tiles are asked for changes over an episode."""
-        if len(self._lists) * self._fields.shape[1] > MOST_CELLS:
+        if len(self._lists) > max(MOST_CELLS // self._fields.shape[1], 2 * wanted):
             self._numbers.fill(-1)
             self._lists.clear()
             self._fields = self._fields[:64].copy()

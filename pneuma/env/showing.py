@@ -33,7 +33,7 @@ class ShowsWorld:
     }
     render_mode: str | None = None
     camera: str = "map"
-    """`CAMERAS`: the whole map, or a view that follows player 0."""
+    """`CAMERAS`: the whole map, or a view that follows a player."""
     _renderer: Any = None
     _window: Any = None
 

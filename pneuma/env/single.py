@@ -118,7 +118,7 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
             raise gymnasium.error.ResetNeeded("no episode has begun: call reset first")
         state = self.state
         self._actions[0, 0] = index
-        ended = state.step(self._actions)
+        ended = state.advance(self._actions)
         info: dict[str, Any] = {"action_mask": state.masks[0, 0].copy()}
         observation = state.observations[0, 0].copy()
         self._show()

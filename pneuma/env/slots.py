@@ -50,7 +50,7 @@ class Slots:
     def step(self, actions: np.ndarray) -> bool:
         """Advance all worlds by (slots,) actions; tell whether any slot's episode ended."""
         worlds = self.worlds
-        ended = worlds.step(actions.reshape(worlds.players.shape))
+        ended = worlds.advance(actions.reshape(worlds.players.shape))
         if not ended and self.players == 1:
             self.terminated = self.truncated = self._none
             self.world_over = self._none

@@ -217,20 +217,41 @@ class Worlds:
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Begin an episode in all worlds, or in those of `mask`, and observe all.
 
+        Worlds that were never seeded get seeds of the system's.
+
         Args:
             mask: (N,) booleans.
             starts: (N,) indices of start places; below zero, drawn at random.
+
+        Raises:
+            ValueError: for a mask or starts of another shape or kind, or a start place that there is not.
         """
-        usual = self.usual_starts if starts is None else starts
-        rules.reset_worlds(self._handle, usual, self._every if mask is None else mask)
-        self.observe()
+        which = self._every if mask is None else _checked(mask, len(self), "b", "mask")
+        usual = self.usual_starts if starts is None else _checked(starts, len(self), "iu", "starts")
+        if usual.max(initial=0) >= (count := len(self.level.starts)):
+            raise ValueError(f"start {usual.max()} is none of the level's {count}")
+        unseeded = which & (self.worlds["key"] == 0)
+        if unseeded.any():
+            self.rekey(np.random.SeedSequence().generate_state(len(self)).tolist(), unseeded)
+        rules.reset_worlds(self._handle, usual, which)
+        self._observe()
 
     def step(self, actions: np.ndarray) -> int:
         """Advance every running world; return how many episodes ended with this step.
 
         Args:
-            actions: (N, P) whole numbers of the action space, trusted.
+            actions: (N, P) whole numbers of the action space.
+
+        Raises:
+            ValueError: for anything else.
         """
+        actions = _checked(actions, self.players.shape, "iu", "actions")
+        if actions.size and not 0 <= actions.min() <= actions.max() < self.action_space.n:
+            raise ValueError(f"actions {actions.min()} to {actions.max()} are outside {self.action_space}")
+        return self.advance(actions)
+
+    def advance(self, actions: np.ndarray) -> int:
+        """Do as `step` does, of actions that are known to be (N, P) int64 of the action space."""
         ended = int(rules.step_worlds(self._handle, actions, False))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
@@ -331,8 +352,43 @@ class Worlds:
         return digest.hexdigest()
 
     def observe(self) -> None:
-        """Write all observations and masks from the state as it is."""
+        """Write all observations and masks from the state as it is, which may have been written by hand.
+
+        What the state counts, who is left, is counted anew.
+
+        Raises:
+            ValueError: for living bodies that are nowhere on the grid, or face nowhere.
+        """
+        left, top, right, bottom = self.level.grid
+        for name, bodies in (("players", self.players), ("monsters", self.monsters)):
+            x, y = bodies["x"], bodies["y"]
+            on_grid = (left <= x) & (x < right) & (top <= y) & (y < bottom)  # NaN is nowhere
+            if not (on_grid | (bodies["hp"] <= 0)).all():
+                raise ValueError(
+                    f"{name}: x or y lies off the grid, {left:g} to {right:g}, {top:g} to {bottom:g}"
+                )
+        if self.players["facing"].min() < 0 or self.players["facing"].max() >= len(characters.FACINGS):
+            raise ValueError("players: facing is none of 0 to 3")
+        self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
+        self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
+        self._observe()
+
+    def _observe(self) -> None:
         rules.step_worlds(self._handle, self._no_actions, True)
+
+
+def _checked(given: np.ndarray, shape: int | tuple[int, ...], kinds: str, what: str) -> np.ndarray:
+    """Return what was given as the compiled rules take it: booleans, or int64.
+
+    Raises:
+        ValueError: where its shape or kind is another.
+    """
+    array = np.asarray(given)
+    wanted = (shape,) if isinstance(shape, int) else shape
+    if array.shape != wanted or array.dtype.kind not in kinds:
+        of = "booleans" if kinds == "b" else "whole numbers"
+        raise ValueError(f"{what}: must be {of} of shape {wanted}, not {array.dtype} of {array.shape}")
+    return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
 
 
 def world_key(seed: int) -> int:

@@ -49,7 +49,7 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 
 
 def _refuse_unwritable(data: StudyData) -> None:
-    for name in (data.title, *data.conditions):
+    for name in (data.title, *data.conditions, *data.environments):
         try:
             name.encode()
         except UnicodeEncodeError:
@@ -131,8 +131,8 @@ def absent_told(data: StudyData) -> list[str]:
     """Say which conditions are not shown, as no run of theirs has finished."""
     absent = [name for name in data.conditions if not data.of_condition(name)]
     if len(absent) > MOST_ABSENT:
-        return [f"Not run: {len(absent)} of {len(data.conditions)} conditions."]
-    return [f"Not run: {', '.join(absent)}."] if absent else []
+        return [f"Without a finished run: {len(absent)} of {len(data.conditions)} conditions."]
+    return [f"Without a finished run: {', '.join(absent)}."] if absent else []
 
 
 def _lines(drawn: Sequence[Curve], band: str) -> list[str]:

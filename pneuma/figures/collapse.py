@@ -72,7 +72,7 @@ def draw_collapse(
         UserError: where no run has records that a collapse shows in.
     """
     found, shares = diagnoses(data), incidence(data)
-    blind = list(shares["condition"][shares["unknown"] > 0])
+    blind = dict(zip(shares["condition"], shares["unknown"], strict=True))
     shares = shares[shares["runs"] > 0]
     if shares.empty:
         raise UserError(
@@ -130,21 +130,22 @@ def _told(shares: pd.DataFrame) -> str:
 
 
 def _caption(
-    data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out: int, blind: Sequence[str]
+    data: StudyData, held: Sequence[str], shown: pd.DataFrame, left_out: int, blind: Mapping[str, int]
 ) -> list[str]:
     left, bars = _left(held), "share of each condition's runs that collapsed"
     dashed = "dashed: " if any(name in held for name in THRESHOLDS) else ""
-    hollow = "Hollow: no longer so at the end. " * bool(shown["recovered"].any())
+    hollow = "Hollow: no longer so at the end." * bool(shown["recovered"].any())
     none = f"In {left_out} other conditions no run collapsed." if left_out else ""
     _, rows = row_names(list(shown["condition"]), LABEL_CHARACTERS)
     forked = any(run.begun for run in data.runs)
     mind = ["Of a fork its parent's best is not known: a fall from that is not seen."] if forked else []
     if common_step(data):
         mind.append("Budgets are unlike: each run is looked at over its own.")
-    if blind:
-        mind.append(f"Of runs of {', '.join(blind)} nothing is recorded that a collapse shows in.")
+    if any(blind.values()):
+        told = ", ".join(f"{count} of {name}" for name, count in blind.items() if count)
+        mind.append(f"Of some runs nothing is recorded that a collapse shows in: {told}.")
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
-    if unseen := unseen.difference(blind):
+    if unseen := {name for name in unseen if len(data.of_condition(name)) > blind[name]}:
         told = ", ".join(name for name in data.conditions if name in unseen)
         none = f"Of {told} no entropy is recorded, and only a fall is seen. {none}"
     return [
@@ -152,8 +153,8 @@ def _caption(
         "lines: 95 % intervals (Clopper and Pearson).",
         f"Collapsed: in most updates over {100 * SHORTEST:g} % of the budget down to one action "
         f"({dashed}{LEAST_ENTROPY:g} nats, {100 * MOST_OF_ONE:g} % of actions), or in two evaluations in a "
-        f"row at {100 * FALLEN_TO:g} % of its best at most and {100 * DEPTH:g} points below it. "
-        f"{hollow}{rows} {none}".strip(),
+        f"row at {100 * FALLEN_TO:g} % of its best at most and {100 * DEPTH:g} points below it.",
+        *filter(None, [hollow, rows, none]),
         *forks_told(data),
         *absent_told(data),
         *mind,

@@ -47,14 +47,21 @@ def are_crossed(conditions: Sequence[str]) -> bool:
 def row_names(conditions: Sequence[str], characters: int) -> tuple[list[str], str]:
     """Return what conditions are called beside their rows, and what the names consist of if that is not said.
 
-    Crossed ones of which a name is longer than so many characters go by their levels alone.
+    Crossed ones of which a name is longer than so many characters go by their levels alone, if these tell
+    them apart.
     """
-    factors = factors_of(conditions)
-    if not factors or max(map(len, conditions)) <= characters:
+    short = [read_name(name).short for name in conditions]
+    if not are_crossed(conditions) or max(map(len, conditions)) <= characters or not all(short):
         return list(conditions), ""
+    return (
+        (short, f"Rows: {parts_of(conditions)}.") if len({*short}) == len(short) else (list(conditions), "")
+    )
+
+
+def parts_of(conditions: Sequence[str]) -> str:
+    """Return what names of crossed conditions consist of: their factors, and what each is called itself."""
     named = any(read_name(name).own for name in conditions)
-    told = ", ".join([*factors, *["condition"] * named])
-    return [read_name(name).short for name in conditions], f"Rows: {told}."
+    return ", ".join([*factors_of(conditions), *["condition"] * named])
 
 
 def factors_of(conditions: Sequence[str]) -> list[str]:

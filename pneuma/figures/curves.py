@@ -81,7 +81,7 @@ def draw_study(
         band: one of `BANDS`; the layout's usual one when left out.
         window: one of the study's windows; the layout's usual one when left out.
         formats: of `FIGURE_FORMATS`.
-        quantities: of `curve_names`; when left out, the share killed and the return, of these what there
+        quantities: of `curve_names`; when left out, the share killed and the return, or of these what there
             is, and the first of them alone where each condition has a panel. Where returns are of unlike
             rewards, the length of episodes stands in their place.
         layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
@@ -134,7 +134,9 @@ def file_stem(data: StudyData, drawing: Drawing) -> str:
     differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
     if drawing.band != USUAL_BAND[drawing.layout]:
         differs.append(drawing.band)
-    if _has_episodes(drawing.quantities) and drawing.window != (_usual_window(drawing.layout) or data.windows[0]):
+    if _has_episodes(drawing.quantities) and drawing.window != (
+        _usual_window(drawing.layout) or data.windows[0]
+    ):
         differs.append(drawing.window.removesuffix("%"))
     if drawing.quantities != _usual(data, drawing.layout):
         every = list(drawing.quantities) == curve_names(data)
@@ -196,5 +198,6 @@ def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
     if layout == "pneuma" and not have_one_return(data):
         wanted = tuple(IN_PLACE_OF_RETURN if name == "return" else name for name in wanted)
     known = curve_names(data)
-    names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
+    other = known[:1] if layout == "pneuma" else ()
+    names = tuple(name for name in wanted if name in known) or tuple(other) or ("return",)
     return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names

@@ -5,7 +5,7 @@ They are placed by hand: a layout engine would take longer over fifty of them th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.crossed import factors_of, read_name
+from pneuma.figures.crossed import factors_of, parts_of, read_name
 from pneuma.figures.looks import condition_looks
 from pneuma.figures.panel import (
     as_drawn,
@@ -83,11 +83,11 @@ def draw_multiples(
     entries = _entries(data, curves)
     gap = size.line_inches if len(curves) > 1 else 0.0
     around = 4 * size.line_inches + gap  # the block's title, ticks and label
-    labels = {label_of(data, curve) for group in curves.values() for curve in group}
+    labels = [label_of(data, curve) for group in curves.values() for curve in group]
     lines = max(_heading(label, size, columns).count("\n") + 1 for label in labels)
     least = rows * (LEAST_PANEL_INCHES + _title_inches(lines, size))
     wanted = max(min(rows * size.small_height, LONGEST_INCHES), least) + around
-    told = _told_levels(data.conditions, size, columns)
+    told = _told_levels(labels, size, columns)
     words = replace(words, caption=[*words.caption, *filter(None, [told])])
     low, high = words.put(figure, size, len(curves) * wanted, entries)
     size.check_room(len(curves) * rows, high - low - around * len(curves))
@@ -210,18 +210,21 @@ def _characters(size: Size, columns: int) -> int:
     return int(size.width * 72 / columns * 0.85 / (0.56 * size.small_points))
 
 
-def _told_levels(conditions: Sequence[str], size: Size, columns: int) -> str:
+def _told_levels(labels: Iterable[str], size: Size, columns: int) -> str:
     """Name the factors whose levels alone head the panels, where their names have no room there."""
-    factors = factors_of(conditions)
-    long = any(len(wrap_label(name, _characters(size, columns))) > NAME_LINES for name in conditions)
-    return f"Panels: {', '.join(factors)}." if factors and long else ""
+    names = [label.partition(" (")[0] for label in labels if _is_long(label, size, columns)]
+    return f"Panels: {parts_of(names)}." if factors_of(names) else ""
+
+
+def _is_long(label: str, size: Size, columns: int) -> bool:
+    return len(wrap_label(label, _characters(size, columns))) > NAME_LINES
 
 
 def _heading(label: str, size: Size, columns: int) -> str:
     """Return a panel's condition in lines; where these are too many, the levels of its factors alone."""
     characters = _characters(size, columns)
     lines = wrap_label(label, characters)
-    if len(lines) > NAME_LINES:
+    if _is_long(label, size, columns):
         name, count, runs = label.partition(" (")
         lines = wrap_label(read_name(name).short + count + runs, characters)
     return "\n".join(lines)

@@ -59,7 +59,7 @@ def draw_published(
     entries = []
     for drawing, paths in _figures(data, folder):
         entries += _indexed(data, drawing, paths)
-    ways = found and found.of_runs({run.run_id for run in data.runs})  # some may have been published anew
+    ways = found and found.of_runs(data.runs)  # some may have been published anew
     if ways and len(ways.episodes) and ways.level:
         own = data.of_runs({*ways.episodes["run_id"]})  # a condition may have been renamed since
         drawn = draw_trajectories(own, ways, folder, f"{data.figure}-trajectories")

@@ -19,9 +19,10 @@ from matplotlib.ticker import FuncFormatter
 from pneuma.analysis.coverage import is_trusted
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.estimates import performance_profile
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
+from pneuma.analysis.references import have_one_return
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.summaries import summary_table
+from pneuma.analysis.summaries import LEAST_RESAMPLED, summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import absent_told, forks_told, headline_of, looks_told, step_told
 from pneuma.figures.crossed import are_crossed, row_names
@@ -48,8 +49,6 @@ LONGEST_INCHES = 7.6
 """Of the rows: with what is said around them a figure still fits a page."""
 LABEL_CHARACTERS = 32
 """Of a line of a condition's name at most, so that it leaves room for the panels."""
-LEAST_RESAMPLED = 3
-"""Runs of which there is a bootstrap interval."""
 MOST_ROWS = 24
 """Conditions up to which crossed ones, too, are rows one below the other."""
 
@@ -93,7 +92,8 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
     labels, told = _labels(values, size)
     usual = ROW_LINES * size.line_inches
     lines = max(label.count("\n") + 1 for label in labels)
-    pitch = min(usual * max(1, LABEL_LINE * lines), LONGEST_INCHES / len(values))
+    wanted = usual * max(1, LABEL_LINE * lines)
+    pitch = min(wanted, LONGEST_INCHES / len(values))
     rows_inches = pitch * len(values) + 0.75
     improved = table[table["statistic"] == "improvement"]
     profiled = len(values) <= MOST_IN_A_PANEL
@@ -109,7 +109,7 @@ def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> F
         squeeze=False,
         height_ratios=panels if stacked else None,
     ).ravel()
-    with dense(min(1.0, pitch / usual)):
+    with dense(pitch / wanted):
         _draw_runs(places[0], rows, labels)
         if len(improved):
             _draw_improvement(places[1], data, list(values), improved, labels if stacked else ())
@@ -210,6 +210,8 @@ def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame)
     if known_outcome.bounds == (0.0, 1.0) and (table["low"] < 0).any():
         words.append("Intervals are cut off below 0 %.")
     counts = [len(known) for known in values.values()]
+    if is_return(outcome) and not have_one_return(data):
+        words.append("Returns of unlike rewards, or of more players, cannot be compared.")
     if any(0 < count < LEAST_RESAMPLED for count in counts):
         words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
     if any(count >= LEAST_RESAMPLED and not is_trusted("bootstrap", count) for count in counts):

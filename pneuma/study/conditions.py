@@ -150,7 +150,7 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
 def _refuse_underscore(file: TomlFile, where: Where) -> None:
     """Refuse a name, the last of a table's, that matplotlib would take for one of its own."""
     if where[-1].startswith("_"):
-        raise file.mistake(where, "a condition's name cannot begin with _, which legends leave out")
+        raise file.mistake(where, "a name cannot begin with _: legends would leave it out")
 
 
 def _check_environments(

@@ -97,9 +97,13 @@ def _shared_length(paths: list[tuple[str, ...]]) -> int:
 
 
 def _condition_and_number(parts: tuple[str, ...]) -> tuple[str, int | None]:
-    """Return a condition's name and a number, if there is one; legends leave out what begins with _."""
+    """Return a condition's name and a number, if there is one.
+
+    Legends leave out what begins with _, so that `_PPO` becomes `PPO_`.
+    """
     name, number = _name_and_number(parts)
-    return name.lstrip("_") or name.replace("_", "-"), number
+    bare = name.lstrip("_")
+    return (bare.lstrip("/ ") or "run") + "_" * (len(name) - len(bare)), number
 
 
 def _name_and_number(parts: tuple[str, ...]) -> tuple[str, int | None]:

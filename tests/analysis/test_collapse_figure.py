@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pneuma.analysis.collapse import incidence
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
@@ -68,7 +69,10 @@ def test_bars_are_shares_of_runs_and_hollow_where_they_recovered(
 def test_crossed_conditions_are_named_by_their_levels_and_what_is_not_held_has_no_panel(
     tmp_path: Path, figures: list[Figure]
 ) -> None:
-    crossed = "reward=thesis, scale=raw, betas=[0.9, 0.999], tanh", "reward=kills, scale=unit, dqn"
+    crossed = (
+        "reward=thesis, scale=raw, betas=[0.9, 0.999], tanh",
+        "reward=kills, scale=unit, betas=[0.9, 0.9], dqn",
+    )
     full = _study(tmp_path, *crossed)
     clone = Store(tmp_path / "clone")
     path = published_path(clone, full.study)
@@ -81,7 +85,7 @@ def test_crossed_conditions_are_named_by_their_levels_and_what_is_not_held_has_n
     texts = [text.get_text() for text in figures[0].findobj(Text) if isinstance(text, Text)]
     assert not any("dashed" in text or "means over" in text for text in texts)  # of panels that are not there
     labels = [label.get_text().replace("\n", " ") for label in bars.get_yticklabels()]
-    assert labels == ["thesis, raw, [0.9, 0.999], tanh: 2 of 3", "kills, unit, dqn: 1 of 2"]
+    assert labels == ["thesis, raw, [0.9, 0.999], tanh: 2 of 3", "kills, unit, [0.9, 0.9], dqn: 1 of 2"]
 
 
 def test_where_no_run_collapsed_there_are_bars_alone(tmp_path: Path, figures: list[Figure]) -> None:
@@ -121,7 +125,7 @@ def test_where_nothing_shows_a_collapse_nothing_is_drawn(
 ) -> None:
     """As of imported logs without an entropy."""
     data = _study(tmp_path)
-    blind = collapse.incidence(data).assign(runs=0, unknown=2)
+    blind = incidence(data).assign(runs=0, unknown=2)
     monkeypatch.setattr(collapse, "incidence", lambda data: blind)
     with pytest.raises(UserError, match="no run has evaluations or an entropy, in which a collapse shows"):
         collapse.draw_collapse(data, tmp_path, "collapse")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.analysis.effects import study_effects
 from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.robustness import Map, _contrast, map_table, robustness_map
 from pneuma.analysis.sources import open_study
@@ -127,13 +128,14 @@ def test_returns_of_unlike_rewards_are_no_contrast(tmp_path: Path) -> None:
     assert robustness_map(data, "activation", "tanh", "relu", "final-return").cells
     settings = {"tanh": "thesis", "relu": "kills"}
     for run in data.record["runs"]:
-        run["run"] = {**run["run"], "reward": settings[run["run"]["activation"]]}
+        run["run"] |= {"reward": settings[run["run"]["activation"]], "activation": "tanh"}
     unlike = open_study(Store(tmp_path / "results"), data.record)
-    with pytest.raises(
-        UserError, match="final-return: returns of unlike rewards, or of more players, cannot"
-    ):
-        refuse_unlike_returns(unlike, "final-return")
-    refuse_unlike_returns(unlike, "final-share-killed")
+    assert robustness_map(unlike, "reward", "thesis", "kills").cells
+    told = "outcome final-return: returns of unlike rewards, or of more players, cannot be compared"
+    with pytest.raises(UserError, match=told):
+        robustness_map(unlike, "reward", "thesis", "kills", "final-return")
+    with pytest.raises(UserError, match=told):
+        study_effects(unlike, "final-return")
     refuse_unlike_returns(unlike, "final-return", unlike.conditions[:1])
 
 
@@ -151,10 +153,10 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path, capsys: pytest.Cap
     assert main(["study", "robustness", "mine", *options, "--out", str(tmp_path / "figures")]) == 0
     out = capsys.readouterr().out
     assert out.splitlines()[0] == "Mine: activation tanh against relu, final-share-killed: conditional"
-    assert (tmp_path / "figures" / "fig-mine-activation.png").is_file()
+    assert (tmp_path / "figures" / "fig-mine-activation-tanh-relu.png").is_file()
     pdf = ("--out", str(tmp_path / "printed"), "--format", "pdf")
     assert main(["study", "robustness", "mine", *options, *pdf]) == 0
-    assert [path.name for path in (tmp_path / "printed").iterdir()] == ["fig-mine-activation.pdf"]
+    assert [path.name for path in (tmp_path / "printed").iterdir()] == ["fig-mine-activation-tanh-relu.pdf"]
     for wrong in ("activation", "activation=tanh", "=tanh:relu", "activation=:relu"):
         assert main(["study", "robustness", "mine", "--contrast", wrong, *options[2:]]) == 2
 

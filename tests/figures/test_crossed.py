@@ -39,4 +39,5 @@ def test_rows_of_long_crossed_names_go_by_their_levels() -> None:
     assert row_names(names, 16) == (names, "")
     assert row_names(names, 15) == (["raw, tanh", "unit, tanh"], "Rows: scale, condition.")
     assert row_names(["a=1, b=2", "a=2, b=2"], 5) == (["1, 2", "2, 2"], "Rows: a, b.")
-    assert row_names(["a long name"], 5) == (["a long name"], "")
+    for names in (["a long name"], ["a=1", "b=1"], ["a=", "a=1"], ["c", "rate=1"], ["a=b, c=d", "a=b, c=d"]):
+        assert row_names(names, 1) == (names, "")  # not crossed, without a word, or not told apart

@@ -393,5 +393,5 @@ def test_long_names_of_crossed_conditions_head_panels_by_their_levels(
     titles = [axes.get_title(loc="left") for axes in drawn[0].axes]
     assert titles[1].replace("\n", " ") == "thesis, unit, tanh, non-stationary (n = 1)"
     assert max(title.count("\n") for title in titles) <= 2
-    assert "panels: reward, scale, activation" in words(drawn[0])
+    assert "Panels: reward, scale, activation, condition." in words(drawn[0]).replace("\n", " ")
     assert drawn[0].get_size_inches()[1] < 10

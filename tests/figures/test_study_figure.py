@@ -118,12 +118,12 @@ def test_evaluations_alone_average_nothing(study: HandMade, tmp_path: Path, draw
 def test_conditions_that_were_not_run_are_named(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("leaky-relu", 0, status="crashed")
     study.draw(tmp_path)
-    assert "Not run: leaky-relu." in words(drawn[0]).replace("\n", " ")
+    assert "Without a finished run: leaky-relu." in words(drawn[0]).replace("\n", " ")
 
 
 def test_a_name_that_is_no_text_is_refused(study: HandMade, tmp_path: Path) -> None:
     """A stranger's record may hold half a character."""
-    study.add("half\ud800", 0)
+    study.add("half\ud800", 0, run_id="a" * 16)
     with pytest.raises(UserError, match="the name 'half.ud800' is no text"):
         study.draw(tmp_path / "figures")
     assert not (tmp_path / "figures").exists()
@@ -263,7 +263,7 @@ def test_a_page_of_any_number_of_conditions_has_room_for_all(
     assert len(drawn[0].axes) == 90
     least = min(axes.get_position().height for axes in drawn[0].axes) * drawn[0].get_figheight()
     assert least >= 0.2  # inches
-    assert "Panels: learning_rate, reward, scale." in words(drawn[0]).replace("\n", " ")
+    assert "Panels: learning_rate, reward, scale, condition." in words(drawn[0]).replace("\n", " ")
 
 
 @pytest.mark.parametrize(

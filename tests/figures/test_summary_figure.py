@@ -263,7 +263,7 @@ def test_what_was_not_run_has_no_row_and_is_named(
     summary.draw_summary(data, tmp_path, ("svg",))
     rows = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
     assert rows == ["tanh (n = 2)", "relu (n = 2)"]
-    assert "Not run: leaky-relu." in words(drawn[0]).replace("\n", " ")
+    assert "Without a finished run: leaky-relu." in words(drawn[0]).replace("\n", " ")
 
 
 @pytest.mark.usefixtures("no_environment")

@@ -29,7 +29,7 @@ def _make(root: Path, *folders: str) -> Path:
         (["maze/PPO_1", "cave/PPO_1"], [("cave/PPO", 1), ("maze/PPO", 1)]),
         (["run_1/tb", "run_2/tb"], [("run/tb", 1), ("run/tb", 2)]),
         (["PPO", "DQN_1"], [("DQN", 1), ("PPO", 0)]),
-        (["_PPO_1", "__"], [("--", 0), ("PPO", 1)]),  # legends leave out what begins with _
+        (["_PPO_1", "__"], [("PPO_", 1), ("run__", 0)]),  # legends leave out what begins with _
         (["PPO_1", "PPO_1/eval"], [("PPO", 1), ("PPO/eval", 1)]),
     ],
 )

@@ -166,7 +166,7 @@ class Collector:
             if count + len(draw) > len(tape.terminal):
                 tape = _with_more_room(tape)
             _choose(worlds.handle, weights, widths, activation, draw, tape, step, chosen, scratch)
-            worlds.step(chosen)
+            worlds.advance(chosen)
             count = _note(worlds.handle, worlds.usual_starts, tape, step, count, chosen, over)
         return tape, count
 

@@ -1,0 +1,170 @@
+"""What scripts and notebooks call: a study trained and opened, a policy taken up to play.
+
+    run_study(study)      as `pneuma study run` does
+    open_data(study)      a study's runs as `pneuma.analysis` takes them
+    load_policy(run_id)   a stored run's policy, and what environment it plays in
+
+docs/python.md shows them at work.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pneuma.config import EnvConfig
+from pneuma.errors import UserError, unknown_name
+from pneuma.study import execute, plan, spec
+from pneuma.study.definition import check_setting
+from pneuma.study.executors.base import HERE, Supervision, load_executor
+from pneuma.study.store import Store
+from pneuma.study.stored_runs import find_run, stored_run
+from pneuma.study.trust import own_things
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
+    from pneuma.engines.policy import Policy
+    from pneuma.engines.team import Team
+
+Where = str | os.PathLike[str]
+
+RESULTS = "results"
+
+
+def run_study(
+    study: Where,
+    results: Where = RESULTS,
+    *,
+    preset: str | None = None,
+    seeds: int | Sequence[int] | None = None,
+    steps: int | None = None,
+    conditions: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    setting: str | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[execute.Progress], None] = lambda progress: None,
+) -> StudyData:
+    """Train what a study lacks, and open it. Runs that are stored are not trained again.
+
+    Args:
+        study: a shipped study's name, or the path of a file of one's own.
+        results: the results folder.
+        preset: one of the study's, or several joined by +; quick when left out.
+        seeds: how many, or which, instead of the preset's.
+        steps: agent steps of each run, instead of the preset's.
+        conditions: names; all when left out.
+        settings: fields of the run that every condition gets.
+        setting: 'text' or 'godot'; the study's usual one when left out.
+        workers: how many runs train at once, each in a process of one thread; a core each when left out.
+        on_progress: told of each run's steps.
+
+    Raises:
+        UserError: for a study, selection or setting that there is not, or when a run crashed or was killed.
+        KeyboardInterrupt: after Ctrl-C; the same call goes on where runs were stopped.
+    """
+    selection = plan.Selection(
+        preset=preset,
+        seeds=None if seeds is None else _seeds(seeds),
+        steps=steps,
+        conditions=(conditions,) if isinstance(conditions, str) else tuple(conditions),
+        settings=settings,
+    )
+    if steps is not None and steps < 1:
+        raise UserError(f"steps = {steps} is not allowed: at least 1")
+    if workers is not None and workers < 1:
+        raise UserError(f"workers = {workers} is not allowed: at least 1")
+    planned, store = (
+        plan.make_plan(spec.load_study(os.fspath(study), setting), selection),
+        Store(Path(results)),
+    )
+    how = Supervision(
+        workers=workers or load_executor(HERE).most_workers(HERE),
+        keep_checkpoints=planned.study.keep_checkpoints,
+    )
+    todo = execute.prepare(planned, store, supervision=how)
+    outcomes = execute.execute(planned, todo.runs, store, how, on_progress)
+    unwell = [outcome for outcome in outcomes if not outcome.status.finished]
+    if unwell:
+        cell, status = unwell[0].cell, unwell[0].status
+        trace = store.run_folder(cell.run_id) / "error.txt"
+        where = f"; see {trace}" if trace.is_file() else ""
+        raise UserError(
+            f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
+            f"{status.name}{': ' if unwell[0].reason else ''}{unwell[0].reason}{where}"
+        )
+    from pneuma.analysis.sources import open_study
+
+    return open_study(store, execute.selection_record(planned))
+
+
+def open_data(study: Where, results: Where = RESULTS, *, setting: str | None = None) -> StudyData:
+    """Open the latest selection of a study that was run, imported or forked, or else what is published of it.
+
+    Args:
+        study: its name, or the path of its file.
+        results: the results folder.
+        setting: 'text' or 'godot'; the usual one when left out.
+
+    Raises:
+        UserError: when the folder has nothing of it, or no run has finished.
+    """
+    from pneuma.analysis.published import published_path, published_studies, read_published
+    from pneuma.analysis.sources import open_study
+
+    check_setting(setting)
+    store, told = Store(Path(results)), os.fspath(study)
+    own = Path(told).stem if told.endswith(".toml") else told
+    name = spec.in_setting(own, setting or spec.TEXT)
+    record = store.selection(name)
+    if record is not None and own != told:
+        execute.check_same_file(record, Path(told), store)
+    if record is None and published_path(store, name).exists():
+        record = read_published(store, name).record
+    if record is None:
+        raise unknown_name(
+            f"study in {store.root}", name, sorted({*store.studies(), *published_studies(store)})
+        )
+    return open_study(store, record)
+
+
+def load_policy(
+    run_id: str, results: Where = RESULTS, *, trust: bool = False
+) -> tuple[Policy | Team, str, dict[str, Any]]:
+    """Take up the policy that a stored run ended with.
+
+    Args:
+        run_id: the run's id, or a prefix of four digits or more.
+        results: the results folder.
+        trust: whether a level, characters or a reward of the run's owner may be opened.
+
+    Returns:
+        The policy, or a team of one for each player; the id of its environment; and this one's settings,
+        as `gymnasium.make(id, **settings)` takes them.
+
+    Raises:
+        UserError: for no such run, one without a policy, or one that is to be trusted first.
+    """
+    from pneuma.engines.team import policy_names, read_policies
+
+    store = Store(Path(results))
+    found = find_run(store, run_id)
+    run = stored_run(store, found).settings
+    names = policy_names(store.file_names(found))
+    if not names:
+        raise UserError(f"run {found} left no policy")
+    settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
+    if (own := own_things(settings)) and not trust:
+        raise UserError(
+            f"run {found} would {' and '.join(own.values())}: pass trust=True if you trust its source"
+        )
+    return read_policies([store.read_file(found, name) for name in names]), str(run.get("env")), settings
+
+
+def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
+    try:
+        return spec.read_seeds(seeds if isinstance(seeds, int) else list(seeds))
+    except (ValueError, TypeError, UserError):
+        raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
