@@ -78,7 +78,7 @@ def run_study(
         raise UserError(f"workers = {workers} is not allowed: at least 1")
     planned, store = (
         plan.make_plan(spec.load_study(os.fspath(study), setting), selection),
-        Store(Path(results)),
+        Store(results),
     )
     how = Supervision(
         workers=workers or load_executor(HERE).most_workers(HERE),
@@ -115,7 +115,7 @@ def open_data(study: Where, results: Where = RESULTS, *, setting: str | None = N
     from pneuma.analysis.sources import open_study
 
     check_setting(setting)
-    store, told = Store(Path(results)), os.fspath(study)
+    store, told = Store(results), os.fspath(study)
     own = Path(told).stem if told.endswith(".toml") else told
     name = spec.in_setting(own, setting or spec.TEXT)
     record = store.selection(name)
@@ -149,7 +149,7 @@ def load_policy(
     """
     from pneuma.engines.team import policy_names, read_policies
 
-    store = Store(Path(results))
+    store = Store(results)
     found = find_run(store, run_id)
     run = stored_run(store, found).settings
     names = policy_names(store.file_names(found))

@@ -11,6 +11,7 @@ tells what each key means. Which runs a claim fixes is read by `pneuma.study.cla
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -139,13 +140,13 @@ class ClaimList:
     logs: PublishedLogs
 
 
-def load_claims(path: Path | None = None) -> ClaimList:
+def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     """Load the shipped claims, or those of a file.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    file = read_toml(path or studies_folder() / CLAIMS_FILE)
+    file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     file.refuse_unknown((), file.data, ("defaults", "logs", "claims"))
     file.refuse_unknown(("defaults",), file.table(("defaults",)), ("seeds", "steps"))
     logs = _read_logs(file)

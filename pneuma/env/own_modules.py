@@ -42,6 +42,12 @@ def module_files(name: str, path: Path) -> list[Path]:
     return [path, *sorted(found.keys() - {path})]
 
 
+def module_in(folder: Path, name: str) -> Path | None:
+    """Return the file of a module that importing its full name would find in a folder; None without one."""
+    place = folder.joinpath(*name.split("."))
+    return next((file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()), None)
+
+
 def _imports(path: Path, package: str) -> Iterator[str]:
     """Yield the full names that a file's import statements may load."""
     try:

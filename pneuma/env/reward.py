@@ -35,7 +35,7 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.blame import blame_reward
-from pneuma.env.own_modules import module_files
+from pneuma.env.own_modules import module_files, module_in
 from pneuma.errors import UserError
 
 REWARD_CODES = {
@@ -60,6 +60,9 @@ def reward_code(name: str) -> int:
 def load_reward(name: str) -> RewardFunction:
     """Import a reward of a user's own, looking in the current folder too.
 
+    A module that was imported for this before is imported anew where its files have changed, as between two
+    cells of a notebook, or where the current folder has another of its name.
+
     Raises:
         UserError: when the module or the function does not exist.
     """
@@ -68,6 +71,7 @@ def load_reward(name: str) -> RewardFunction:
     added = path not in sys.path
     if added:
         sys.path.insert(0, path)
+    _forget_changed(module_name)
     try:
         with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
             module = importlib.import_module(module_name)
@@ -77,6 +81,7 @@ def load_reward(name: str) -> RewardFunction:
         if added:  # behind all others, for what the function itself imports when it is called
             sys.path.remove(path)
             sys.path.append(path)
+    _STAMPS[module_name] = _stamps(module_name)
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
@@ -92,11 +97,36 @@ def reward_files(names: Sequence[str]) -> list[Path]:
     files = []
     for name in names:
         load_reward(name)
-        module = name.partition(":")[0]
-        source = getattr(sys.modules.get(module), "__file__", None)
-        if source:
-            files += module_files(module, Path(source))
+        files += _own_files(name.partition(":")[0])
     return files
+
+
+_STAMPS: dict[str, dict[Path, tuple[int, int]]] = {}
+"""Of modules that were imported for a reward: their own files, with the time and size of each."""
+
+
+def _own_files(module: str) -> list[Path]:
+    source = getattr(sys.modules.get(module), "__file__", None)
+    return module_files(module, Path(source)) if source else []
+
+
+def _stamps(module: str) -> dict[Path, tuple[int, int]]:
+    told = {path: path.stat() for path in _own_files(module) if path.is_file()}
+    return {path: (stat.st_mtime_ns, stat.st_size) for path, stat in told.items()}
+
+
+def _forget_changed(module: str) -> None:
+    """Drop a module with those of its own that it imports, if it would be another by now."""
+    known = _STAMPS.get(module)
+    if not known or module not in sys.modules:
+        return
+    here = module_in(Path.cwd(), module)
+    moved = here is not None and here.resolve() not in {path.resolve() for path in known}
+    if moved or _stamps(module) != known:
+        own = {str(path) for path in known}
+        for name in [name for name, each in sys.modules.items() if getattr(each, "__file__", None) in own]:
+            del sys.modules[name]
+        importlib.invalidate_caches()
 
 
 def present(events: np.ndarray) -> np.ndarray:

@@ -88,8 +88,8 @@ class Status:
 class Store:
     """A results folder."""
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: str | os.PathLike[str]) -> None:
+        self.root = Path(root)
 
     def check_writable(self) -> None:
         """Make the folder if need be and try to write there.

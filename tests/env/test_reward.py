@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pneuma.config import REWARDS
+from pneuma.env.reward import load_reward
 from pneuma.env.worlds import Worlds
 
 from .arena import (
@@ -259,3 +262,38 @@ def test_an_ended_world_pays_nothing(arena: str, reward: str) -> None:
     assert worlds.ending(0) == "time-limit"
     play(worlds, STAND)
     assert rewards(worlds) == [0.0]
+
+
+# --- Rewards of one's own, in a process that goes on ----------------------------------------------
+
+
+def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As between two cells of a notebook; with the modules beside it that it imports."""
+    name = "reread_reward"
+
+    def write(folder: str, told: str, helper: str) -> None:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / f"{name}.py").write_text(
+            f"import {name}_helper\ndef pay(events, players, stats):\n"
+            f"    return {told} + {name}_helper.MORE + 0 * events['died']\n"
+        )
+        (tmp_path / folder / f"{name}_helper.py").write_text(f"MORE = {helper}\n")
+
+    def paid() -> float:
+        return float(load_reward(f"{name}:pay")({"died": 0}, None, None))  # type: ignore[arg-type, call-overload]
+
+    write("one", "1", "0.5")
+    write("two", "20", "0.25")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path / "one")
+    assert paid() == 1.5
+    first = sys.modules[name]
+    assert paid() == 1.5 and sys.modules[name] is first  # unchanged: as it was
+    write("one", "300", "0.5")
+    assert paid() == 300.5
+    write("one", "300", "0.0625")
+    assert paid() == 300.0625
+    monkeypatch.chdir(tmp_path / "two")
+    assert paid() == 20.25
