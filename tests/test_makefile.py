@@ -121,7 +121,7 @@ def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
     words = [f"DO={do}", "STUDIES=activation clip-range", f"BIN={tmp_path}"]
     told = subprocess.run(
         [MAKE or "make", "--assume-old=install", "reproduction", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False,
+        cwd=ROOT, capture_output=True, text=True, check=False, env={"PATH": os.environ["PATH"]},
     )  # fmt: skip
     assert told.returncode and len(asked.read_text().split()) == reached
     failed = "activation (text) activation (godot)"
@@ -132,7 +132,7 @@ def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
 
 
 def test_whoever_names_a_results_folder_for_all_commands_names_it_for_make(tmp_path: Path) -> None:
-    own = {**os.environ, "PNEUMA_RESULTS": str(tmp_path)}
+    own = {"PATH": os.environ["PATH"], "PNEUMA_RESULTS": str(tmp_path)}
     for target, said in (("study", True), ("figures", False)):  # figures rewrite README and findings
         told = subprocess.run(
             [MAKE or "make", "--dry-run", "--assume-old=install", target],

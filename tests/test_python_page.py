@@ -63,8 +63,9 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
         load_policy("abcdef", tmp_path)
 
 
-def test_published_studies_are_opened_by_name() -> None:
-    data = open_data("activation", Path(__file__).parents[1] / "results", setting="godot")
+def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
+    (tmp_path / "published").symlink_to(Path(__file__).parents[1] / "results" / "published")
+    data = open_data("activation", tmp_path, setting="godot")
     assert data.study == "activation-godot" and "relu" in data.conditions
     one = data.of_conditions("leaky-relu")
     assert one.conditions == ["leaky-relu"]

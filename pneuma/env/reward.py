@@ -28,6 +28,7 @@ import importlib
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,8 @@ def _forget_changed(module: str) -> None:
         own = {str(path) for path in known}
         for name in [name for name, each in sys.modules.items() if getattr(each, "__file__", None) in own]:
             del sys.modules[name]
+        for path in known:  # compiled code is known by whole seconds and sizes alone
+            Path(cache_from_source(path)).unlink(missing_ok=True)
         importlib.invalidate_caches()
 
 

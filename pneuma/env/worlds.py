@@ -102,6 +102,9 @@ class Worlds:
         margin = characters.margin(self.player_stats, self.monster_stats.ravel())
         ticks = int(self.settings["ticks"][0])
         self.worlds = np.zeros(count, state.WORLD)
+        self.worlds["key"] = np.random.SeedSequence().generate_state(
+            count, np.uint64
+        )  # until they are seeded
         self.players = np.zeros((count, players), state.PLAYER)
         self.monsters = np.zeros((count, monsters), state.MONSTER)
         self.events = np.zeros((count, players), state.EVENTS)
@@ -217,8 +220,6 @@ class Worlds:
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Begin an episode in all worlds, or in those of `mask`, and observe all.
 
-        Worlds that were never seeded get seeds of the system's.
-
         Args:
             mask: (N,) booleans.
             starts: (N,) indices of start places; below zero, drawn at random.
@@ -230,9 +231,6 @@ class Worlds:
         usual = self.usual_starts if starts is None else _checked(starts, len(self), "iu", "starts")
         if usual.max(initial=0) >= (count := len(self.level.starts)):
             raise ValueError(f"start {usual.max()} is none of the level's {count}")
-        unseeded = which & (self.worlds["key"] == 0)
-        if unseeded.any():
-            self.rekey(np.random.SeedSequence().generate_state(len(self)).tolist(), unseeded)
         rules.reset_worlds(self._handle, usual, which)
         self._observe()
 

@@ -119,7 +119,10 @@ def test_training_outlives_its_terminal(plan: Plan, monkeypatch: pytest.MonkeyPa
         raise OSError(5, "Input/output error")
 
     with ProgressDisplay(plan, _runs(plan), 1, quiet=False) as display:
-        display._bars.live.auto_refresh = False  # its thread's own mistakes would be shown by this one
+        thread = display._bars.live._refresh_thread  # its own mistakes would be shown by this one
+        assert thread is not None
+        thread.stop()
+        thread.join()
         monkeypatch.setattr(screen, "write", gone)
         display.update(Progress(plan.cells[0], 0, note="goes on from step 256"))
         display.update(Progress(plan.cells[0], 2560, "done"))

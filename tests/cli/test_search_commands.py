@@ -361,6 +361,7 @@ def test_killed_half_way_it_comes_to_the_same(searched: tuple[Path, Path], tmp_p
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
     while not list((tmp_path / "r").glob("runs/*/status.json")) and process.poll() is None:
         time.sleep(0.05)
+    assert process.poll() is None  # of a search that has ended already nothing would be shown
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     again = subprocess.run([*command, "--json"], capture_output=True, check=True)

@@ -282,7 +282,7 @@ def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
         (tmp_path / folder / f"{name}_helper.py").write_text(f"MORE = {helper}\n")
 
     def paid() -> float:
-        return float(load_reward(f"{name}:pay")({"died": 0}, None, None))  # type: ignore[arg-type, call-overload]
+        return float(load_reward(f"{name}:pay")({"died": 0}, None, None))  # type: ignore[arg-type]
 
     write("one", "1", "0.5")
     write("two", "20", "0.25")
@@ -293,7 +293,9 @@ def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
     assert paid() == 1.5 and sys.modules[name] is first  # unchanged: as it was
     write("one", "300", "0.5")
     assert paid() == 300.5
-    write("one", "300", "0.0625")
-    assert paid() == 300.0625
+    write("one", "300", "0.25")
+    assert paid() == 300.25
+    write("one", "400", "0.75")  # as long as before, and within the second
+    assert paid() == 400.75
     monkeypatch.chdir(tmp_path / "two")
     assert paid() == 20.25

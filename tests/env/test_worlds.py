@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
 from pneuma.env.players import Hunter
-from pneuma.env.worlds import Worlds, world_key
+from pneuma.env.worlds import ENDINGS, Worlds, world_key
 from pneuma.errors import UserError
 
 from .arena import (
@@ -251,3 +253,58 @@ def test_more_players_than_a_state_can_hold_are_refused() -> None:
     Worlds(1, make_env_config({"players": 8}))
     with pytest.raises((ValueError, UserError)):  # eight bits of `noticed`, eight clocks of `bite`
         Worlds(1, make_env_config({"players": 9}))
+
+
+# --- What is written by hand ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (lambda worlds: worlds.step(np.full((2, 1), 5)), "actions 5 to 5 are outside Discrete"),
+        (lambda worlds: worlds.step(np.array([[0], [-1]])), "actions -1 to 0 are outside Discrete"),
+        (lambda worlds: worlds.step(np.zeros(2, np.int64)), "actions: must be whole numbers of shape"),
+        (lambda worlds: worlds.step(np.zeros((2, 1))), "actions: must be whole numbers of shape"),
+        (lambda worlds: worlds.reset(np.ones(1, np.bool_)), "mask: must be booleans of shape"),
+        (lambda worlds: worlds.reset(np.ones(2, np.int64)), "mask: must be booleans of shape"),
+        (lambda worlds: worlds.reset(starts=np.array([0, 6])), "start 6 is none of the level's 6"),
+    ],
+)
+def test_what_the_rules_could_not_take_is_refused(asked: Callable[[Worlds], object], told: str) -> None:
+    """They look nothing up twice: an index that is too large would read beyond an array."""
+    worlds = begin(2)
+    before = worlds.worlds.tobytes() + worlds.players.tobytes()
+    with pytest.raises(ValueError, match=told):
+        asked(worlds)
+    assert worlds.worlds.tobytes() + worlds.players.tobytes() == before
+
+
+@pytest.mark.parametrize(
+    ("bodies", "field", "value", "told"),
+    [
+        ("players", "x", np.nan, "players: x or y lies off the grid"),
+        ("players", "y", 1e9, "players: x or y lies off the grid"),
+        ("monsters", "x", -1e5, "monsters: x or y lies off the grid"),
+        ("players", "facing", 4, "players: facing is none of 0 to 3"),
+    ],
+)
+def test_bodies_that_are_nowhere_are_refused(bodies: str, field: str, value: float, told: str) -> None:
+    worlds = begin(2)
+    getattr(worlds, bodies)[field][1] = value
+    with pytest.raises(ValueError, match=told):
+        worlds.observe()
+
+
+def test_who_is_left_is_counted_anew() -> None:
+    worlds = begin(2, end_on_clear=True)
+    worlds.monsters["hp"][0] = 0.0
+    worlds.observe()
+    assert worlds.worlds["monsters_left"].tolist() == [0, 14]
+    worlds.step(np.zeros((2, 1), np.int64))
+    assert [ENDINGS[ending] for ending in worlds.worlds["ending"]] == ["cleared", "running"]
+
+
+def test_worlds_that_nobody_seeded_differ() -> None:
+    worlds = Worlds(50)
+    worlds.reset()
+    assert len({*worlds.worlds["key"].tolist()}) == 50 and len({*worlds.worlds["start"].tolist()}) == 6
