@@ -30,9 +30,8 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
     runs, action, env = done.stdout.split()
     assert (runs, env) == ("4", "pneuma/Pneuma-v0") and 0 <= int(action) < 5
     figures = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert figures == {f"horizon-return-entropy-se.{form}" for form in ("png", "svg")} | {
-        "horizon-summary.pdf"
-    }
+    curves = {f"study-horizon-return-entropy-se.{form}" for form in ("png", "svg")}
+    assert figures == {*curves, "study-horizon-summary.pdf"}
 
 
 @pytest.mark.parametrize(
@@ -72,5 +71,6 @@ def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="did you mean leaky-relu"):
         data.of_conditions(["leaky-rely"])
     run, kept = one.runs[0], one.run_table(one.runs[0], "evaluations").copy()
-    one.run_table(run, "evaluations")["share_killed"] = 9.0
+    written = one.run_table(run, "evaluations")
+    written["share_killed"] = 9.0
     assert one.run_table(run, "evaluations").equals(kept)  # what is written on is the asker's own

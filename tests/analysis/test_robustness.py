@@ -126,7 +126,7 @@ def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
 def test_returns_of_unlike_rewards_are_no_contrast(tmp_path: Path) -> None:
     data = crossed(tmp_path, gains(0.2, 0.2, 0.2, 0.2), seeds=2)
     assert robustness_map(data, "activation", "tanh", "relu", "final-return").cells
-    settings = {"tanh": "thesis", "relu": "kills"}
+    settings = {"tanh": ["thesis"], "relu": ["kills"]}
     for run in data.record["runs"]:
         run["run"] |= {"reward": settings[run["run"]["activation"]], "activation": "tanh"}
     unlike = open_study(Store(tmp_path / "results"), data.record)
