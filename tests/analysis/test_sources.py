@@ -169,7 +169,7 @@ def test_the_usual_window_is_the_first_and_others_are_refused(data: StudyData) -
     assert data.checked_window(None) == data.windows[0]
     run = data.runs[0]
     np.testing.assert_array_equal(data.curve(run, "return"), data.curve(run, "return", data.windows[0]))
-    with pytest.raises(UserError, match="unknown window 'trailing-10'; did you mean trailing-100?"):
+    with pytest.raises(UserError, match="unknown window 'trailing-10'"):
         data.curve(run, "return", "trailing-10")
     for window in {*WINDOWS} - set(data.windows):
         with pytest.raises(UserError, match=f"window {window} cannot be had of study {data.study}"):
