@@ -123,6 +123,8 @@ def open_data(study: Where, results: Where = RESULTS, *, setting: str | None = N
         execute.check_same_file(record, Path(told), store)
     if record is None and published_path(store, name).exists():
         record = read_published(store, name).record
+    if record is None and (path := store.selection_path(name)).exists():
+        raise UserError(f"{path}: damaged; run, import or fork it anew")
     if record is None:
         raise unknown_name(
             f"study in {store.root}", name, sorted({*store.studies(), *published_studies(store)})

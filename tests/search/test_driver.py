@@ -10,6 +10,8 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search import driver
 from pneuma.search.driver import check_outcomes, run_search
+from pneuma.search.record import lock_folder
+from pneuma.study.locks import RunLock
 from pneuma.study.store import Store
 
 from .conftest import MakeTask
@@ -54,3 +56,11 @@ def test_cma_es_wants_one_objective_and_its_package(
     with pytest.raises(UserError, match=r"pip install '.\[cmaes\]'"):
         check_outcomes(make_task(more=CMA_ES))
     check_outcomes(make_task())
+
+
+def test_no_two_processes_search_in_one_folder(make_task: MakeTask, tmp_path: Path) -> None:
+    store, task = Store(tmp_path / "results"), make_task()
+    with RunLock(lock_folder(store, task.search.name)) as mine:
+        assert mine
+        with pytest.raises(UserError, match=f"search {task.search.name}: another process searches in .* now"):
+            run_search(task, store, None, lambda plan: pytest.fail("trained"), lambda *_: None)

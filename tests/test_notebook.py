@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from pneuma.config import as_settings, make_run
+from pneuma.engines.policy import Policy
 from pneuma.errors import UserError
 from pneuma.notebook import load_policy, open_data, run_study
+from pneuma.study.store import Status, Store
 
 from .env.test_documentation import BLOCK
 
@@ -60,6 +65,49 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
         open_data("activaton", tmp_path)
     with pytest.raises(UserError, match="no run 'abcdef' in"):
         load_policy("abcdef", tmp_path)
+
+
+def test_a_run_that_crashes_is_told_with_where_to_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    body = "    assert players['attack'].max() < 20\n    return players['xp']\n"
+    (tmp_path / "breaking_pay.py").write_text(f"def pay(events, players, stats):\n{body}")
+    text = 'title = "T"\nbase = "table-6-2"\n[conditions.only]\nreward = "breaking_pay:pay"\n'
+    (tmp_path / "mine.toml").write_text(f"{text}[presets.quick]\nseeds = 1\nsteps = 1024\n")
+    with pytest.raises(UserError, match="1 of 1 runs did not end: only seed 0 crashed.*; see .*error.txt"):
+        run_study("mine.toml")
+
+
+def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> None:
+    store, run = Store(tmp_path), make_run({"level": "somebodys/isle"})
+    layers = ((np.zeros((60, 5), np.float32), np.zeros(5, np.float32)),)
+    critic = ((np.zeros((60, 1), np.float32), np.zeros(1, np.float32)),)
+    files = {
+        "run.json": json.dumps({"run": as_settings(run)}).encode(),
+        "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
+    }
+    store.save_run("0123456789abcdef", Status("done", run.steps), files)
+    with pytest.raises(UserError, match="would read the level somebodys/isle: pass trust=True"):
+        load_policy("0123", tmp_path)
+    policy, env, settings = load_policy("0123", tmp_path, trust=True)
+    assert isinstance(policy, Policy) and policy.best(np.zeros((1, 60), np.float32)).tolist() == [0]
+    assert (env, settings["level"]) == ("pneuma/Pneuma-v0", "somebodys/isle")
+
+
+def test_a_file_of_the_name_of_another_is_not_taken_for_it(tmp_path: Path) -> None:
+    one, other = tmp_path / "one" / "mine.toml", tmp_path / "other" / "mine.toml"
+    for path in (one, other):
+        path.parent.mkdir()
+        path.touch()
+    names = {"study": "mine", "title": "", "figure": "", "baseline": ""}
+    record = {**names, "path": str(one), "runs": [], "same": [], "selection": {}}
+    Store(tmp_path).save_selection("mine", record)
+    with pytest.raises(UserError, match="the runs of study mine in .* are of .*one/mine.toml"):
+        open_data(other, tmp_path)
+    Store(tmp_path).selection_path("mine").write_text("{")
+    with pytest.raises(UserError, match="mine.json: damaged; run, import or fork it anew"):
+        open_data("mine", tmp_path)
 
 
 def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
