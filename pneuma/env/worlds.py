@@ -19,6 +19,7 @@ from gymnasium.utils import seeding
 
 from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
+from pneuma.env.given import checked, refuse_nowhere
 from pneuma.env.level import RANDOM, Level, load_level, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.places import refuse_bad_places
@@ -154,9 +155,9 @@ class Worlds:
     def _take_addresses(self) -> None:
         """Note where the arrays lie, and look at them in the other ways that are needed."""
         self._handle = state.make_handle(self._arrays)
-        self._shown = tuple(_read_only(each) for each in (self.events, self.players, self.player_stats))
-        self._raw = tuple(_raw(each) for each in (self.worlds, self.players, self.monsters))
-        self._raw_events = _raw(self.events)
+        self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
+        self._raw = tuple(state.raw(each) for each in (self.worlds, self.players, self.monsters))
+        self._raw_events = state.raw(self.events)
 
     def __len__(self) -> int:
         """Return the number of worlds."""
@@ -227,8 +228,8 @@ class Worlds:
         Raises:
             ValueError: for a mask or starts of another shape or kind, or a start place that there is not.
         """
-        which = self._every if mask is None else _checked(mask, len(self), "b", "mask")
-        usual = self.usual_starts if starts is None else _checked(starts, len(self), "iu", "starts")
+        which = self._every if mask is None else checked(mask, len(self), "b", "mask")
+        usual = self.usual_starts if starts is None else checked(starts, len(self), "iu", "starts")
         if usual.max(initial=0) >= (count := len(self.level.starts)):
             raise ValueError(f"start {usual.max()} is none of the level's {count}")
         rules.reset_worlds(self._handle, usual, which)
@@ -243,7 +244,7 @@ class Worlds:
         Raises:
             ValueError: for anything else.
         """
-        actions = _checked(actions, self.players.shape, "iu", "actions")
+        actions = checked(actions, self.players.shape, "iu", "actions")
         if actions.size and not 0 <= actions.min() <= actions.max() < self.action_space.n:
             raise ValueError(f"actions {actions.min()} to {actions.max()} are outside {self.action_space}")
         return self.advance(actions)
@@ -269,7 +270,7 @@ class Worlds:
         players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
         for name, function, _ in self._custom:
             with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
-                custom_rewards(function, name, *map(_read_only, (events, players, self.player_stats)))
+                custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
 
     @property
     def present(self) -> np.ndarray:
@@ -322,7 +323,7 @@ class Worlds:
         worlds[world] = snapshot.worlds.view(worlds.dtype)[0]
         players[world] = snapshot.players.view(players.dtype)[0]
         monsters[world] = snapshot.monsters.view(monsters.dtype)[0]
-        self._raw_events[world] = _NO_EVENTS
+        self._raw_events[world] = state.NO_EVENTS
 
     def _index(self, world: int) -> int:
         if not 0 <= world < len(self.worlds):
@@ -357,36 +358,13 @@ class Worlds:
         Raises:
             ValueError: for living bodies that are nowhere on the grid, or face nowhere.
         """
-        left, top, right, bottom = self.level.grid
-        for name, bodies in (("players", self.players), ("monsters", self.monsters)):
-            x, y = bodies["x"], bodies["y"]
-            on_grid = (left <= x) & (x < right) & (top <= y) & (y < bottom)  # NaN is nowhere
-            if not (on_grid | (bodies["hp"] <= 0)).all():
-                raise ValueError(
-                    f"{name}: x or y lies off the grid, {left:g} to {right:g}, {top:g} to {bottom:g}"
-                )
-        if self.players["facing"].min() < 0 or self.players["facing"].max() >= len(characters.FACINGS):
-            raise ValueError("players: facing is none of 0 to 3")
+        refuse_nowhere(self.level, self.players, self.monsters)
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
         self._observe()
 
     def _observe(self) -> None:
         rules.step_worlds(self._handle, self._no_actions, True)
-
-
-def _checked(given: np.ndarray, shape: int | tuple[int, ...], kinds: str, what: str) -> np.ndarray:
-    """Return what was given as the compiled rules take it: booleans, or int64.
-
-    Raises:
-        ValueError: where its shape or kind is another.
-    """
-    array = np.asarray(given)
-    wanted = (shape,) if isinstance(shape, int) else shape
-    if array.shape != wanted or array.dtype.kind not in kinds:
-        of = "booleans" if kinds == "b" else "whole numbers"
-        raise ValueError(f"{what}: must be {of} of shape {wanted}, not {array.dtype} of {array.shape}")
-    return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
 
 
 def world_key(seed: int) -> int:
@@ -403,26 +381,8 @@ def _resolved(config: EnvConfig) -> EnvConfig:
     return make_env_config({item.name: getattr(config, item.name) for item in fields(EnvConfig)})
 
 
-def _raw(array: np.ndarray) -> np.ndarray:
-    """Look at records as bytes of their size: NumPy copies those far faster than field by field."""
-    return array.view(np.dtype((np.void, array.dtype.itemsize)))
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-def _no_events() -> Any:
-    events = np.zeros(1, state.EVENTS)
-    events["distance"] = np.inf
-    return _raw(events)[0]
-
-
 _ADDRESSES = ("_handle", "_arrays", "_shown", "_raw", "_raw_events")
 """What of `Worlds` holds only where it is."""
-_NO_EVENTS = _no_events()
 _SEEN_OR_PAID = (
     "reward", "perceived", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
 )  # fmt: skip

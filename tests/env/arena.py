@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -157,3 +158,8 @@ def bits(*arrays: np.ndarray) -> list[bytes]:
 def state_bits(worlds: Worlds) -> list[bytes]:
     """Return every bit of the worlds' state and of what they last told."""
     return bits(*(getattr(worlds, name) for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))
+
+
+def on_screen(pygame: ModuleType) -> np.ndarray:
+    """Return what pygame's window shows, shape (height, width, 3)."""
+    return np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -47,3 +48,11 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def _folder(factory: pytest.TempPathFactory, name: str) -> Path:
     return factory.mktemp(name)
+
+
+@pytest.fixture
+def pygame() -> Iterator[ModuleType]:
+    """Return pygame without a screen or a sound card."""
+    module = pytest.importorskip("pygame", reason="pygame-ce is not installed: the window is not tested")
+    yield module
+    module.display.quit()

@@ -1,4 +1,4 @@
-"""Frames, and the window that shows them.
+"""Frames of the world, and what they are drawn from.
 
 The arena's grid spans -640 … 640 on both axes, so that the art pixel of a place is (x + 640) / 4.
 """
@@ -9,21 +9,18 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from pneuma.env import rules, sprites
 from pneuma.env.render import Renderer, ground_kinds
-from pneuma.env.window import Window
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import DOWN, LEFT, RIGHT, STATE_ARRAYS, UP, begin, play, stage
+from .arena import DOWN, LEFT, RIGHT, STATE_ARRAYS, UP, begin, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
 BODY = 12  # no picture of a body reaches further from its centre
@@ -327,72 +324,6 @@ def test_state_put_back_is_drawn_as_before() -> None:
     for name, array in saved.items():
         getattr(worlds, name)[...] = array
     np.testing.assert_array_equal(renderer.frame(), before)
-
-
-# --- The window ----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def pygame() -> Iterator[ModuleType]:
-    """Return pygame without a screen or a sound card."""
-    module = pytest.importorskip("pygame", reason="pygame-ce is not installed: the window is not tested")
-    yield module
-    module.display.quit()
-
-
-def on_screen(pygame: ModuleType) -> np.ndarray:
-    """Return what the window shows, shape (height, width, 3)."""
-    return np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
-
-
-def test_window_shows_every_frame_as_it_is(pygame: ModuleType, arena: str) -> None:
-    worlds = stage(arena)
-    renderer = Renderer(worlds, "follow")
-    window = Window(renderer.size, "arena")
-    for _ in range(3):
-        play(worlds, RIGHT)
-        frame = renderer.frame()
-        window.show(frame, 0)
-        np.testing.assert_array_equal(on_screen(pygame), frame)
-    window.show(frame[::2, ::2], 0)
-    np.testing.assert_array_equal(on_screen(pygame), frame[::2, ::2].repeat(2, 0).repeat(2, 1))
-    window.close()
-    window.close()
-
-
-def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
-    window = Window((64, 64), "keys")
-    frame = np.zeros((64, 64, 3), np.uint8)
-    window.show(frame, 0)
-    assert window.keys() == set()
-    for key in (pygame.K_SPACE, pygame.K_a, pygame.K_x):
-        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
-    assert window.keys() == {"attack", "left"}
-    window.show(frame, 0)
-    assert window.keys() == set()  # tapped, not held
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    window.show(frame, 0)
-    assert window.closed and window.keys() == set()
-    window.show(frame, 0)
-
-
-@pytest.mark.parametrize("driver", ["offscreen", "dummy"])
-def test_window_that_nobody_would_see_is_refused(
-    pygame: ModuleType, monkeypatch: pytest.MonkeyPatch, driver: str
-) -> None:
-    """SDL falls back to such a driver where there is no display; whoever asks for it gets it."""
-    monkeypatch.setattr(pygame.display, "get_driver", lambda: driver)
-    Window((64, 64), "asked for").close()
-    monkeypatch.delenv("SDL_VIDEODRIVER")
-    monkeypatch.delenv("SDL_VIDEO_DRIVER", raising=False)
-    with pytest.raises(UserError, match="no window can be opened: there is no display"):
-        Window((64, 64), "unseen")
-
-
-def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(UserError, match="pygame-ce: pip install"):
-        Window((64, 64), "none")
 
 
 def test_drawing_loads_neither_pygame_nor_pillow() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -18,23 +18,10 @@ from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.errors import UserError
 
-from .arena import ATTACK, RIGHT, THESIS, begin
+from .arena import ATTACK, RIGHT, THESIS, begin, on_screen
 
 SIDE = 20 * 16 * 3  # the arena's 20 tiles, 16 px each, enlarged to about 900
 STRIP = 2 * (6 + 7 + 6)  # a line of 7 art pixels and 6 above and below
-
-
-@pytest.fixture
-def pygame() -> Iterator[ModuleType]:
-    """Return pygame without a screen or a sound card."""
-    module = pytest.importorskip("pygame", reason="pygame-ce is not installed: the window is not tested")
-    yield module
-    module.display.quit()
-
-
-def on_screen(pygame: ModuleType) -> np.ndarray:
-    """Return what the window shows, shape (height, width, 3)."""
-    return np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
 
 
 def expected(level: str, seed: int, *actions: int) -> np.ndarray:
