@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from pneuma.errors import unknown_name
+
 Edges = tuple[np.ndarray, np.ndarray]
 
 CONFIDENCE = 0.95
@@ -118,3 +120,14 @@ BANDS = {
     "iqr": Band("first to third quartile", _of_points_alike(_quartiles)),
     "runs": Band("every run as a thin line", None),
 }
+
+
+def find_band(name: str) -> Band:
+    """Return a band by its name.
+
+    Raises:
+        UserError: for a name that is no band's.
+    """
+    if name not in BANDS:
+        raise unknown_name("band", name, BANDS)
+    return BANDS[name]

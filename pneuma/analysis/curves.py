@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EVALUATION_QUANTITIES
-from pneuma.analysis.bands import BANDS, Edges, count_of, mean_of
+from pneuma.analysis.bands import Edges, count_of, find_band, mean_of
 from pneuma.analysis.tables import FinishedRun, StudyData
 
 
@@ -46,7 +46,7 @@ class Curve:
 
     def band(self, name: str) -> Edges:
         """Return lower and upper edge of a band of `BANDS`, NaN where fewer than two runs are."""
-        edges = BANDS[name].edges
+        edges = find_band(name).edges
         return edges(self.runs) if edges else (np.full(self.step.shape, np.nan),) * 2
 
     @property
@@ -79,7 +79,7 @@ class LogCurve(Curve):
 
     def band(self, name: str) -> Edges:
         """Return both edges of a band of `BANDS`, made of logarithms."""
-        edges = BANDS[name].edges
+        edges = find_band(name).edges
         low, high = edges(self.logs) if edges else (np.full(self.step.shape, np.nan),) * 2
         return 10.0**low, 10.0**high
 

@@ -23,6 +23,7 @@ from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.engines.records import EPISODE_COLUMNS
+from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
@@ -328,3 +329,9 @@ def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
     assert (low[0], high[0]) == (pytest.approx(10 ** (1 - half)), pytest.approx(10 ** (1 + half)))
     low, high = curve.band("minmax")
     assert (low[0], high[0]) == (pytest.approx(1.0), pytest.approx(100.0))
+
+
+def test_a_band_that_there_is_not_is_told_with_those_that_there_are() -> None:
+    curve = Curve("tanh", np.arange(3.0), np.zeros((4, 3)))
+    with pytest.raises(UserError, match=r"unknown band 'CI'.*known are ci, bootstrap"):
+        curve.band("CI")
