@@ -18,6 +18,8 @@ from scipy import special
 from pneuma.analysis.estimates import finite, welch_error
 
 LEVEL = 0.95
+LEAST_RESAMPLED = 3
+"""Runs of which there is a bootstrap interval."""
 RESAMPLES = 2_000
 MOST_VALUES = 4_000_000
 """Of samples that lie in memory at once, each with another run left out: 32 MB."""
@@ -178,7 +180,7 @@ def bootstrap_interval(
         resamples: how many to draw.
     """
     runs = finite(values)
-    if runs.size < 3 or np.ptp(runs) == 0:
+    if runs.size < LEAST_RESAMPLED or np.ptp(runs) == 0:
         return no_interval(level)
     seen = float(statistic(runs))
     drawn = statistic(runs[generator.integers(0, runs.size, (resamples, runs.size))])

@@ -21,6 +21,7 @@ from pneuma.analysis.estimates import (
     probability_of_improvement,
 )
 from pneuma.analysis.intervals import (
+    LEAST_RESAMPLED,
     LEVEL,
     RESAMPLES,
     Interval,
@@ -45,9 +46,6 @@ SUMMARISED = (
     "auc-return",
 )
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
-
-LEAST_RESAMPLED = 3
-"""Runs of which there is a bootstrap interval."""
 
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
 STATISTICS = (

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 PRIMARY = "final-share-killed"
-LONGEST_STEM = 150
-"""Characters of a figure's name."""
 
 Contrasted = tuple[str, Any, Any]
 """A setting, its value that is said to do better, and the other."""
@@ -113,6 +111,7 @@ def _meant(readings: list[Contrasted], data: StudyData) -> Contrasted:
 
 
 def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> list[Path]:
+    from pneuma.figures.curves import LONGEST_STEM
     from pneuma.figures.robustness import draw_robustness
 
     parts = [found.setting, *map(shown_setting, found.values), *[found.outcome] * (found.outcome != PRIMARY)]

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 from importlib.util import cache_from_source
 from pathlib import Path
@@ -82,7 +82,8 @@ def load_reward(name: str) -> RewardFunction:
         if added:  # behind all others, for what the function itself imports when it is called
             sys.path.remove(path)
             sys.path.append(path)
-    _STAMPS[module_name] = _stamps(module_name)
+    if module_name not in _STAMPS:
+        _STAMPS[module_name] = _stamps(_own_files(module_name))
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
@@ -111,19 +112,20 @@ def _own_files(module: str) -> list[Path]:
     return module_files(module, Path(source)) if source else []
 
 
-def _stamps(module: str) -> dict[Path, tuple[int, int]]:
-    told = {path: path.stat() for path in _own_files(module) if path.is_file()}
+def _stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int]]:
+    told = {path: path.stat() for path in files if path.is_file()}
     return {path: (stat.st_mtime_ns, stat.st_size) for path, stat in told.items()}
 
 
 def _forget_changed(module: str) -> None:
     """Drop a module with those of its own that it imports, if it would be another by now."""
     known = _STAMPS.get(module)
-    if not known or module not in sys.modules:
+    if not known:
         return
     here = module_in(Path.cwd(), module)
     moved = here is not None and here.resolve() not in {path.resolve() for path in known}
-    if moved or _stamps(module) != known:
+    if moved or _stamps(known) != known:
+        del _STAMPS[module]
         own = {str(path) for path in known}
         for name in [name for name, each in sys.modules.items() if getattr(each, "__file__", None) in own]:
             del sys.modules[name]

@@ -19,10 +19,11 @@ from matplotlib.ticker import FuncFormatter
 from pneuma.analysis.coverage import is_trusted
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.estimates import performance_profile
+from pneuma.analysis.intervals import LEAST_RESAMPLED
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
 from pneuma.analysis.references import have_one_return
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.summaries import LEAST_RESAMPLED, summary_table
+from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.figures.captions import absent_told, forks_told, headline_of, looks_told, step_told
 from pneuma.figures.crossed import are_crossed, row_names
