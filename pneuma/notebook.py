@@ -1,8 +1,9 @@
-"""What scripts and notebooks call: a study trained and opened, a policy taken up to play.
+"""What scripts and notebooks call: a study trained and opened, a policy taken up to play, an agent judged.
 
     run_study(study)      as `pneuma study run` does
     open_data(study)      a study's runs as `pneuma.analysis` takes them
     load_policy(run_id)   a stored run's policy, and what environment it plays in
+    evaluate(agent)       how well any agent plays, on the scale on which runs are judged
 
 docs/python.md shows them at work.
 """
@@ -15,7 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.config import EnvConfig
+from pneuma.config import ENVIRONMENTS, EnvConfig, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.definition import check_setting
@@ -26,6 +27,7 @@ from pneuma.study.trust import own_things
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
+    from pneuma.engines.own_agent import Act
     from pneuma.engines.policy import Policy
     from pneuma.engines.team import Team
 
@@ -163,6 +165,62 @@ def load_policy(
             f"run {found} would {' and '.join(own.values())}: pass trust=True if you trust its source"
         )
     return read_policies([store.read_file(found, name) for name in names]), str(run.get("env")), settings
+
+
+def evaluate(
+    agent: Policy | Team | Act,
+    env_id: str = ENVIRONMENTS[0],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    best: Act | None = None,
+    seed: int = 0,
+    episodes: int = 50,
+) -> dict[str, float]:
+    """Play an agent in the evaluation worlds of a seed's runs, which training never meets.
+
+    Every world plays one episode, all at once; the agent is asked for all of them at every step, in the same
+    order, until the last has ended. Of several players each has an observation: row i is player i % players.
+
+    Args:
+        agent: a policy of a stored run, or any function from observations, (N, features) float32, to
+            actions, (N,) whole numbers.
+        env_id: one of `pneuma.config.ENVIRONMENTS`.
+        settings: what `gymnasium.make` would be given for the environment.
+        best: the function's counterpart without exploration or memory, played once from every start place.
+            (A policy has its own.)
+        seed: of the runs; their random player and hunter are the ends of the score's scale.
+        episodes: played with `agent`; a study's runs have 50.
+
+    Returns:
+        The columns of a run's evaluations: share_killed, score, return, length, died and the rest; those that
+        begin with `argmax` where best actions were played.
+
+    Raises:
+        UserError: for an environment or setting that there is not, or actions that are none.
+    """
+    from pneuma.engines.evaluation import Evaluation
+    from pneuma.engines.own_agent import OwnAgent
+    from pneuma.engines.policy import Policy
+    from pneuma.engines.team import Team, check_fits
+
+    known, told = [field.name for field in fields(EnvConfig)], dict(settings or {})
+    for name in told:
+        if name not in known:
+            raise unknown_name("setting", name, known)
+    if env_id not in ENVIRONMENTS:
+        raise unknown_name("environment", env_id, ENVIRONMENTS)
+    run = make_run({**told, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
+    evaluation = Evaluation(run)
+    if isinstance(agent, Policy | Team):
+        check_fits(agent, evaluation.worlds)
+        return evaluation.evaluate(agent, 0)
+    if not callable(agent):
+        raise UserError(
+            f"agent = {type(agent).__name__} is not allowed: a stored policy, or a function from "
+            "observations to actions, such as lambda seen: learner.predict(seen)[0] of a Stable-Baselines3 learner"
+        )
+    row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)
+    return row if best else {name: value for name, value in row.items() if not name.startswith("argmax")}
 
 
 def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import as_settings, make_run
+from pneuma.config import as_settings, make_run, stream_seed
 from pneuma.engines.policy import Policy
+from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.errors import UserError
-from pneuma.notebook import load_policy, open_data, run_study
+from pneuma.notebook import evaluate, load_policy, open_data, run_study
 from pneuma.study.store import Status, Store
 
 from .env.test_documentation import BLOCK
@@ -122,3 +123,48 @@ def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
     written = one.run_table(run, "evaluations")
     written["share_killed"] = 9.0
     assert one.run_table(run, "evaluations").equals(kept)  # what is written on is the asker's own
+
+
+LAYER = (np.zeros((60, 5), np.float32), np.array([0.3, 0.1, 0.0, 0.2, 0.4], np.float32))
+POLICY = Policy("tanh", (LAYER,), (LAYER,))
+
+
+def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
+    told = evaluate(POLICY, seed=3, episodes=12)
+    assert tuple(told) == EVALUATION_COLUMNS
+    draws = np.random.default_rng(stream_seed("3", "evaluation-actions", 0))
+    asked = evaluate(lambda seen: POLICY.sample(seen, draws), best=POLICY.best, seed=3, episodes=12)
+    assert asked == pytest.approx(told)
+    assert evaluate(POLICY.best, seed=4, episodes=12)["random_share_killed"] != told["random_share_killed"]
+
+
+def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps_what_it_saw() -> None:
+    seen: list[np.ndarray] = []
+
+    def strike(observations: np.ndarray) -> np.ndarray:
+        seen.append(observations)
+        return np.full(len(observations), 4)
+
+    row = evaluate(strike, settings={"episode_steps": 30, "players": 2}, episodes=7)
+    assert not any(name.startswith("argmax") for name in row)
+    assert [len(observations) for observations in seen] == [14] * 30  # none is bitten to death that soon
+    assert row["length"] == 30
+    assert len({observations.tobytes() for observations in seen}) > 1  # each is as it was when it was shown
+
+
+@pytest.mark.parametrize(
+    ("agent", "options", "told"),
+    [
+        (lambda seen: np.zeros(len(seen)), {}, "gave float64 of shape .12,.: must be whole numbers"),
+        (lambda seen: np.zeros((len(seen), 1), int), {}, "gave int64 of shape .12, 1."),
+        (lambda seen: np.full(len(seen), 5), {}, "gave actions 5 to 5: there are 0 to 4"),
+        ("ppo", {}, "agent = str is not allowed: a stored policy, or a function"),
+        (POLICY.best, {"env_id": "pneuma/Pneuma-v1"}, "did you mean pneuma/Pneuma-v0"),
+        (POLICY.best, {"settings": {"lvel": "island"}}, "did you mean level"),
+        (POLICY.best, {"settings": {"start": "frist"}}, "did you mean first"),
+        (POLICY, {"settings": {"perceive": "nearest:3"}}, "was trained on 60 features; these settings make"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_told(agent: Any, options: dict[str, Any], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        evaluate(agent, episodes=12, **options)

@@ -48,7 +48,22 @@ def drawing(
     """Return what draws actions, (N, P), from a stored policy in worlds.
 
     Raises:
-        UserError: where the policy was trained on something else than these worlds are.
+        UserError: as `check_fits` does.
+    """
+    check_fits(policy, worlds)
+
+    def act(shown: Worlds) -> np.ndarray:
+        flat = shown.observations.reshape(-1, shown.observations.shape[2])
+        return policy.sample(flat, generator).reshape(shown.players.shape)
+
+    return act
+
+
+def check_fits(policy: Policy | Team, worlds: Worlds) -> None:
+    """Check that a stored policy can play in worlds.
+
+    Raises:
+        UserError: where it was trained on something else than these worlds are.
     """
     policies = policy.policies if isinstance(policy, Team) else (policy,)
     players = worlds.players.shape[1]
@@ -59,12 +74,6 @@ def drawing(
     ):
         if trained != here:
             raise UserError(f"was trained on {trained} {what}; these settings make {here}")
-
-    def act(shown: Worlds) -> np.ndarray:
-        flat = shown.observations.reshape(-1, shown.observations.shape[2])
-        return policy.sample(flat, generator).reshape(shown.players.shape)
-
-    return act
 
 
 def policy_files(policy: Policy | Team) -> dict[str, bytes]:
