@@ -217,7 +217,7 @@ def evaluate(
     if not callable(agent):
         raise UserError(
             f"agent = {type(agent).__name__} is not allowed: a stored policy, or a function from "
-            "observations to actions, such as lambda seen: learner.predict(seen)[0] of a Stable-Baselines3 learner"
+            "observations to actions (of Stable-Baselines3: lambda seen: learner.predict(seen)[0])"
         )
     row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)
     return row if best else {name: value for name, value in row.items() if not name.startswith("argmax")}

@@ -8,7 +8,7 @@ Conditions of different budgets are compared at the largest step count that all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -57,19 +57,27 @@ is better than one of the baseline; reached and share are of runs."""
 Row = tuple[str, str, str, float, Interval, int]
 
 
-def summary_table(data: StudyData) -> pd.DataFrame:
+def summary_table(data: StudyData, outcomes: Sequence[str] = (*SUMMARISED, *THRESHOLDS)) -> pd.DataFrame:
     """Summarise every condition of a study in `COLUMNS`, one row for each statistic of an outcome.
 
     Steps to a threshold that a run never reaches are endless: their median may be inf, and `reached`
     is the share of runs that get there.
+
+    Args:
+        data: the study.
+        outcomes: names of docs/outcomes.md. How many runs there are, diverged and `collapsed` is told anyway.
+
+    Raises:
+        UserError: for a name that there is not.
     """
     at_step = common_step(data)
-    rows = [row for condition in data.conditions for row in _rows(data, condition, at_step)]
+    names = [name for name in dict.fromkeys(outcomes) if find_outcome(name) and name != "collapsed"]
+    rows = [row for condition in data.conditions for row in _rows(data, condition, names, at_step)]
     flat = [(c, o, s, value, i.low, i.high, i.method, runs) for c, o, s, value, i, runs in rows]
     return pd.DataFrame(flat, columns=list(COLUMNS))
 
 
-def _rows(data: StudyData, condition: str, at_step: int | None) -> Iterator[Row]:
+def _rows(data: StudyData, condition: str, outcomes: Sequence[str], at_step: int | None) -> Iterator[Row]:
     runs = data.of_condition(condition)
     yield condition, "runs", "count", float(len(runs)), no_interval(), len(runs)
     diverged = sum(run.status == "diverged" for run in runs)
@@ -77,13 +85,14 @@ def _rows(data: StudyData, condition: str, at_step: int | None) -> Iterator[Row]
     collapsed = _known(outcome_values(data, condition, "collapsed", at_step))
     if len(collapsed):
         yield _share(condition, "collapsed", int(collapsed.sum()), len(collapsed))
-    for name in SUMMARISED:
+    for name in outcomes:
+        if name.startswith("steps-to:"):
+            yield from _threshold(data, condition, name, at_step)
+            continue
         values = _known(outcome_values(data, condition, name, at_step))
         if len(values):
             yield from _statistics(condition, name, values)
             yield from _improvement(data, condition, name, values, at_step)
-    for name in THRESHOLDS:
-        yield from _threshold(data, condition, name, at_step)
 
 
 def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
@@ -106,6 +115,8 @@ def _improvement(
     if condition == baseline or baseline not in data.conditions:
         return
     if data.engines(condition) != data.engines(baseline):  # no contrast mixes them
+        return
+    if not find_outcome(name).better:
         return
     if is_return(name) and not have_one_return(data, (condition, baseline)):
         return

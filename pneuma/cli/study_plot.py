@@ -136,11 +136,12 @@ def plot(
         {"--condition": condition or [], "--set": set_ or []},
     )
     store = Store(results)
-    studies = _studies_to_draw(store, names, selection, window, setting)
+    target = out or store.root / "figures"
+    studies = _studies_to_draw(store, names, selection, window, setting, target)
     for _, data in studies:
         tell_left_out(data)
     draw = _draw if names else _draw_what_can_be
-    paths = _write(store, out, lambda folder: draw(studies, folder, looks, chosen))
+    paths = _write(store, out, target, lambda folder: draw(studies, folder, looks, chosen))
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
@@ -161,10 +162,12 @@ def _studies_to_draw(
     selection: Selection | None,
     window: str | None,
     setting: str | None,
+    target: Path,
 ) -> list[tuple[str, StudyData]]:
     """Return studies by the names that a person gave, or all, each with a figure's name of its own."""
     from pneuma.analysis.sources import open_study
     from pneuma.analysis.tables import tell_figures_apart
+    from pneuma.figures.index import read_index
 
     def opened(name: str) -> StudyData:
         data = open_study(store, study_record(store, name, selection, setting))
@@ -177,7 +180,8 @@ def _studies_to_draw(
         studies = each_study(known_studies(store, setting), opened)
     if not studies:
         raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
-    tell_figures_apart([data for _, data in studies])
+    drawn = {entry["stem"]: entry["study"] for entry in read_index(target) if "stem" in entry}
+    tell_figures_apart([data for _, data in studies], drawn)
     return studies
 
 
@@ -215,7 +219,7 @@ def _draw_one(
     options += [part for quantity in drawn.get("quantities", ()) for part in ("--quantity", quantity)]
     options += [part for form in looks.formats for part in ("--format", form)]
     command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
-    return index_entries(paths, command, data, drawn)
+    return index_entries(paths, command, data, {"study": data.study, "stem": data.figure, **drawn})
 
 
 def _draw_curves(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:
@@ -247,18 +251,18 @@ def _quantities(data: StudyData, names: Sequence[str]) -> list[str]:
     return [quantity for name in names for quantity in stand_for.get(name, [name])]
 
 
-def _write(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str, Any]]]) -> list[Path]:
+def _write(
+    store: Store, out: Path | None, target: Path, draw: Callable[[Path], list[dict[str, Any]]]
+) -> list[Path]:
     """Draw into a folder that a person names, or else into that of the results; keep its index."""
     from pneuma.figures.index import INDEX, encode_index, read_index
 
     entries: list[dict[str, Any]] = []
 
     def draw_entries(folder: Path) -> list[Path]:
-        read_index(target)  # refused before anything is drawn
         entries.extend(draw(folder))
         return [folder / entry["file"] for entry in entries]
 
-    target = out or store.root / "figures"
     paths = draw_files(store, out, draw_entries)
     index = encode_index([*read_index(target), *entries])  # another may have added to it meanwhile
     if out is None:

@@ -47,17 +47,29 @@ FORK_SEEDS = "3"
 @selects
 def summary(
     name: StudyName,
+    outcome: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--outcome",
+            metavar="NAME",
+            help="One of docs/outcomes.md, instead of the usual (may be repeated).",
+        ),
+    ] = None,
     selection: Selected = None,
     setting: SettingName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
+    from pneuma.analysis.outcomes import find_outcome
+
+    for each in outcome or ():
+        find_outcome(each)  # refused before anything is read
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.run_view import common_step
     from pneuma.analysis.summaries import summary_table
 
-    table = summary_table(data)
+    table = summary_table(data, outcome) if outcome else summary_table(data)
     if json:
         document = {"schema": 1, "study": data.study, "at_step": common_step(data)}
         return print_json({**document, "summary": records(table)})

@@ -16,6 +16,7 @@ from pneuma.analysis.rounding import decimals, shown, shown_with_interval
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.summaries import COLUMNS, STATISTICS, resampled_improvement, summary_table
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
 from pneuma.study.store import Store
 
 from .collapse_records import healthy, learning, one_action, save_run, study_record
@@ -59,6 +60,22 @@ def test_the_means_interval_is_students(data: StudyData) -> None:
     low, high = stats.t.interval(0.95, 3, loc=0.5, scale=stats.sem([0.2, 0.4, 0.5, 0.9]))
     assert (row["low"], row["high"]) == (pytest.approx(low), pytest.approx(high))
     assert row["interval"] == "t"
+
+
+def test_the_outcomes_that_are_asked_for_are_told_and_no_others(data: StudyData) -> None:
+    asked = summary_table(data, ["steps-to:0.4", "final-entropy", "final-died", "collapsed", "final-died"])
+    told = asked[asked["condition"] == "b"].groupby("outcome", sort=False)["statistic"].apply(list).to_dict()
+    better = ["mean", "median", "iqm", "deviation"]
+    assert told == {
+        "runs": ["count"],
+        "diverged": ["share"],
+        "collapsed": ["share"],
+        "steps-to:0.4": ["reached", "median"],
+        "final-entropy": better,  # nobody is better for more of it
+        "final-died": [*better, "improvement"],
+    }
+    with pytest.raises(UserError, match="did you mean final-died"):
+        summary_table(data, ["final-dead"])
 
 
 def test_the_probability_of_improvement_is_over_the_baseline(tmp_path: Path) -> None:

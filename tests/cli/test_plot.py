@@ -172,6 +172,20 @@ def test_of_all_studies_those_are_drawn_that_can_be(results: Path) -> None:
     assert call(*entropy)[0] == 2
 
 
+def test_no_study_takes_the_files_of_anothers_figure(results: Path) -> None:
+    store, figures = Store(results), results / "figures"
+    mine = store.selection("mine")
+    assert mine is not None
+    store.save_selection("other", {**mine, "study": "other", "title": "Other"})
+    for name in ("mine", "other", "mine"):
+        assert call("study", "plot", name, "--format", "svg", "--results", results)[0] == 0
+    owners = {file: entry["from"] for file, entry in _index(figures).items()}
+    assert owners == {"fig-mine.svg": "study mine", "fig-mine-other.svg": "study other"}
+    (figures / "fig-mine.svg").unlink()
+    assert call("study", "plot", "other", "--format", "svg", "--results", results)[0] == 0
+    assert _index(figures)["fig-mine.svg"]["from"] == "study other"
+
+
 def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:
     for command in (
         ("search", "plot", "nosuch"),
