@@ -18,7 +18,7 @@ from pneuma.errors import UserError
 from pneuma.notebook import evaluate, load_policy, open_data, run_study
 from pneuma.study.store import Status, Store
 
-from .env.test_documentation import BLOCK
+from .pages import BLOCK
 
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +12,9 @@ from pneuma.config import OBSERVATIONS, REWARDS, SHIPPED_LEVELS, make_env_config
 from pneuma.env import REGISTERED, state
 from pneuma.env.worlds import Worlds
 
+from ..pages import BLOCK
+
 PAGE = Path(__file__).parents[2] / "docs" / "environment.md"
-BLOCK = re.compile(
-    r"(?:^`(?P<file>[\w./]+)`\n)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
-)
 
 
 @pytest.fixture

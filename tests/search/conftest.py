@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -50,6 +50,11 @@ def height(cell: Cell, outcome: str) -> float:
     run = cell.run
     distance = abs(math.log10(run.learning_rate) + 3)
     return 1 - 0.2 * distance - 0.1 * (run.activation == "relu") + 0.01 * (run.seed % 2)
+
+
+def flat(generations: Iterable[list[Told]]) -> list[Told]:
+    """Return the trials of all generations in a row."""
+    return [told for generation in generations for told in generation]
 
 
 @pytest.fixture

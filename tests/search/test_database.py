@@ -12,8 +12,7 @@ from pneuma.errors import UserError
 from pneuma.search.database import Database, _without_password, open_storage
 from pneuma.study.store import Store
 
-from .conftest import MakeTask, Solve
-from .test_trials import flat
+from .conftest import MakeTask, Solve, flat
 
 
 @pytest.fixture

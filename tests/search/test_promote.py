@@ -28,8 +28,7 @@ from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import SETTINGS, load_study
 from pneuma.study.store import Store
 
-from .conftest import MakeTask, Solve
-from .test_trials import flat
+from .conftest import MakeTask, Solve, flat
 
 Searched = tuple[Task, list[Told], dict[str, Any]]
 

@@ -28,8 +28,7 @@ from pneuma.study.files import seal
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
 
-from .conftest import MakeTask, Solve
-from .test_trials import flat
+from .conftest import MakeTask, Solve, flat
 
 Change = Callable[[dict[str, Any]], object]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +13,9 @@ from pneuma.search.spec import Budget
 from pneuma.search.trials import Told, conduct, over_seeds, stages
 from pneuma.study.plan import Cell, Plan
 
-from .conftest import MakeTask, Solve, height
+from .conftest import MakeTask, Solve, flat, height
 
 SAMPLERS = ("tpe", "random", "cma-es", "gp", "nsga-ii")
-
-
-def flat(generations: Iterable[list[Told]]) -> list[Told]:
-    return [told for generation in generations for told in generation]
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)

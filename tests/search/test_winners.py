@@ -17,8 +17,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .conftest import MakeTask, Solve
-from .test_trials import flat
+from .conftest import MakeTask, Solve, flat
 
 OPTIMIZERS = {"tune-adam": '[run]\noptimizer = "adam"', "tune-sgd": '[run]\noptimizer = "sgd"\nhorizon = 512'}
 

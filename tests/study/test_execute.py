@@ -39,21 +39,7 @@ from pneuma.study.spec import load_study, studies_folder
 from pneuma.study.store import Store, to_json
 from pneuma.study.tables import from_parquet
 
-TINY = """\
-title = "Tiny"
-base = "table-6-2"
-[run]
-horizon = 64
-minibatch = 32
-epochs = 1
-evaluation_episodes = 2
-episode_steps = 50
-[conditions.one]
-[conditions.other]      # the same again: A/A, trained once
-[presets.quick]
-seeds = 2
-steps = 256
-"""
+from .tiny import TINY, tiny_plan
 
 RECORDS = ("episodes.parquet", "metrics.parquet", "evaluations.parquet")
 FILES = {*RECORDS, "run.json", "provenance.json", "policy.safetensors", "status.json"}
@@ -67,12 +53,6 @@ class Executed:
     store: Store
     outcomes: list[Outcome]
     progress: list[Progress]
-
-
-def _plan(folder: Path, **selection: Any) -> Plan:
-    path = folder / "tiny.toml"
-    path.write_text(TINY)
-    return make_plan(load_study(str(path)), Selection(**selection))
 
 
 def _run(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> list[Outcome]:
@@ -93,7 +73,7 @@ def _execute(plan: Plan, folder: Path, workers: int) -> Executed:
 
 
 def test_runs_on_a_gpu_are_grouped_among_themselves(tmp_path: Path) -> None:
-    runs = {cell.run_id: cell.run for cell in _plan(tmp_path, seeds=tuple(range(6))).cells}
+    runs = {cell.run_id: cell.run for cell in tiny_plan(tmp_path, seeds=tuple(range(6))).cells}
     one, two, *others = runs
     grouped = groups(runs, Supervision(workers=1, on_gpu=frozenset({one, two})))
     assert [set(group) for group in grouped] == [{one, two}, set(others)]
@@ -102,7 +82,7 @@ def test_runs_on_a_gpu_are_grouped_among_themselves(tmp_path: Path) -> None:
 def test_the_conditions_that_a_file_marks_get_gpus_and_no_other_ids(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain = _plan(tmp_path)
+    plain = tiny_plan(tmp_path)
     path = tmp_path / "marked.toml"
     path.write_text('gpu = ["one"]\n' + TINY.replace("[conditions.other]", "[conditions.other]\ngamma = 0.9"))
     plan, told = make_plan(load_study(str(path)), Selection()), list[Supervision]()
@@ -116,15 +96,15 @@ def test_the_conditions_that_a_file_marks_get_gpus_and_no_other_ids(
 def together(tmp_path_factory: pytest.TempPathFactory) -> Executed:
     """Seeds 0 and 1, by two workers at once."""
     folder = tmp_path_factory.mktemp("together")
-    return _execute(_plan(folder), folder, workers=2)
+    return _execute(tiny_plan(folder), folder, workers=2)
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Executed, Executed]:
     """Seed 1 alone, then seeds 0 and 1, by one worker."""
     folder = tmp_path_factory.mktemp("alone")
-    first = _execute(_plan(folder, seeds=(1,), conditions=("one",)), folder, workers=1)
-    return first, _execute(_plan(folder, conditions=("one",)), folder, workers=1)
+    first = _execute(tiny_plan(folder, seeds=(1,), conditions=("one",)), folder, workers=1)
+    return first, _execute(tiny_plan(folder, conditions=("one",)), folder, workers=1)
 
 
 @pytest.fixture
@@ -295,7 +275,7 @@ def test_a_damaged_run_is_trained_again_to_the_same_bits(alone: tuple[Executed, 
 
 def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="unknown level 'thesi'.*did you mean thesis"):
-        plan = _plan(tmp_path, settings={"level": "thesi"})
+        plan = tiny_plan(tmp_path, settings={"level": "thesi"})
         _run(plan, Store(tmp_path / "results"), 1, lambda _: None)
     assert os.listdir(tmp_path) == ["tiny.toml"]
 
@@ -306,7 +286,8 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
 def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    plan = _plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 200)  # not over before it is killed
+    long = 64 * 200  # not over before it is killed
+    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=long)
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
     seen: list[Progress] = []
 
@@ -343,7 +324,7 @@ def test_a_worker_that_dies_before_it_reads_its_job_is_a_crash(
         process.wait()
 
     monkeypatch.setattr(subprocess.Popen, "__init__", begin_and_end)
-    executed = _execute(_plan(tmp_path, conditions=("one",)), tmp_path, workers=1)
+    executed = _execute(tiny_plan(tmp_path, conditions=("one",)), tmp_path, workers=1)
     assert [outcome.status.name for outcome in executed.outcomes] == ["crashed", "crashed"]
     error = executed.store.read_file(_run_id(executed, 0), "error.txt")
     assert b"code 3" in error and b"no such interpreter" in error
@@ -352,7 +333,7 @@ def test_a_worker_that_dies_before_it_reads_its_job_is_a_crash(
 def test_an_interrupt_ends_the_workers_and_leaves_nothing_half(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    plan = _plan(tmp_path, conditions=("one",), steps=64 * 40)
+    plan = tiny_plan(tmp_path, conditions=("one",), steps=64 * 40)
     store = Store(tmp_path / "results")
 
     def interrupt(_: Progress) -> None:
@@ -370,7 +351,7 @@ def test_an_interrupt_ends_the_workers_and_leaves_nothing_half(
 def test_a_run_whose_numbers_explode_has_diverged_and_not_crashed(tmp_path: Path) -> None:
     """Design section 4: a non-finite parameter is a result, and its records are kept."""
     explosive = {"optimizer": "sgd", "learning_rate": 100, "gradient_limit": None, "epochs": 10}
-    plan = _plan(tmp_path, seeds=(0,), conditions=("one",), settings={**explosive, "activation": "relu"})
+    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), settings={**explosive, "activation": "relu"})
     executed = _execute(plan, tmp_path, workers=1)
     assert executed.outcomes[0].status.name == "diverged"
     assert tuple(_rows(executed, 0, "metrics")[0]) == METRIC_COLUMNS

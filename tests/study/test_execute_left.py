@@ -17,7 +17,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document
 
-from .test_execute import TINY, _plan
+from .tiny import TINY, tiny_plan
 
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
@@ -25,7 +25,7 @@ from .test_execute import TINY, _plan
 def test_what_had_ended_before_ctrl_c_is_told_as_trained_and_what_is_published_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan, store = _plan(tmp_path, seeds=(0, 1, 2), conditions=("one",)), Store(tmp_path / "results")
+    plan, store = tiny_plan(tmp_path, seeds=(0, 1, 2), conditions=("one",)), Store(tmp_path / "results")
     first, second, elsewhere = plan.cells
     plan = replace(plan, published=frozenset({elsewhere.run_id}))
 

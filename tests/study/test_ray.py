@@ -13,15 +13,17 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
+from .begun import begin as begin_locally
+from .begun import end_begun, wait_until, write_study
+from .begun import run as run_locally
 from .storm import children, wait_for_end
-from .test_supervision import run as run_locally
-from .test_supervision import wait_until, write_study
 
 pytest.importorskip("ray")
 
@@ -35,23 +37,6 @@ class Nodes:
 
     address: str
     nodes: tuple[int, ...]
-
-
-BEGUN: list[subprocess.Popen[str]] = []
-
-
-@pytest.fixture(autouse=True)
-def no_command_is_left() -> Iterator[None]:
-    yield
-    end_begun()
-
-
-def end_begun() -> None:
-    """End what a failed test began."""
-    while BEGUN:
-        process = BEGUN.pop()
-        process.kill()
-        process.communicate()
 
 
 def start_nodes(count: int) -> tuple[subprocess.Popen[str], Nodes]:
@@ -93,20 +78,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
         end_nodes(process)
 
 
-def begin(
-    folder: Path, study: Path, *options: str, environment: Mapping[str, str] | None = None
-) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
-    process = subprocess.Popen(
-        [*command, "--checkpoint-seconds", "0.1", "--executor", "ray", *options],
-        cwd=folder,
-        env={**one_thread_environment(), **(environment or {})},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    BEGUN.append(process)
-    return process
+def begin(folder: Path, study: Path, *options: str, environment: Mapping[str, str] | None = None) -> Any:
+    return begin_locally(folder, study, "--executor", "ray", *options, environment=environment)
 
 
 def refusal(folder: Path, *options: str, environment: Mapping[str, str] | None = None) -> tuple[str, float]:

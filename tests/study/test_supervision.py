@@ -9,99 +9,16 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
 
 import pytest
 
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
+from .begun import FOR_EVER, begin, run, wait_for_words, wait_until, write_study
 from .storm import children, wait_for_end
-
-STUDY = """\
-title = "Trouble"
-base = "table-6-2"
-[run]
-horizon = 64
-minibatch = 32
-epochs = 1
-evaluation_episodes = 2
-episode_steps = 50
-{settings}
-[conditions.one]
-[presets.quick]
-seeds = {seeds}
-steps = {steps}
-"""
-FOR_EVER = 64 * 10_000_000
-
-
-def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = "") -> Path:
-    path = folder / "trouble.toml"
-    path.write_text(STUDY.format(steps=steps, seeds=seeds, settings=settings))
-    return path
-
-
-def begin(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
-    """Start `study run` in `folder`, with its results beside the study."""
-    command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
-    process = subprocess.Popen(
-        ["bash", "-c", f'{limit} exec "$@"', "bash", *command, "--checkpoint-seconds", "0.1", *options],
-        cwd=folder,
-        env=one_thread_environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    BEGUN.append(process)
-    return process
-
-
-BEGUN: list[subprocess.Popen[str]] = []
-
-
-@pytest.fixture(autouse=True)
-def no_command_is_left() -> Iterator[None]:
-    """End what a failed test began: it would train for ever."""
-    yield
-    while BEGUN:
-        process = BEGUN.pop()
-        process.kill()
-        process.communicate()
-
-
-def wait_for_words(process: subprocess.Popen[str], words: str, seconds: float = 60.0) -> None:
-    """Wait until a command has told something on standard error."""
-    assert process.stderr is not None
-    found = threading.Event()
-
-    def read(lines: IO[str]) -> None:
-        for line in lines:
-            if words in line:
-                return found.set()
-
-    threading.Thread(target=read, args=(process.stderr,), daemon=True).start()
-    assert found.wait(seconds), words
-
-
-def run(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
-    """Run `study run` to its end; return exit code, told and the statuses of its document."""
-    process = begin(folder, study, *options, limit=limit)
-    out, told = process.communicate(timeout=120)
-    assert "Traceback" not in told, told
-    runs = json.loads(out)["runs"] if out else []
-    return process.returncode, told, [(row["status"], row["trained"]) for row in runs]
-
-
-def wait_until(true: Callable[[], object], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def checkpoints(folder: Path) -> list[Path]:
