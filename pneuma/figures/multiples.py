@@ -52,6 +52,8 @@ NAME_LINES = 2
 """For which there is room above a panel."""
 TITLE_PAD = 2.0
 """Points between a panel and its name."""
+NEAR_EDGE = 0.97
+"""Of a panel's width: a last number there ends with it, lest it touch the next panel's 0."""
 BASELINE_COLOUR = "#222222"
 
 
@@ -243,4 +245,7 @@ def _align(panels: Sequence[Axes], columns: int, log: bool) -> None:
             shorten_thousands(axes)
             ticks = np.asarray(whole_ticks(4).tick_values(low, high))
             axes.yaxis.set_major_locator(FixedLocator(ticks[(ticks >= low) & (ticks <= high)].tolist()))
-        axes.tick_params(labelleft=place % columns == 0, labelbottom=place + columns >= len(panels))
+        lowest = place + columns >= len(panels)
+        axes.tick_params(labelleft=place % columns == 0, labelbottom=lowest)
+        if lowest and steps[steps <= right][-1] > NEAR_EDGE * right:
+            axes.get_xticklabels()[-1].set_horizontalalignment("right")
