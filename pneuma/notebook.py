@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.config import ENVIRONMENTS, EnvConfig, make_run
+from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.definition import check_setting
@@ -185,7 +185,7 @@ def evaluate(
         agent: a policy of a stored run, or any function from observations, (N, features) float32, to
             actions, (N,) whole numbers.
         env_id: one of `pneuma.config.ENVIRONMENTS`.
-        settings: what `gymnasium.make` would be given for the environment.
+        settings: the environment's own, as `gymnasium.make` takes them.
         best: the function's counterpart without exploration or memory, played once from every start place.
             (A policy has its own.)
         seed: of the runs; their random player and hunter are the ends of the score's scale.
@@ -203,22 +203,22 @@ def evaluate(
     from pneuma.engines.policy import Policy
     from pneuma.engines.team import Team, check_fits
 
-    known, told = [field.name for field in fields(EnvConfig)], dict(settings or {})
-    for name in told:
-        if name not in known:
-            raise unknown_name("setting", name, known)
-    if env_id not in ENVIRONMENTS:
-        raise unknown_name("environment", env_id, ENVIRONMENTS)
-    run = make_run({**told, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
-    evaluation = Evaluation(run)
-    if isinstance(agent, Policy | Team):
-        check_fits(agent, evaluation.worlds)
-        return evaluation.evaluate(agent, 0)
-    if not callable(agent):
+    own = not isinstance(agent, Policy | Team)
+    if own and not callable(agent):
         raise UserError(
             f"agent = {type(agent).__name__} is not allowed: a stored policy, or a function from "
             "observations to actions (of Stable-Baselines3: lambda seen: learner.predict(seen)[0])"
         )
+    if best is not None and not (own and callable(best)):
+        raise UserError("best: must be a function, beside an agent that is one; a stored policy has its own")
+    if episodes < 1:
+        raise UserError(f"episodes = {episodes} is not allowed: at least 1")
+    world = asdict(make_env_config(dict(settings or {}), env_id))
+    run = make_run({**world, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
+    evaluation = Evaluation(run)
+    if isinstance(agent, Policy | Team):
+        check_fits(agent, evaluation.worlds)
+        return evaluation.evaluate(agent, 0)
     row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)
     return row if best else {name: value for name, value in row.items() if not name.startswith("argmax")}
 

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import as_settings, make_run, stream_seed
+from pneuma.config import as_settings, make_env_config, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
+from pneuma.engines.team import Team
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.notebook import evaluate, load_policy, open_data, run_study
 from pneuma.study.store import Status, Store
@@ -125,13 +127,13 @@ def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
     assert one.run_table(run, "evaluations").equals(kept)  # what is written on is the asker's own
 
 
-LAYER = (np.zeros((60, 5), np.float32), np.array([0.3, 0.1, 0.0, 0.2, 0.4], np.float32))
+LAYER = (np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32), np.zeros(5, np.float32))
 POLICY = Policy("tanh", (LAYER,), (LAYER,))
 
 
 def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
     told = evaluate(POLICY, seed=3, episodes=12)
-    assert tuple(told) == EVALUATION_COLUMNS
+    assert tuple(told) == EVALUATION_COLUMNS and told["length"] > 10
     draws = np.random.default_rng(stream_seed("3", "evaluation-actions", 0))
     asked = evaluate(lambda seen: POLICY.sample(seen, draws), best=POLICY.best, seed=3, episodes=12)
     assert asked == pytest.approx(told)
@@ -152,13 +154,45 @@ def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps
     assert len({observations.tobytes() for observations in seen}) > 1  # each is as it was when it was shown
 
 
+def test_rows_are_the_players_of_a_world_side_by_side() -> None:
+    """Of every world the first player strikes and the second goes right; so does a team by its weights."""
+    biases = [np.eye(5, dtype=np.float32)[action] * 50 for action in (4, 2)]
+    features = Worlds(1, make_env_config({"players": 2})).observations.shape[2]
+    layers = [((np.zeros((features, 5), np.float32), bias),) for bias in biases]
+    team = Team(tuple(Policy("tanh", own, own) for own in layers))
+    settings = {"players": 2, "coast": "deadly", "episode_steps": 200}
+    told = evaluate(team, settings=settings, seed=3, episodes=6)
+    asked = evaluate(lambda seen: np.tile([4, 2], len(seen) // 2), settings=settings, seed=3, episodes=6)
+    assert asked == {name: value for name, value in told.items() if not name.startswith("argmax")}
+    other = evaluate(lambda seen: np.repeat([4, 2], len(seen) // 2), settings=settings, seed=3, episodes=6)
+    assert other != asked
+
+
+def test_agents_are_evaluated_in_the_published_codes_world() -> None:
+    """Whoever stands still there is bitten, or lives to the time limit, and ends with no kill."""
+    short = {"episode_steps": 300}
+    row = evaluate(lambda seen: np.full(len(seen), 4), "pneuma/PneumaGodot-v0", short, episodes=6)
+    assert (row["episodes"], row["share_killed"]) == (6, 0.0)
+    assert row["hunter_share_killed"] > row["random_share_killed"] and row["length"] <= 300
+
+
 @pytest.mark.parametrize(
     ("agent", "options", "told"),
     [
-        (lambda seen: np.zeros(len(seen)), {}, "gave float64 of shape .12,.: must be whole numbers"),
+        (
+            lambda seen: np.zeros(len(seen)),
+            {},
+            "the agent gave float64 of shape .12,.: must be 12 whole numbers",
+        ),
         (lambda seen: np.zeros((len(seen), 1), int), {}, "gave int64 of shape .12, 1."),
+        (lambda seen: (np.zeros(len(seen), int), None), {}, "the agent gave a tuple: .*predict take .0."),
+        (lambda seen: [[1], [2, 3]], {}, "the agent gave list .*must be 12 whole numbers"),
+        (POLICY.best, {"best": lambda seen: seen}, "^best gave float32 of shape .6, 60."),
         (lambda seen: np.full(len(seen), 5), {}, "gave actions 5 to 5: there are 0 to 4"),
         ("ppo", {}, "agent = str is not allowed: a stored policy, or a function"),
+        (POLICY, {"best": POLICY.best}, "best: must be a function, beside an agent that is one"),
+        (POLICY.best, {"best": 3}, "best: must be a function"),
+        (POLICY.best, {"episodes": 0}, "^episodes = 0 is not allowed: at least 1"),
         (POLICY.best, {"env_id": "pneuma/Pneuma-v1"}, "did you mean pneuma/Pneuma-v0"),
         (POLICY.best, {"settings": {"lvel": "island"}}, "did you mean level"),
         (POLICY.best, {"settings": {"start": "frist"}}, "did you mean first"),
@@ -167,4 +201,4 @@ def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps
 )
 def test_what_cannot_be_evaluated_is_told(agent: Any, options: dict[str, Any], told: str) -> None:
     with pytest.raises(UserError, match=told):
-        evaluate(agent, episodes=12, **options)
+        evaluate(agent, **{"episodes": 12, **options})

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.outcomes import find_outcome, outcome, reason
+from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.partly_published import PartlyPublished
 from pneuma.analysis.published import PublishedRuns, published_path, published_studies, read_published
 from pneuma.analysis.run_records import RunRecords
@@ -29,9 +29,6 @@ MEND = "train with:"
 
 RISEN = 0.1
 """The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
-
-QUIET = 0.9
-"""The share of a core below which a run's time tells more of what ran beside it than of its training."""
 
 
 @dataclass(frozen=True)

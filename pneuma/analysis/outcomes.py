@@ -32,6 +32,8 @@ HALF_A_MONSTER = 0.5 / 14
 NEAR_AN_END = 0.0357
 """How near 0 or 1 a share killed counts as there: that much, as claims write it, so that claims on spread and
 on means have one floor."""
+QUIET = 0.9
+"""The share of a core below which a run's time tells more of what ran beside it than of its training."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def find_outcome(name: str) -> Outcome:
     threshold = re.fullmatch(r"steps-to:(0?\.\d+|1(\.0+)?)", name)
     if threshold and float(threshold[1]) > 0:
         share = float(threshold[1])
-        words = f"steps until {share:.0%} of the monsters are killed (inf: never)"
+        words = f"steps until {100 * share:g}% of the monsters are killed (inf: never)"
         return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", partial(_steps_to, share=share))
     known = ", ".join((*OUTCOMES, "steps-to:X (X a share of monsters killed)"))
     raise UserError(f"unknown outcome {name!r}{nearest_name(name, OUTCOMES)}; known are {known}")

@@ -71,7 +71,10 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = (*SUMMARISED, *THRE
         UserError: for a name that there is not.
     """
     at_step = common_step(data)
-    names = [name for name in dict.fromkeys(outcomes) if find_outcome(name) and name != "collapsed"]
+    asked = (outcomes,) if isinstance(outcomes, str) else outcomes
+    names = [name for name in dict.fromkeys(asked) if name != "collapsed"]
+    for name in names:
+        find_outcome(name)
     rows = [row for condition in data.conditions for row in _rows(data, condition, names, at_step)]
     flat = [(c, o, s, value, i.low, i.high, i.method, runs) for c, o, s, value, i, runs in rows]
     return pd.DataFrame(flat, columns=list(COLUMNS))
@@ -116,14 +119,15 @@ def _improvement(
         return
     if data.engines(condition) != data.engines(baseline):  # no contrast mixes them
         return
-    if not find_outcome(name).better:
+    found = find_outcome(name)
+    if not found.better or found.source == "times":  # what was timed beside what is not known
         return
     if is_return(name) and not have_one_return(data, (condition, baseline)):
         return
     others = _known(outcome_values(data, baseline, name, at_step))
     if not len(others):
         return
-    turned = -1 if find_outcome(name).better == "lower" else 1
+    turned = -1 if found.better == "lower" else 1
     a, b = turned * values, turned * others
     interval = _improvement_interval(a, b, _generator(condition, name, "improvement"))
     yield condition, name, "improvement", probability_of_improvement(a, b), interval, len(values)

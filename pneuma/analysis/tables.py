@@ -382,14 +382,9 @@ class StudyData:
             )
 
 
-def tell_figures_apart(studies: Sequence[StudyData], drawn: Mapping[str, str] | None = None) -> None:
-    """Give studies whose figures would be files of one name the study's as well.
-
-    Args:
-        studies: those that are drawn together.
-        drawn: names of figures that are there already, and whose they are.
-    """
-    stems, taken = Counter(data.figure for data in studies), drawn or {}
+def tell_figures_apart(studies: Sequence[StudyData]) -> None:
+    """Give studies whose figures would be files of one name the study's as well."""
+    stems = Counter(data.figure for data in studies)
     for data in studies:
-        if stems[data.figure] > 1 or taken.get(data.figure, data.study) != data.study:
+        if stems[data.figure] > 1:
             data.figure += f"-{data.study}"

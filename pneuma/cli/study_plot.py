@@ -36,6 +36,7 @@ from pneuma.study.store import Store, write_whole
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
+    from pneuma.figures.curves import Drawing
 
 RESULTS = Path("results")
 EVERY_QUANTITY = "all"
@@ -136,12 +137,13 @@ def plot(
         {"--condition": condition or [], "--set": set_ or []},
     )
     store = Store(results)
-    target = out or store.root / "figures"
-    studies = _studies_to_draw(store, names, selection, window, setting, target)
+    studies = _studies_to_draw(store, names, selection, window, setting)
     for _, data in studies:
         tell_left_out(data)
     draw = _draw if names else _draw_what_can_be
-    paths = _write(store, out, target, lambda folder: draw(studies, folder, looks, chosen))
+    target = out or store.root / "figures"
+    owners = _owners(target)
+    paths = _write(store, out, target, lambda folder: draw(studies, folder, looks, chosen, owners))
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
@@ -162,12 +164,9 @@ def _studies_to_draw(
     selection: Selection | None,
     window: str | None,
     setting: str | None,
-    target: Path,
 ) -> list[tuple[str, StudyData]]:
-    """Return studies by the names that a person gave, or all, each with a figure's name of its own."""
+    """Return studies by the names that a person gave, or all."""
     from pneuma.analysis.sources import open_study
-    from pneuma.analysis.tables import tell_figures_apart
-    from pneuma.figures.index import read_index
 
     def opened(name: str) -> StudyData:
         data = open_study(store, study_record(store, name, selection, setting))
@@ -180,20 +179,33 @@ def _studies_to_draw(
         studies = each_study(known_studies(store, setting), opened)
     if not studies:
         raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
-    drawn = {entry["stem"]: entry["study"] for entry in read_index(target) if "stem" in entry}
-    tell_figures_apart([data for _, data in studies], drawn)
     return studies
 
 
+def _owners(folder: Path) -> dict[str, str]:
+    """Return whose the figures of a folder are: studies by the names of their files."""
+    from pneuma.figures.index import read_index
+
+    return {entry["file"]: str(entry.get("from", "")).removeprefix("study ") for entry in read_index(folder)}
+
+
 def _draw(
-    studies: Sequence[tuple[str, StudyData]], folder: Path, looks: _Looks, chosen: Sequence[str]
+    studies: Sequence[tuple[str, StudyData]],
+    folder: Path,
+    looks: _Looks,
+    chosen: Sequence[str],
+    owners: dict[str, str],
 ) -> list[dict[str, Any]]:
     """Draw studies into a folder; return what its index is to tell of them."""
-    return [entry for name, data in studies for entry in _draw_one(name, data, folder, looks, chosen)]
+    return [entry for name, data in studies for entry in _draw_one(name, data, folder, looks, chosen, owners)]
 
 
 def _draw_what_can_be(
-    studies: Sequence[tuple[str, StudyData]], folder: Path, looks: _Looks, chosen: Sequence[str]
+    studies: Sequence[tuple[str, StudyData]],
+    folder: Path,
+    looks: _Looks,
+    chosen: Sequence[str],
+    owners: dict[str, str],
 ) -> list[dict[str, Any]]:
     """Draw studies that nobody named one by one, as `_draw` does; of those that cannot be drawn only say so.
 
@@ -201,17 +213,26 @@ def _draw_what_can_be(
         UserError: where none of several can be drawn: what hinders the first.
     """
     known = dict(studies)
-    drawn = each_study(list(known), lambda name: _draw_one(name, known[name], folder, looks, chosen))
+    drawn = each_study(list(known), lambda name: _draw_one(name, known[name], folder, looks, chosen, owners))
     return [entry for _, entries in drawn for entry in entries]
 
 
 def _draw_one(
-    name: str, data: StudyData, folder: Path, looks: _Looks, chosen: Sequence[str]
+    name: str,
+    data: StudyData,
+    folder: Path,
+    looks: _Looks,
+    chosen: Sequence[str],
+    owners: dict[str, str],
 ) -> list[dict[str, Any]]:
+    """Draw a study into files that are no other's, and note that they are its own."""
     from pneuma.figures.index import index_entries
 
+    while any(owners.get(file, data.study) != data.study for file in _files(data, looks)):
+        data.figure += f"-{data.study}"
     draw = {"curves": _draw_curves, "summary": _draw_summary}[looks.kind]
     paths, drawn = draw(data, folder, looks)
+    owners |= dict.fromkeys((path.name for path in paths), data.study)
     singles = {
         option: drawn[option] for option in ("figure", "layout", "size", "band", "window") if option in drawn
     }
@@ -219,16 +240,31 @@ def _draw_one(
     options += [part for quantity in drawn.get("quantities", ()) for part in ("--quantity", quantity)]
     options += [part for form in looks.formats for part in ("--format", form)]
     command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
-    return index_entries(paths, command, data, {"study": data.study, "stem": data.figure, **drawn})
+    return index_entries(paths, command, data, drawn)
+
+
+def _files(data: StudyData, looks: _Looks) -> list[str]:
+    """Return the names of the files that a study's figure would be."""
+    from pneuma.figures.curves import file_stem
+    from pneuma.figures.summary import summary_stem
+
+    stem = (
+        summary_stem(data, looks.size) if looks.kind == "summary" else file_stem(data, _drawing(data, looks))
+    )
+    return [f"{stem}.{form}" for form in looks.formats]
+
+
+def _drawing(data: StudyData, looks: _Looks) -> Drawing:
+    from pneuma.figures.curves import settle
+
+    quantities = _quantities(data, looks.quantities)
+    return settle(data, looks.band, looks.window, quantities=quantities, layout=looks.layout, size=looks.size)
 
 
 def _draw_curves(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:
-    from pneuma.figures.curves import draw_study, settle
+    from pneuma.figures.curves import draw_study
 
-    quantities = _quantities(data, looks.quantities)
-    drawing = asdict(
-        settle(data, looks.band, looks.window, quantities=quantities, layout=looks.layout, size=looks.size)
-    )
+    drawing = asdict(_drawing(data, looks))
     return draw_study(data, folder, formats=looks.formats, **drawing), {"figure": "curves", **drawing}
 
 

@@ -75,7 +75,7 @@ def summary(
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
     tell_step(data)
-    for part in _readable(data, table):
+    for part in _readable(data, table, outcome or ()):
         print("\n" + part)
     return None
 
@@ -195,20 +195,21 @@ def _parents(data: StudyData, found: pd.DataFrame, wanted: Sequence[str]) -> dic
 # --- For people ------------------------------------------------------------------------------------
 
 
-def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
-    """Yield a block of lines for each outcome: a condition a line."""
+def _readable(data: StudyData, table: pd.DataFrame, asked: Sequence[str]) -> Iterable[str]:
+    """Yield a block of lines for each outcome, that was asked for or has a value: a condition a line."""
     from pneuma.analysis.outcomes import find_outcome
     from pneuma.analysis.rounding import shown_with_interval
 
     width = _width(data)
-    for outcome, rows in table.groupby("outcome", sort=False):
+    for outcome in dict.fromkeys([*asked, *table["outcome"]]):
         if outcome in ("runs", "diverged", "collapsed"):
             continue
-        lines = [f"{outcome}: {find_outcome(str(outcome)).words}"]
-        told = dict(iter(rows.groupby("condition", sort=False)))
+        found = find_outcome(outcome)
+        lines = [f"{outcome}: {found.words}{_beside(data) if found.source == 'times' else ''}"]
+        told = dict(iter(table[table["outcome"] == outcome].groupby("condition", sort=False)))
         for condition in data.conditions:
             if condition not in told:
-                lines.append(f"  {plain(condition):<{width}} n = 0   no run has a value")
+                lines.append(f"  {plain(condition):<{width}} n = 0   {_lack(data, condition, outcome)}")
                 continue
             own = told[condition]
             cells = [
@@ -219,6 +220,29 @@ def _readable(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
             lines.append(f"  {plain(condition):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")
         yield "\n".join(lines)
     yield "\n".join(_failures(data, table))
+
+
+def _lack(data: StudyData, condition: str, outcome: str) -> str:
+    """Say why no run of a condition has a value."""
+    from pneuma.analysis.outcomes import reason
+    from pneuma.analysis.run_view import common_step
+
+    runs = data.of_condition(condition)
+    return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
+
+
+def _beside(data: StudyData) -> str:
+    """Say how much of a core those runs had whose times are told."""
+    from pneuma.analysis.outcomes import QUIET
+
+    shares = [data.source.processor_share(run) for run in data.runs]
+    known = [share for share in shares if share is not None]
+    if len(known) == len(shares) and min(known, default=1.0) >= QUIET:
+        return ""
+    told = [f"least {min(known):.0%}"] if known else []
+    if len(known) < len(shares):
+        told.append(f"of {counted(len(shares) - len(known), 'run')} not recorded")
+    return f" (share of a core: {', '.join(told)}; no claim is judged below {QUIET:.0%})"
 
 
 _WORDS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baseline)", "median": "median"}

@@ -70,12 +70,16 @@ def draw_summary(
     """
     how = SIZES[size]
     outcome = shown_outcome(data)
-    table = summary_table(data)
+    table = summary_table(data, [outcome])
     own = table[table["outcome"] == outcome]
     with house_style(how.type_points):
         figure = _figure(data, outcome, own, how)
-        stem = "-".join([data.figure, "summary", *([] if size == "page" else [size])])
-        return save_figure(figure, folder, stem, formats, how.dots_per_inch)
+        return save_figure(figure, folder, summary_stem(data, size), formats, how.dots_per_inch)
+
+
+def summary_stem(data: StudyData, size: str) -> str:
+    """Return the name of a summary's files."""
+    return "-".join([data.figure, "summary", *([] if size == "page" else [size])])
 
 
 def shown_outcome(data: StudyData) -> str:

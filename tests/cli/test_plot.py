@@ -172,18 +172,50 @@ def test_of_all_studies_those_are_drawn_that_can_be(results: Path) -> None:
     assert call(*entropy)[0] == 2
 
 
-def test_no_study_takes_the_files_of_anothers_figure(results: Path) -> None:
-    store, figures = Store(results), results / "figures"
+def add_study(store: Store, name: str, figure: str) -> None:
+    """Record a study of the same runs as 'mine'."""
     mine = store.selection("mine")
     assert mine is not None
-    store.save_selection("other", {**mine, "study": "other", "title": "Other"})
-    for name in ("mine", "other", "mine"):
-        assert call("study", "plot", name, "--format", "svg", "--results", results)[0] == 0
-    owners = {file: entry["from"] for file, entry in _index(figures).items()}
-    assert owners == {"fig-mine.svg": "study mine", "fig-mine-other.svg": "study other"}
-    (figures / "fig-mine.svg").unlink()
+    store.save_selection(name, {**mine, "study": name, "figure": figure})
+
+
+def owners(results: Path) -> dict[str, str]:
+    return {file: entry["from"].split()[1] for file, entry in _index(results / "figures").items()}
+
+
+@pytest.mark.parametrize(
+    "calls", [["mine", "other", "mine"], ["mine other"], ["mine other", "other", "mine"]]
+)
+def test_no_study_takes_the_files_of_anothers_figure(results: Path, calls: list[str]) -> None:
+    """Whoever drew first keeps the name, drawn with others or alone."""
+    add_study(Store(results), "other", "fig-mine")
+    for names in calls:
+        assert call("study", "plot", *names.split(), "--format", "svg", "--results", results)[0] == 0
+    assert owners(results) == {"fig-mine.svg": "mine", "fig-mine-other.svg": "other"}
+    (results / "figures" / "fig-mine.svg").unlink()
     assert call("study", "plot", "other", "--format", "svg", "--results", results)[0] == 0
-    assert _index(figures)["fig-mine.svg"]["from"] == "study other"
+    assert owners(results) == {"fig-mine.svg": "other", "fig-mine-other.svg": "other"}
+
+
+def test_a_name_may_be_taken_by_what_ends_it(results: Path) -> None:
+    """An added study's name, a quantity or a kind of figure: each name here is another study's whole one."""
+    store = Store(results)
+    add_study(store, "other", "fig-mine")
+    for figure in ("fig-mine-other", "fig-mine-entropy", "fig-mine-summary"):
+        add_study(store, figure[4:], figure)
+    options = {"other": (), "mine": ("--quantity", "entropy"), "mine ": ("--figure", "summary")}
+    call("study", "plot", "--format", "svg", "--results", results)
+    for name, more in options.items():
+        assert call("study", "plot", name.strip(), *more, "--format", "svg", "--results", results)[0] == 0
+    assert owners(results) == {
+        "fig-mine.svg": "mine",
+        "fig-mine-other.svg": "mine-other",
+        "fig-mine-entropy.svg": "mine-entropy",
+        "fig-mine-summary.svg": "mine-summary",
+        "fig-mine-other-other.svg": "other",
+        "fig-mine-mine-entropy.svg": "mine",
+        "fig-mine-mine-summary.svg": "mine",
+    }
 
 
 def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:

@@ -312,6 +312,29 @@ def test_exporting_to_a_folder_is_refused_in_one_line(trained: Trained, tmp_path
     assert os.listdir(tmp_path) == []
 
 
+# --- summary -------------------------------------------------------------------------------------
+
+
+def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Trained) -> None:
+    asked = ("final-died", "steps-to:0.125", "q-overestimation", "collapse-step", "wall-seconds")
+    options = [part for name in asked for part in ("--outcome", name)]
+    told = call("study", "summary", "activation", *options, "--results", trained.results)
+    assert told.code == 0
+    blocks = [block.splitlines() for block in told.out.split("\n\n")[1:]]
+    assert [block[0].partition(": ")[0] for block in blocks[:-1]] == list(asked)
+    assert "until 12.5% of the monsters" in blocks[1][0]
+    assert blocks[2][1].endswith(
+        "n = 0   the run has no value of its evaluations to take q-overestimation from"
+    )
+    assert blocks[3][2].endswith("n = 0   the run never collapsed")
+    assert "P(better" in blocks[0][1] and "P(better" not in "".join(blocks[4])
+    document = call("study", "summary", "activation", *options[:2], "--json", "--results", trained.results)
+    outcomes = {row["outcome"] for row in document.document["summary"]}
+    assert outcomes == {"runs", "diverged", "collapsed", "final-died"}
+    wrong = call("study", "summary", "activation", "--outcome", "final-dead", "--results", trained.results)
+    assert wrong.code == 2 and "did you mean final-died?" in wrong.err and wrong.err.count("\n") == 1
+
+
 # --- Ends that are no success --------------------------------------------------------------------
 
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -78,7 +77,9 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
         end_nodes(process)
 
 
-def begin(folder: Path, study: Path, *options: str, environment: Mapping[str, str] | None = None) -> Any:
+def begin(
+    folder: Path, study: Path, *options: str, environment: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
     return begin_locally(folder, study, "--executor", "ray", *options, environment=environment)
 
 
