@@ -53,7 +53,8 @@ def test_a_condition_without_a_value_is_said_to_have_none(tmp_path: Path) -> Non
     store.save_selection("mine", study_record(cells))
     lines = printed("study", "summary", "mine", "--results", store.root).splitlines()
     place = lines.index("final-share-killed: monsters killed, last evaluation")
-    assert lines[place + 2] == "  gone   n = 0   no run has a value"
+    early = "the run diverged at step 400 has no value of its evaluations to take final-share-killed from"
+    assert lines[place + 2] == f"  gone   n = 0   {early}"
 
 
 def test_summary_in_words_and_as_json(results: Path) -> None:
