@@ -342,6 +342,7 @@ def test_a_figure_replaces_a_link_and_leaves_what_it_leads_to(
         (folder / "mine.png").write_bytes(b"drawn")
         return [folder / "mine.png"], {"figure": "curves"}
 
+    monkeypatch.setattr(study_plot, "_files", lambda *_: ["mine.png"])
     monkeypatch.setattr(study_plot, "_draw_curves", draw)
     assert called("study", "plot", "mine", "--results", store.root)[0] == 0
     assert precious.read_bytes() == b"mine"
