@@ -176,7 +176,7 @@ def evaluate(
     seed: int = 0,
     episodes: int = 50,
 ) -> dict[str, float]:
-    """Play an agent in the evaluation worlds of a seed's runs, which training never meets.
+    """Play an agent as the runs of a seed are evaluated, by random streams that training never draws from.
 
     Every world plays one episode, all at once; the agent is asked for all of them at every step, in the same
     order, until the last has ended. Of several players each has an observation: row i is player i % players.

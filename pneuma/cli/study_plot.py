@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
     from pneuma.figures.curves import Drawing
 
+    DrawOne = Callable[[str, StudyData], list[dict[str, Any]]]
+
 RESULTS = Path("results")
 EVERY_QUANTITY = "all"
 ACTIONS = "actions"
@@ -140,10 +142,14 @@ def plot(
     studies = _studies_to_draw(store, names, selection, window, setting)
     for _, data in studies:
         tell_left_out(data)
-    draw = _draw if names else _draw_what_can_be
+    draw_each = _draw if names else _draw_what_can_be
     target = out or store.root / "figures"
     owners = _owners(target)
-    paths = _write(store, out, target, lambda folder: draw(studies, folder, looks, chosen, owners))
+
+    def draw(folder: Path) -> list[dict[str, Any]]:
+        return draw_each(studies, lambda name, data: _draw_one(name, data, folder, looks, chosen, owners))
+
+    paths = _write(store, out, target, draw)
     if json:
         return print_json({"schema": 1, "figures": [str(path) for path in paths]})
     for path in paths:
@@ -189,31 +195,19 @@ def _owners(folder: Path) -> dict[str, str]:
     return {entry["file"]: str(entry.get("from", "")).removeprefix("study ") for entry in read_index(folder)}
 
 
-def _draw(
-    studies: Sequence[tuple[str, StudyData]],
-    folder: Path,
-    looks: _Looks,
-    chosen: Sequence[str],
-    owners: dict[str, str],
-) -> list[dict[str, Any]]:
-    """Draw studies into a folder; return what its index is to tell of them."""
-    return [entry for name, data in studies for entry in _draw_one(name, data, folder, looks, chosen, owners)]
+def _draw(studies: Sequence[tuple[str, StudyData]], draw_one: DrawOne) -> list[dict[str, Any]]:
+    """Draw studies; return what their folder's index is to tell of them."""
+    return [entry for name, data in studies for entry in draw_one(name, data)]
 
 
-def _draw_what_can_be(
-    studies: Sequence[tuple[str, StudyData]],
-    folder: Path,
-    looks: _Looks,
-    chosen: Sequence[str],
-    owners: dict[str, str],
-) -> list[dict[str, Any]]:
+def _draw_what_can_be(studies: Sequence[tuple[str, StudyData]], draw_one: DrawOne) -> list[dict[str, Any]]:
     """Draw studies that nobody named one by one, as `_draw` does; of those that cannot be drawn only say so.
 
     Raises:
         UserError: where none of several can be drawn: what hinders the first.
     """
     known = dict(studies)
-    drawn = each_study(list(known), lambda name: _draw_one(name, known[name], folder, looks, chosen, owners))
+    drawn = each_study(list(known), lambda name: draw_one(name, known[name]))
     return [entry for _, entries in drawn for entry in entries]
 
 

@@ -61,10 +61,6 @@ def summary(
     json: Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
-    from pneuma.analysis.outcomes import find_outcome
-
-    for each in outcome or ():
-        find_outcome(each)  # refused before anything is read
     data = open_data(Store(results), name, selection, setting)
     from pneuma.analysis.run_view import common_step
     from pneuma.analysis.summaries import summary_table

@@ -5,18 +5,13 @@ from __future__ import annotations
 import io
 import os
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from pneuma.study import execute
 from pneuma.study.checkpoints import file_name
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store
 
 from .calls import Called, call
 
@@ -333,82 +328,3 @@ def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Trai
     assert outcomes == {"runs", "diverged", "collapsed", "final-died"}
     wrong = call("study", "summary", "activation", "--outcome", "final-dead", "--results", trained.results)
     assert wrong.code == 2 and "did you mean final-died?" in wrong.err and wrong.err.count("\n") == 1
-
-
-# --- Ends that are no success --------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("as_json", [False, True])
-def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path, as_json: bool) -> None:
-    (cell,) = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",))).cells
-    Store(tmp_path).save_run(cell.run_id, Status("diverged", 512), {})
-    options = ["--json"] if as_json else []
-    called = call(
-        "study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path, *options
-    )
-    assert called.code == 0
-    text = called.err if as_json else called.out
-    assert "tanh seed 0 diverged at step 512" in text
-    if as_json:
-        assert called.document["runs"][0]["status"] == "diverged"
-
-
-def test_a_crash_is_exit_code_1_and_says_where_to_look(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = tmp_path / "python"
-    script.write_text("#!/bin/sh\nread job\necho out of luck >&2\nexit 3\n")
-    script.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(script))
-    results = tmp_path / "results"
-    called = call("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", results)
-    assert called.code == 1
-    (trace,) = results.glob("runs/*/error.txt")
-    assert f"tanh seed 0 crashed: out of luck ({trace})" in called.out
-    assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
-    status = call("study", "status", "activation", "--json", "--results", results)
-    assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
-
-
-def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(execute, "execute", interrupt)
-    called = call("study", "run", "activation", "--quiet", "--results", tmp_path)
-    assert (called.code, called.out) == (130, "")
-    assert len(called.err.splitlines()) == 1
-
-
-def test_a_plan_tells_runs_that_failed_apart(tmp_path: Path) -> None:
-    plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "2", "--no-calibrate")
-    crashed, _ = call(*plan, "--json", "--results", tmp_path).document["runs"]
-    Store(tmp_path).save_run(crashed["run_id"], Status("crashed", 64), {})
-    document = call(*plan, "--json", "--results", tmp_path).document
-    assert [run["state"] for run in document["runs"]] == ["failed", "to-train"]
-    told = call(*plan, "--results", tmp_path).out
-    assert "crashed: --retry-failed trains it again" in told
-    assert "\n1 failed, 1 to train.\n" in told
-
-
-@pytest.mark.slow
-def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
-    plan: list[str | Path] = [
-        "study",
-        "plan",
-        "activation",
-        "--condition",
-        "tanh",
-        "--seeds",
-        "1",
-        "--results",
-        tmp_path,
-    ]
-    (run,) = call(*plan, "--json").document["runs"]
-    assert run["state"] == "to-train"
-    assert run["expected_seconds"] > 1  # 50,000 steps: no machine is that fast
-    again = call(*plan)
-    assert "measuring" not in again.err  # it is kept
-    assert "To train: about" in again.out and "MB of disk" in again.out
-    unknown = call(*plan, "--set", "horizon=300", "--no-calibrate")
-    assert unknown.out.endswith("; how long it takes is not known, as no run like these was timed.\n")

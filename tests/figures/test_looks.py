@@ -224,6 +224,19 @@ def test_more_than_eight_conditions_get_a_panel_each(tmp_path: Path, drawn: list
     assert legend(drawn[0])[:3] == ["the panel's condition", "the others", "condition-0 (baseline)"]
 
 
+def test_the_last_number_below_a_panel_ends_with_it(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    for number in range(12):
+        study.add(f"condition-{number}", 0)
+    study.draw(tmp_path, formats=("png",))
+    lowest = [axes for axes in drawn[0].axes if axes.xaxis.get_tick_params()["labelbottom"]]
+    assert len(lowest) == 6
+    for axes in lowest:
+        last = axes.get_xticklabels()[-1]
+        assert last.get_position()[0] == axes.get_xlim()[1]
+        assert last.get_window_extent().x1 <= axes.get_window_extent().x1 + 1
+
+
 def test_all_panels_have_one_random_player(tmp_path: Path, drawn: list[Figure]) -> None:
     """Not each the sample of it that its condition's evaluations drew."""
     study = HandMade(tmp_path)

@@ -13,21 +13,8 @@ from typing import IO, Any
 
 from pneuma.study.executors.local import one_thread_environment
 
-STUDY = """\
-title = "Trouble"
-base = "table-6-2"
-[run]
-horizon = 64
-minibatch = 32
-epochs = 1
-evaluation_episodes = 2
-episode_steps = 50
-{settings}
-[conditions.one]
-[presets.quick]
-seeds = {seeds}
-steps = {steps}
-"""
+from .tiny import TINY_RUN
+
 FOR_EVER = 64 * 10_000_000
 
 BEGUN: list[subprocess.Popen[str]] = []
@@ -35,7 +22,8 @@ BEGUN: list[subprocess.Popen[str]] = []
 
 def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = "") -> Path:
     path = folder / "trouble.toml"
-    path.write_text(STUDY.format(steps=steps, seeds=seeds, settings=settings))
+    preset = f"[presets.quick]\nseeds = {seeds}\nsteps = {steps}\n"
+    path.write_text(f'title = "Trouble"\n{TINY_RUN}{settings}\n[conditions.one]\n{preset}')
     return path
 
 

@@ -1,4 +1,4 @@
-"""A study of four tiny runs, two of which are two others under another name."""
+"""Settings that train in no time, and a study of four such runs, two of them two others by another name."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 
-TINY = """\
-title = "Tiny"
+TINY_RUN = """\
 base = "table-6-2"
 [run]
 horizon = 64
@@ -17,7 +16,10 @@ minibatch = 32
 epochs = 1
 evaluation_episodes = 2
 episode_steps = 50
-[conditions.one]
+"""
+TINY = f"""\
+title = "Tiny"
+{TINY_RUN}[conditions.one]
 [conditions.other]      # the same again: A/A, trained once
 [presets.quick]
 seeds = 2
