@@ -64,8 +64,18 @@ class EnvConfig:
     order: str = setting("", Choice(("", *ORDERS)))
     scale: str = setting("", Choice(("", *SCALES)))
     """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""
+    observe_facing: bool = setting(False, Flag())
+    """Whether four numbers, one of them 1, follow on what a player observes of itself."""
     start: str = setting("random", Choice(("random", "first")))
+    bodies: str = setting("block", Choice(("block", "pass")))
+    """Whether living bodies stop each other."""
     coast: str = setting("wall", Choice(("wall", "deadly")))
+    trees: str = setting("wall", Choice(("wall", "pass")))
+    """Whether what stands in the layer of obstacles stops anybody."""
+    terrain_stops: str = setting("all", Choice(("all", "players")))
+    bite_while_knocked: bool = setting(False, Flag())
+    healing_cap: bool = setting(False, Flag())
+    """Whether the HP of a kill stop at full HP."""
     kill_credit: str = setting("striker", Choice(("striker", "near")))
     """Who earns a kill's XP and HP: its striker, or all within the dying monster's attack circle."""
     xp_scope: str = setting("episode", Choice(("episode", "forever")))
@@ -84,7 +94,8 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
         "reward": "godot",
         "observation": "godot",
         "start": "first",
-        "coast": "deadly",
+        "trees": "pass",
+        "terrain_stops": "players",
         "kill_credit": "near",
         "xp_scope": "forever",
         "ending_cost": 1.0,
@@ -92,12 +103,13 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
         "time_limit": "terminate",
         "end_on_clear": True,
     },
+    "pneuma/PneumaArena-v0": {"reward": "kills", "observe_facing": True},
 }
 """What each environment sets other than the defaults: the published code's quirks for Godot's."""
 
 ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
 
-ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
+ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4, "pneuma/PneumaArena-v0": 4}
 """How many worlds a study collects from side by side, unless it says so itself."""
 
 OBSERVATION_SETTINGS = {

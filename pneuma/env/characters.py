@@ -33,15 +33,16 @@ _POINTS = Number(0, 1e6)
 _SECONDS = Number(0, 60)
 _SIDE = Number(1, 4096)
 _BOX = Several(_SIDE, 2, 2)
+_OFFSET = Several(Number(-4096, 4096), 2, 2)
 _FORM: dict[str, dict[str, Any]] = {
     "players": {
         "hp": Number(0, 1e6, above=True), "energy": _POINTS, "attack": _POINTS, "magic": _POINTS,
-        "speed": Number(0, 3000), "body": _BOX, "weapon": Text(), "invulnerable": _SECONDS,
-        "energy_recovery": _POINTS,
+        "speed": Number(0, 3000), "body": _BOX, "body_at": _OFFSET, "weapon": Text(),
+        "invulnerable": _SECONDS, "energy_recovery": _POINTS,
     },
     "weapons": {
         "damage": _POINTS, "swing": Number(1 / TICKS_PER_SECOND, 60), "knock_back": Number(0, 3000),
-        "knock_back_time": _SECONDS, "box": _BOX, "reach": None,
+        "knock_back_time": _SECONDS, "box": _BOX, "reach": None, "hilt": None,
     },
     "spells": {
         "strength": _POINTS, "cost": _POINTS, "cast": Number(1 / TICKS_PER_SECOND, 60),
@@ -49,13 +50,19 @@ _FORM: dict[str, dict[str, Any]] = {
     },
     "monsters": {
         "code": Number(0, 2**28 - 1, whole=True), "hp": Number(0, 1e6, above=True),
-        "speed": Number(0, 3000), "body": _BOX, "notice": _POINTS, "attack": _POINTS,
-        "stand_off": _POINTS, "damage": _POINTS, "bite_time": Number(1 / TICKS_PER_SECOND, 500),
+        "speed": Number(0, 3000), "body": _BOX, "body_at": _OFFSET, "notice": _POINTS,
+        "notice_at": _OFFSET, "attack": _POINTS, "attack_at": _OFFSET, "stand_off": _POINTS, "damage": _POINTS, "bite_time": Number(1 / TICKS_PER_SECOND, 500),
         "invulnerable": _SECONDS, "xp": _POINTS, "heal": _POINTS, "knock_back": Number(0, 3000),
         "knock_back_time": _SECONDS,
     },
 }  # fmt: skip
-_OPTIONAL = {"monsters": ("knock_back", "knock_back_time"), "spells": ("length", "width")}
+_OPTIONAL = {
+    "players": ("body_at",),
+    "weapons": ("hilt",),
+    "spells": ("length", "width"),
+    "monsters": ("body_at", "notice_at", "attack_at", "knock_back", "knock_back_time"),
+}
+_MIDDLE = (0.0, 0.0)
 
 Characters = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """{"players" | "weapons" | "spells" | "monsters": {name: {key: value}}}."""
@@ -158,6 +165,17 @@ def margin(players: np.ndarray, monsters: np.ndarray) -> float:
     return float(max(reach))
 
 
+def crowd(players: np.ndarray, monsters: np.ndarray) -> float:
+    """Return how far apart, on an axis, two bodies are at most that can meet within a step."""
+    widest = fastest = 0.0
+    for stats in (players, monsters):
+        for half, at in (("half_width", "body_x"), ("half_height", "body_y")):
+            widest = max(widest, float((stats[half] + np.abs(stats[at])).max(initial=0.0)))
+        for speed in ("speed", "knock_speed"):
+            fastest = max(fastest, float(stats[speed].max(initial=0.0)))
+    return 2 * (widest + fastest * TICKS_PER_STEP) + 1.0
+
+
 # --- Filling the rows -----------------------------------------------------------------------------
 
 
@@ -169,8 +187,13 @@ def _fill_player(row: Any, character: Mapping[str, Any]) -> None:
     row["hp"], row["energy"] = character["hp"], character["energy"]
     row["energy_gain"] = character["energy_recovery"] * character["magic"] / TICKS_PER_SECOND
     row["speed"] = character["speed"] / TICKS_PER_SECOND
-    row["half_width"], row["half_height"] = (side / 2 for side in character["body"])
+    _fill_body(row, character)
     row["safe"] = _ticks(character["invulnerable"])
+
+
+def _fill_body(row: Any, character: Mapping[str, Any]) -> None:
+    row["half_width"], row["half_height"] = (side / 2 for side in character["body"])
+    row["body_x"], row["body_y"] = character.get("body_at", _MIDDLE)
 
 
 def _fill_weapon(row: Any, weapon: Mapping[str, Any], character: Mapping[str, Any]) -> None:
@@ -178,7 +201,8 @@ def _fill_weapon(row: Any, weapon: Mapping[str, Any], character: Mapping[str, An
     row["swing"] = _ticks(weapon["swing"])
     row["knock_ticks"] = _ticks(weapon["knock_back_time"])
     row["knock_speed"] = weapon["knock_back"] / TICKS_PER_SECOND
-    _fill_box(row, "sword", weapon["box"], [weapon["reach"][facing] for facing in FACINGS])
+    _fill_box(row, "sword", weapon["box"], weapon["reach"])
+    row["hilt_x"], row["hilt_y"] = _by_facing(weapon.get("hilt", weapon["reach"]))
 
 
 def _fill_spells(row: Any, spells: Mapping[str, Any], character: Mapping[str, Any]) -> None:
@@ -187,24 +211,35 @@ def _fill_spells(row: Any, spells: Mapping[str, Any], character: Mapping[str, An
     row["flame_damage"] = flame["strength"] + character["magic"]
     row["flame_cost"], row["heal_cost"] = flame["cost"], heal["cost"]
     row["heal"] = heal["strength"]
-    _fill_box(row, "flame", (flame["length"], flame["width"]), [flame["length"] / 2] * 4)
+    _fill_box(row, "flame", (flame["length"], flame["width"]), dict.fromkeys(FACINGS, flame["length"] / 2))
 
 
-def _fill_box(row: Any, name: str, box: Sequence[float], reach: Sequence[float]) -> None:
+def _fill_box(row: Any, name: str, box: Sequence[float], reach: Mapping[str, Any]) -> None:
     """Write where a box is by facing; its sides are those of facing left or right."""
     along, across = box[0] / 2, box[1] / 2
-    row[f"{name}_x"] = [0, -reach[1], 0, reach[3]]
-    row[f"{name}_y"] = [reach[0], 0, -reach[2], 0]
+    row[f"{name}_x"], row[f"{name}_y"] = _by_facing(reach)
     row[f"{name}_half_width"] = [across, along, across, along]
     row[f"{name}_half_height"] = [along, across, along, across]
+
+
+def _by_facing(reach: Mapping[str, Any]) -> tuple[list[float], list[float]]:
+    """Return x and y from the player by facing; a plain number is a distance straight ahead."""
+    ahead = {"down": (0, 1), "left": (-1, 0), "up": (0, -1), "right": (1, 0)}
+    places = [
+        (reach[name] * ahead[name][0], reach[name] * ahead[name][1]) if _is_number(reach[name]) else reach[name]
+        for name in FACINGS
+    ]
+    return [x for x, _ in places], [y for _, y in places]
 
 
 def _fill_monster(row: Any, character: Mapping[str, Any]) -> None:
     for name in ("hp", "stand_off", "damage", "xp", "heal"):
         row[name] = character[name]
     row["speed"] = character["speed"] / TICKS_PER_SECOND
-    row["half_width"], row["half_height"] = (side / 2 for side in character["body"])
+    _fill_body(row, character)
     row["notice_squared"], row["attack_squared"] = character["notice"] ** 2, character["attack"] ** 2
+    row["notice_x"], row["notice_y"] = character.get("notice_at", _MIDDLE)
+    row["attack_x"], row["attack_y"] = character.get("attack_at", _MIDDLE)
     row["bite_ticks"] = _ticks(character["bite_time"])
     row["safe"] = _ticks(character["invulnerable"])
     own = "knock_back" in character
@@ -215,13 +250,19 @@ def _fill_monster(row: Any, character: Mapping[str, Any]) -> None:
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
     """Return a distance to a player's body beyond which a resting monster meets nothing in a step.
 
-    The furthest that it senses or that a weapon or flame reaches it, and as far as a player walks.
+    The furthest that it senses, that it is in the way, or that a weapon or flame reaches it, and as far as a
+    player walks.
     """
-    furthest = [math.sqrt(monster["notice_squared"]), math.sqrt(monster["attack_squared"])]
+    body = float(np.hypot(monster["half_width"], monster["half_height"]))
+    furthest = [body + float(np.hypot(monster["body_x"], monster["body_y"]))]
+    for name in ("notice", "attack"):
+        away = np.hypot(monster[f"{name}_x"], monster[f"{name}_y"])
+        furthest.append(math.sqrt(monster[f"{name}_squared"]) + float(away))
     for name in ("sword", "flame") if magic else ("sword",):
-        x = np.abs(players[f"{name}_x"]) + players[f"{name}_half_width"] + monster["half_width"]
-        y = np.abs(players[f"{name}_y"]) + players[f"{name}_half_height"] + monster["half_height"]
-        furthest.append(float(np.hypot(x, y).max()))
+        x, y = players[f"{name}_x"] - players["body_x"][:, None], players[f"{name}_y"] - players["body_y"][:, None]
+        x = np.abs(x) + players[f"{name}_half_width"]
+        y = np.abs(y) + players[f"{name}_half_height"]
+        furthest.append(float(np.hypot(x, y).max()) + furthest[0])
     return max(furthest) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0
 
 
@@ -254,12 +295,11 @@ def _read_value(where: str, group: str, key: str, value: object) -> Any:
     form = _FORM[group]
     if key not in form:
         raise UserError(f"{where} unknown key {key!r}{nearest_name(key, form)}; known are {', '.join(form)}")
-    if key == "reach":
+    if key in ("reach", "hilt"):
         sound = isinstance(value, dict) and set(value) == set(FACINGS)
-        if not sound or not all(_is_number(side) for side in value.values()):  # type: ignore[attr-defined]
-            raise UserError(
-                f"{where} reach = {value!r} is not allowed: a number for each of {', '.join(FACINGS)}"
-            )
+        if not sound or not all(_is_place(side) for side in value.values()):  # type: ignore[attr-defined]
+            names = ", ".join(FACINGS)
+            raise UserError(f"{where} {key} = {value!r} is not allowed: a number or [x, y] for each of {names}")
         return value
     try:
         return form[key].read(value)
@@ -267,8 +307,14 @@ def _read_value(where: str, group: str, key: str, value: object) -> Any:
         raise UserError(f"{where} {key} = {value!r} is not allowed: {form[key].allowed}") from None
 
 
+def _is_place(value: object) -> bool:
+    if isinstance(value, list):
+        return len(value) == 2 and all(_is_number(side) for side in value)
+    return _is_number(value) and value >= 0  # type: ignore[operator]
+
+
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= 4096
+    return isinstance(value, int | float) and not isinstance(value, bool) and -4096 <= value <= 4096
 
 
 def _check_complete(

@@ -7,6 +7,8 @@ Three layouts, each a few numbers about the player, then a row for each monster 
             energy
     godot   x, y, HP, XP                      x, y, HP, direction x, direction y (monster to player)
 
+With `observe_facing` four numbers follow on those about the player: 1 for the way faced, else 0.
+
 `perceive` says which monsters, `order` how they are ordered (nearest first, the dead left out and the
 rest zeros; or fixed, a dead one's row zeros), `scale` the units:
 
@@ -31,6 +33,7 @@ from gymnasium import spaces
 
 from pneuma.config import EnvConfig
 from pneuma.env import rules
+from pneuma.env.characters import FACINGS
 from pneuma.env.level import RANDOM, Level
 from pneuma.errors import UserError, unknown_name
 
@@ -45,14 +48,20 @@ MONSTER_FEATURES = {
     "pygame": ("distance", "direction_x", "direction_y", "hp", "xp"),
     "godot": ("x", "y", "hp", "direction_x", "direction_y"),
 }
+FACING_FEATURES = tuple(f"faces_{name}" for name in FACINGS)
 MOST_XP = 1e9
 """Bound of XP that outlives episodes, in points."""
 
 
-def feature_names(layout: str, rows: int) -> list[str]:
+def player_features(config: EnvConfig) -> tuple[str, ...]:
+    """Name what a player observes of itself, in order."""
+    return PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
+
+
+def feature_names(config: EnvConfig, rows: int) -> list[str]:
     """Name every number of an observation with so many monsters, in order."""
-    seen = [f"monster_{i}_{name}" for i in range(rows) for name in MONSTER_FEATURES[layout]]
-    return [*PLAYER_FEATURES[layout], *seen]
+    seen = [f"monster_{i}_{name}" for i in range(rows) for name in MONSTER_FEATURES[config.observation]]
+    return [*player_features(config), *seen]
 
 
 def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
@@ -82,6 +91,7 @@ def fill_scales(
     """Write layout and scales into rows of `state.SETTINGS`, `PLAYER_STATS` and `MONSTER_STATS`."""
     perceived, rows = perceived_kinds(config, levels)
     settings["layout"] = LAYOUTS[config.observation]
+    settings["observe_facing"] = config.observe_facing
     settings["fixed_order"] = config.order == "fixed"
     settings["perceived"] = rows
     monsters["perceived"] = perceived
@@ -125,11 +135,12 @@ def observation_space(
             (top - settings["middle_y"]) * settings["scale_y"],
             (bottom - settings["middle_y"]) * settings["scale_y"],
         ),
-        "hp": (0.0, player["hp"] * player["hp_scale"]),
+        "hp": (0.0, _most_hp(player, monsters, config) * player["hp_scale"]),
         "energy": (0.0, player["energy"] * player["energy_scale"]),
         "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
         "facing_x": (-1.0, 1.0),
         "facing_y": (-1.0, 1.0),
+        **dict.fromkeys(FACING_FEATURES, (0.0, 1.0)),
     }
     highest = {
         "distance": diagonal * monsters["distance_scale"].max(initial=0.0),
@@ -141,11 +152,17 @@ def observation_space(
     seen |= {axis: (min(bounds[axis][0], 0.0), max(bounds[axis][1], 0.0)) for axis in ("x", "y")}
     row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
     limits = np.array(
-        [bounds[name] for name in PLAYER_FEATURES[config.observation]] + row * int(settings["perceived"])
+        [bounds[name] for name in player_features(config)] + row * int(settings["perceived"])
     )
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+def _most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:
+    """Return the HP of who kills everything unhurt."""
+    healed = 0.0 if config.healing_cap else monsters["heal"].sum(axis=-1).max(initial=0.0)
+    return float(player["hp"] + healed)
 
 
 def _land(levels: list[Level]) -> tuple[float, float, float, float]:

@@ -35,7 +35,9 @@ class Ways:
     fields behind it count from cell to cell. All grids have a rim of closed tiles.
     """
 
-    def __init__(self, levels: Sequence[Level], half_width: float, half_height: float, sea: bool) -> None:
+    def __init__(
+        self, levels: Sequence[Level], half_width: float, half_height: float, sea: bool, trees: bool
+    ) -> None:
         """Prepare for some levels.
 
         Args:
@@ -43,6 +45,7 @@ class Ways:
             half_width: half the body's width.
             half_height: and its height.
             sea: whether the coast drowns instead of stopping.
+            trees: whether obstacles stop a body.
         """
         level = levels[0]
         self._halves = (half_width, half_height)
@@ -50,7 +53,8 @@ class Ways:
         self._abreast = math.ceil(2 * max(half_width, half_height) / level.tile)
         rim = self._abreast
         self._corner = (level.left - rim * level.tile, level.top - rim * level.tile)
-        terrains = [np.pad(each.terrain, rim, constant_values=rules.SOLID) for each in levels]
+        met = [np.where(each.terrain == rules.SOLID, trees * rules.SOLID, each.terrain) for each in levels]
+        terrains = [np.pad(terrain, rim, constant_values=rules.SOLID) for terrain in met]
         self._shape = terrains[0].shape
         self._fits = [self._room(terrain == rules.OPEN) for terrain in terrains]
         stops = [terrain != rules.OPEN if not sea else terrain == rules.SOLID for terrain in terrains]

@@ -48,8 +48,8 @@ class Hunter:
         self._seen = np.full((2, *worlds.monsters.shape), np.nan)  # where awake monsters last were
         self._plans: dict[tuple[int, int], Plan] = {}
         bodies = {(float(row["half_width"]), float(row["half_height"])) for row in worlds.player_stats}
-        sea = worlds.config.coast == "deadly"
-        self._ways = {body: Ways(worlds.levels, *body, sea) for body in bodies}
+        sea, trees = worlds.config.coast == "deadly", worlds.config.trees == "wall"
+        self._ways = {body: Ways(worlds.levels, *body, sea, trees) for body in bodies}
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
@@ -88,8 +88,8 @@ class Hunter:
     def _keep_ashore(self, worlds: Worlds, walk: np.ndarray, may_walk: np.ndarray) -> None:
         """Let players strike where they stand whose next step would drown them."""
         for world, player in np.argwhere(may_walk).tolist():
-            row, level = worlds.players[world, player], int(worlds.worlds["level"][world])
-            place, way = (float(row["x"]), float(row["y"])), int(walk[world, player])
+            level, way = int(worlds.worlds["level"][world]), int(walk[world, player])
+            place = _middle(worlds, world, player)
             if self._ways_of(worlds, player).step(level, place, way, _reach(worlds, player)) is None:
                 walk[world, player] = rules.ATTACK
 
@@ -102,13 +102,11 @@ class Hunter:
     def _lengths(self, worlds: Worlds) -> np.ndarray:
         """Return how many tiles every player has to walk to every monster, (N, P, M)."""
         level = worlds.worlds["level"].astype(np.int64)
-        monsters, players = worlds.monsters, worlds.players
+        monsters, middles = worlds.monsters, _middles(worlds)
         return np.stack(
             [
-                self._ways_of(worlds, p).lengths(
-                    level, monsters["x"], monsters["y"], players["x"][:, p], players["y"][:, p]
-                )
-                for p in range(players.shape[1])
+                self._ways_of(worlds, p).lengths(level, monsters["x"], monsters["y"], *middles[:, :, p])
+                for p in range(worlds.players.shape[1])
             ],
             axis=1,
         )
@@ -116,7 +114,7 @@ class Hunter:
     def _under_way(self, worlds: Worlds) -> np.ndarray:
         """Return who is in the middle of a plan, which is walked to its end, (N, P)."""
         flags = np.zeros(worlds.players.shape, bool)
-        x, y = worlds.players["x"], worlds.players["y"]
+        x, y = _middles(worlds)
         for key, plan in self._plans.items():
             flags[key] = (x[key], y[key]) in plan
         return flags
@@ -127,8 +125,8 @@ class Hunter:
 
     def _follow(self, worlds: Worlds, world: int, player: int, monster: int) -> int | None:
         """Return the next step of the plan, of a new one where the last is at its end."""
-        row, prey = worlds.players[world, player], worlds.monsters[world, monster]
-        place = float(row["x"]), float(row["y"])
+        prey = worlds.monsters[world, monster]
+        place = _middle(worlds, world, player)
         plan = self._plans.get((world, player), {})
         if place not in plan:
             level, goal = int(worlds.worlds["level"][world]), (float(prey["x"]), float(prey["y"]))
@@ -183,9 +181,19 @@ class Hunter:
             comes = awake & (monsters[axis] != self._seen[i])
             after = np.where(comes[:, None, :], _come_closer(worlds, offset), offset)
             low, high = np.minimum(offset, after), np.maximum(offset, after)
-            body = stats[f"half_{side}"]
-            meets &= (low - body < centre + half) & (high + body > centre - half)
+            body, at = stats[f"half_{side}"], stats[f"body_{axis}"]
+            meets &= (low + at - body < centre + half) & (high + at + body > centre - half)
         return meets
+
+
+def _middles(worlds: Worlds) -> np.ndarray:
+    """Return x and y of the centres of all players' bodies, (2, N, P)."""
+    return np.stack([worlds.players[axis] + worlds.player_stats[f"body_{axis}"] for axis in "xy"])
+
+
+def _middle(worlds: Worlds, world: int, player: int) -> tuple[float, float]:
+    x, y = _middles(worlds)[:, world, player]
+    return float(x), float(y)
 
 
 def _reach(worlds: Worlds, player: int) -> float:

@@ -4,16 +4,8 @@ N worlds x P players x M monsters advance here by agent steps of several ticks o
 observed. State lies in plain arrays (`state.py`), which `worlds.py` owns and hands in; nothing here
 allocates. Sources: thesis sections 5.1 to 5.3 and the constants of the published code.
 
-A tick goes, by the book: every player acts; swords and flames strike; every monster senses, bites,
-then moves. Bodies pass through each other, so monsters meet nobody but players, and players only
-lose or gain HP by them. A step can therefore be told in three parts, each simpler and faster than
-tick by tick, with the same bits:
-
-1. Players walk their path through all ticks (`_walk_path`).
-2. Each monster lives through the ticks along those paths (`_live_step`), and what it does to players
-   is noted in a ledger by tick.
-3. The ledger is settled in the order of time (`_settle`). If it turns out that a player died, the
-   monsters go back and live the step again without him from the next tick on.
+A tick goes: every player acts; every monster is struck, senses, bites and moves; every player gets what
+the tick brought. Living bodies and terrain stop whoever moves, x first, then y; nobody pushes.
 
 All kernels stay in this file because the compile cache watches only the file that a kernel is in.
 The dynamics use only + - * / and square root, without fast-math, so that every processor gives
@@ -31,17 +23,14 @@ from numba.extending import intrinsic
 
 from pneuma.env.compiled import cached
 from pneuma.env.state import (
-    CHASE,
     EVENTS,
-    LANES,
-    LEDGER,
     MONSTER,
     MONSTER_STATS,
-    PATH,
     PLAYER,
     PLAYER_STATS,
     SCRATCH,
     SETTINGS,
+    TICK,
     WORLD,
     Array,
     State,
@@ -53,7 +42,8 @@ RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 REWARD_THESIS, REWARD_PYGAME, REWARD_GODOT, REWARD_KILLS, REWARD_SIGMOID, REWARD_CUSTOM = 0, 1, 2, 3, 4, 5
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
 
-COAST_BLOCKS = np.int64(1)  # typed: for the compiler, a plain 1 would be another function
+HAIR = 2.0**-10
+"""Pixels by which bodies may overlap and still count as touching: sums of floats are not exact."""
 SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 
 # Only the two calls from outside can be called from outside: the code that takes Python's arguments
@@ -141,11 +131,8 @@ def open_state(h: Array) -> State:
         carray(_pointer(h[9].address), (h[9].shape[0], h[9].shape[1]), EVENTS),
         carray(_pointer(h[10].address), (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.float32),
         carray(_pointer(h[11].address), (h[11].shape[0], h[11].shape[1], h[11].shape[2]), np.int8),
-        carray(_pointer(h[12].address), (h[12].shape[0], h[12].shape[1]), PATH),
-        carray(_pointer(h[13].address), (h[13].shape[0], h[13].shape[1]), LEDGER),
-        carray(_pointer(h[14].address), (h[14].shape[0],), MONSTER),
-        carray(_pointer(h[15].address), (h[15].shape[0],), SCRATCH),
-        carray(_pointer(h[16].address), (h[16].shape[0],), CHASE),
+        carray(_pointer(h[12].address), (h[12].shape[0],), TICK),
+        carray(_pointer(h[13].address), (h[13].shape[0],), SCRATCH),
     )
 
 
@@ -238,14 +225,19 @@ def _step_world(s: State, w: int, actions: Array) -> bool:
     settings = s.settings[0]
     count = _gather_active(s, w)
     for p in range(s.players.shape[1]):
-        if s.players[w, p].hp > 0.0:
-            _walk_path(s, w, p, actions[w, p], count > 0)
-    if count > 0:
-        _live_through(s, w, count)
+        player = s.players[w, p]
+        s.tick[p].crowded = (count > 0 or s.players.shape[1] > 1) and _is_crowded(s, w, player.x, player.y)
+    for _ in range(settings.ticks):
+        for p in range(s.players.shape[1]):
+            _begin_tick(s, w, p, actions[w, p])
+        for i in range(count):
+            if s.monsters[w, s.scratch[i].order].hp > 0.0:
+                _live(s, w, s.scratch[i].order, s.scratch[i].crowded)
+        for p in range(s.players.shape[1]):
+            if s.tick[p].there:
+                _end_tick(s, w, p)
     world.players_left = 0
     for p in range(s.players.shape[1]):
-        if s.events[w, p].present > 0 or s.events[w, p].died:
-            _settle(s, w, p, count > 0 and s.ledger[0, p].written != 0)
         world.players_left += s.players[w, p].hp > 0.0
     world.steps += 1
     if world.players_left == 0:
@@ -274,13 +266,15 @@ def _charge(player: Array, event: Array, cost: float) -> None:
 def _gather_active(s: State, w: int) -> int:
     """List in `scratch` the monsters to which anything can happen in the next step; count them.
 
-    One that flies, or that a player may come near, needs its ticks; the others would only stand
-    still. Leaving them out changes no bit and saves most of the time.
+    The others only stand there, in the way of those who move. Leaving them out changes no bit and saves
+    most of the time.
     """
     count = 0
     for m in range(s.monsters.shape[1]):
-        if s.monsters[w, m].hp > 0.0 and _may_stir(s, w, m):
+        monster = s.monsters[w, m]
+        if monster.hp > 0.0 and _may_stir(s, w, m):
             s.scratch[count].order = m
+            s.scratch[count].crowded = _is_crowded(s, w, monster.x, monster.y)
             count += 1
     return count
 
@@ -295,493 +289,276 @@ def _may_stir(s: State, w: int, m: int) -> bool:
         if monster.bite[p] > 0:
             return True
         player = s.players[w, p]
-        gap = _gap(monster.x, monster.y, player.x, player.y, s.player_stats[p])
-        if gap <= kind.reach_squared and player.hp > 0.0:
+        if player.hp > 0.0 and _gap(monster.x, monster.y, player, s.player_stats[p]) <= kind.reach_squared:
             return True
     return False
 
 
 @part
-def _gap(x: float, y: float, player_x: float, player_y: float, stats: Array) -> float:
-    """Return the squared distance from a monster's centre to a player's body box."""
-    across = max(abs(player_x - x) - stats.half_width, 0.0)
-    down = max(abs(player_y - y) - stats.half_height, 0.0)
+def _is_crowded(s: State, w: int, x: float, y: float) -> bool:
+    """Tell whether a body here may meet another one within the step; it is one of those counted."""
+    settings = s.settings[0]
+    if not settings.bodies_block:
+        return False
+    count = 0
+    for m in range(s.monsters.shape[1]):
+        other = s.monsters[w, m]
+        near = (abs(other.x - x) < settings.crowd) & (abs(other.y - y) < settings.crowd)
+        count += near & (other.hp > 0.0)
+    for p in range(s.players.shape[1]):
+        player = s.players[w, p]
+        near = (abs(player.x - x) < settings.crowd) & (abs(player.y - y) < settings.crowd)
+        count += near & (player.hp > 0.0)
+    return count > 1
+
+
+@part
+def _gap(x: float, y: float, player: Array, stats: Array) -> float:
+    """Return the squared distance from a place to a player's body box."""
+    across = max(abs(player.x + stats.body_x - x) - stats.half_width, 0.0)
+    down = max(abs(player.y + stats.body_y - y) - stats.half_height, 0.0)
     return across * across + down * down
 
 
-# --- Part 1: players walk ------------------------------------------------------------------------
+# --- A tick: players act -------------------------------------------------------------------------
 
 
 @part
-def _walk_path(s: State, w: int, p: int, action: int, noted: bool) -> None:
-    """Take a living player through all ticks of a step, and note where it is and what it strikes.
-
-    Where no monster may stir, nobody reads the notes, and none but spells are taken.
-    """
+def _begin_tick(s: State, w: int, p: int, action: int) -> None:
+    """Let a player act, if he lives, and note what he strikes."""
     player = s.players[w, p]
     stats = s.player_stats[p]
     settings = s.settings[0]
-    event = s.events[w, p]
-    event.present = settings.ticks
-    x, y, facing, attack = player.x, player.y, player.facing, player.attack
-    for tick in range(settings.ticks):
-        spot = s.path[tick, p]
-        spot.armed = 0
-        spot.attack = player.attack
-        spot.healed = 0.0
-        if player.busy == 0:
-            _act(s, w, player, stats, spot, action)
-        if player.busy > 0:
-            player.busy -= 1
-            if player.armed and noted:
-                _raise_sword(player, stats, spot)
-        if settings.magic:  # else nobody ever spends any
-            player.energy = min(player.energy + stats.energy_gain, stats.energy)
-        at_sea = settings.deadly_coast and _at_sea(s, s.worlds[w].level, player)
-        if noted or at_sea:
-            spot.x = player.x
-            spot.y = player.y
-            spot.facing = player.facing
-            spot.energy = player.energy
-        if at_sea:
-            event.died = 1
-            event.present = tick
-            break
-    stood = player.x == x and player.y == y and player.facing == facing
-    at_once = s.path[0, p].armed and s.path[0, p].attack == player.attack  # no other began later
-    one_attack = player.attack == attack or (at_once and player.attack == attack + 1)
-    s.path[0, p].still = stood and one_attack and event.present == settings.ticks
+    tick = s.tick[p]
+    tick.there = player.hp > 0.0
+    tick.strikes = 0
+    if not tick.there:
+        return
+    tick.xp = tick.healed = tick.bitten = 0.0
+    tick.notices = tick.contacts = tick.paid = 0
+    if player.busy == 0:
+        _act(s, w, p, player, stats, action)
+    if player.busy > 0:
+        player.busy -= 1
+        if player.armed:
+            _raise_sword(player, stats, tick)
+    if settings.magic:  # else nobody ever spends any
+        player.energy = min(player.energy + stats.energy_gain, stats.energy)
+    if settings.deadly_coast and _at_sea(s, s.worlds[w].level, player):
+        tick.there = 0
+        tick.strikes = 0
+        s.events[w, p].hp_lost += player.hp
+        _die(player, s.events[w, p])
+    else:
+        s.events[w, p].present += 1
 
 
 @part
-def _act(s: State, w: int, player: Array, stats: Array, spot: Array, action: int) -> None:
-    """Let an idle player walk one tick, or begin an attack or a spell that it can pay."""
+def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
+    """Let an idle player walk one tick, or begin an attack or a spell that he can pay."""
     if action == ATTACK:
         player.busy = stats.swing
         player.armed = 1
         player.attack += 1
-        spot.attack = player.attack
     elif action == FLAME:
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
             player.busy = stats.flame_ticks
             player.armed = 0
-            _burn(player, stats, spot)
+            _burn(player, stats, s.tick[p])
     elif action == HEAL:
         if player.energy >= stats.heal_cost:
             player.energy -= stats.heal_cost
             player.busy = stats.heal_ticks
             player.armed = 0
-            spot.healed = stats.heal
+            hp = max(player.hp, min(player.hp + stats.heal, stats.hp))
+            s.events[w, p].hp_gained += hp - player.hp
+            player.hp = hp
     else:
         player.facing = action
-        dx = stats.speed if action == RIGHT else -stats.speed if action == LEFT else 0.0
-        dy = stats.speed if action == DOWN else -stats.speed if action == UP else 0.0
-        coast = 1 - s.settings[0].deadly_coast
+        stops = s.settings[0].player_stops
+        dx, dy = _walk(stats.speed, action)
         player.x, player.y = _moved(
-            s, s.worlds[w].level, player.x, player.y, stats.half_width, stats.half_height, dx, dy, coast
+            s, w, s.monsters.shape[1] + p, player.x, player.y, stats, dx, dy, stops, s.tick[p].crowded
         )
 
 
 @part
-def _raise_sword(player: Array, stats: Array, spot: Array) -> None:
-    """Note the box that the sword strikes at this tick."""
-    facing = player.facing
-    spot.armed = 1
-    spot.attack = player.attack
-    spot.box_x = player.x + stats.sword_x[facing]
-    spot.box_y = player.y + stats.sword_y[facing]
-    spot.half_width = stats.sword_half_width[facing]
-    spot.half_height = stats.sword_half_height[facing]
-    spot.damage = stats.damage
-    spot.knock_speed = stats.knock_speed
-    spot.knock_ticks = stats.knock_ticks
+def _walk(speed: float, action: int) -> tuple[float, float]:
+    dx = speed if action == RIGHT else -speed if action == LEFT else 0.0
+    dy = speed if action == DOWN else -speed if action == UP else 0.0
+    return dx, dy
 
 
 @part
-def _burn(player: Array, stats: Array, spot: Array) -> None:
-    """Note the box that a flame burns, at this tick alone; it knocks nobody back."""
+def _raise_sword(player: Array, stats: Array, tick: Array) -> None:
+    """Note the box that the sword strikes in this tick."""
+    facing = player.facing
+    tick.strikes = 1
+    tick.box_x = player.x + stats.sword_x[facing]
+    tick.box_y = player.y + stats.sword_y[facing]
+    tick.half_width = stats.sword_half_width[facing]
+    tick.half_height = stats.sword_half_height[facing]
+    tick.damage = stats.damage
+    tick.hilt_x = player.x + stats.hilt_x[facing]
+    tick.hilt_y = player.y + stats.hilt_y[facing]
+    tick.knock_speed = stats.knock_speed
+    tick.knock_ticks = stats.knock_ticks
+
+
+@part
+def _burn(player: Array, stats: Array, tick: Array) -> None:
+    """Note the box that a flame burns, in this tick alone; it knocks nobody back."""
     facing = player.facing
     player.attack += 1
-    spot.attack = player.attack
-    spot.armed = 1
-    spot.box_x = player.x + stats.flame_x[facing]
-    spot.box_y = player.y + stats.flame_y[facing]
-    spot.half_width = stats.flame_half_width[facing]
-    spot.half_height = stats.flame_half_height[facing]
-    spot.damage = stats.flame_damage
-    spot.knock_speed = 0.0
-    spot.knock_ticks = -1
+    tick.strikes = 1
+    tick.box_x = player.x + stats.flame_x[facing]
+    tick.box_y = player.y + stats.flame_y[facing]
+    tick.half_width = stats.flame_half_width[facing]
+    tick.half_height = stats.flame_half_height[facing]
+    tick.damage = stats.flame_damage
+    tick.knock_ticks = -1
 
 
 @part
 def _at_sea(s: State, level: int, player: Array) -> bool:
-    """Tell whether a player's centre is beyond the coast."""
+    """Tell whether a player's place is beyond the coast."""
     settings = s.settings[0]
     column = int((player.x - settings.left) / settings.tile)
     row = int((player.y - settings.top) / settings.tile)
     return s.terrain[level, row, column] == COAST
 
 
-# --- Part 2: monsters live through the step ------------------------------------------------------
+@part
+def _die(player: Array, event: Array) -> None:
+    player.hp = 0.0
+    player.busy = 0
+    player.armed = 0
+    event.died = 1
 
 
-@merged
-def _live_through(s: State, w: int, count: int) -> None:
-    """Let the first `count` monsters of `scratch` live the step, as often as a death is found out."""
-    lone = s.players.shape[1] == 1
-    for i in range(count):
-        s.backup[i] = s.monsters[w, s.scratch[i].order]
-    while True:
-        _empty_ledger(s)
-        if count >= LANES // 4 and lone and s.events[w, 0].present == s.settings[0].ticks:
-            for first in range(0, count, LANES):
-                _live_in_lanes(s, w, first, min(count - first, LANES))
-        else:
-            for i in range(count):
-                _live_step(s, w, s.scratch[i].order)
-        if not _note_first_death(s, w):
-            break
-        for i in range(count):
-            s.monsters[w, s.scratch[i].order] = s.backup[i]
-    for i in range(count):
-        s.worlds[w].monsters_left -= s.monsters[w, s.scratch[i].order].hp <= 0.0
+# --- A tick: monsters are struck, sense, bite and move -------------------------------------------
 
 
 @part
-def _empty_ledger(s: State) -> None:
-    for p in range(s.ledger.shape[1]):
-        for tick in range(s.ledger.shape[0] if s.ledger[0, p].written else 0):
-            line = s.ledger[tick, p]
-            line.xp = 0.0
-            line.healed = 0.0
-            line.bitten = 0.0
-            line.hits = 0
-            line.kills = 0
-            line.notices = 0
-            line.contacts = 0
-            line.pays = 0
-        s.ledger[0, p].written = 0
-
-
-@part
-def _note_first_death(s: State, w: int) -> bool:
-    """Find the earliest bite that kills a player, and end his presence there; tell whether it is news.
-
-    Later deaths may hang on the earlier one, so they wait until the monsters have lived the step again.
-    """
-    first: Any = np.int64(s.settings[0].ticks)
-    who = -1
+def _live(s: State, w: int, m: int, crowded: int) -> None:
+    """Let one living monster live through a tick."""
+    monster = s.monsters[w, m]
+    kind = s.monster_stats[s.worlds[w].level, m]
+    if monster.safe > 0:
+        monster.safe -= 1
     for p in range(s.players.shape[1]):
-        player = s.players[w, p]
-        hp = player.hp
-        safe: Any = np.int64(player.safe)
-        for tick in range(min(s.events[w, p].present, first) if s.ledger[0, p].written else 0):
-            hp, safe = _hp_after(s, tick, p, hp, safe)
-            if hp <= 0.0:
-                if tick + 1 < s.events[w, p].present:
-                    first = tick
-                    who = p
-                break
-    if who < 0:
-        return False
-    s.events[w, who].present = first + 1
-    s.events[w, who].died = 0  # nor did he reach the sea
-    return True
-
-
-@part
-def _hp_after(s: State, tick: int, p: int, hp: float, safe: int) -> tuple[float, int]:
-    """Return a player's HP, and ticks of safety, after a tick: first what heals, then the bites."""
-    stats = s.player_stats[p]
-    line = s.ledger[tick, p]
-    hp = min(hp + (s.path[tick, p].healed + line.healed), stats.hp)
-    safe = max(safe - 1, 0)
-    if line.bitten > 0.0 and safe == 0:
-        hp = max(hp - line.bitten, 0.0)
-        safe = stats.safe
-    return hp, safe
-
-
-@part
-def _live_step(s: State, w: int, m: int) -> None:
-    """Let one living monster live through the ticks of a step along the players' paths.
-
-    At each tick it is struck; if it lives, it senses every player and bites; then it flies back from
-    a blow or chases the nearest player that it has noticed. Its place is kept in local variables, which
-    the compiler keeps in registers.
-    """
-    monster = s.monsters[w, m]
-    level = s.worlds[w].level
-    kind = s.monster_stats[level, m]
-    half_width, half_height = kind.half_width, kind.half_height
-    notice, attack = kind.notice_squared, kind.attack_squared
-    stand_off, speed = kind.stand_off, kind.speed
-    x, y = monster.x, monster.y
-    if s.path[0, 0].still and s.players.shape[1] == 1 and _only_waits(s, w, m, x, y):
-        monster.bite[0] -= s.settings[0].ticks
+        if s.tick[p].strikes and _is_struck(s.tick[p], monster, kind):
+            _suffer(s, w, m, p)
+    if monster.hp <= 0.0:
         return
-    for tick in range(s.settings[0].ticks):
-        if monster.safe > 0:
-            monster.safe -= 1
-        target = -1
-        nearest = math.inf
-        for p in range(s.players.shape[1]):
-            spot = s.path[tick, p]
-            if tick >= s.events[w, p].present:
-                monster.noticed &= ~np.uint8(1 << p)
-                monster.bite[p] = 0
-            elif spot.armed and _overlap(spot, x, y, half_width, half_height):
-                _suffer(s, w, m, tick, p, x, y)
-        if monster.hp <= 0.0:
-            break
-        for p in range(s.players.shape[1]):
-            if tick >= s.events[w, p].present:
-                continue
-            spot = s.path[tick, p]
-            stats = s.player_stats[p]
-            gap = _gap(x, y, spot.x, spot.y, stats)
-            if gap > notice:
-                monster.noticed &= ~np.uint8(1 << p)
-            elif not monster.noticed & np.uint8(1 << p):
-                monster.noticed |= np.uint8(1 << p)
-                s.ledger[tick, p].notices += 1
-                s.ledger[0, p].written = 1
-            if gap <= notice and gap < nearest:
-                nearest = gap
-                target = p
-            if gap > attack:
-                monster.bite[p] = 0
-            elif monster.bite[p] > 1:
-                monster.bite[p] -= 1
-            else:
-                _bite(kind, s.ledger[tick, p], stats, monster.bite[p] == 0)
-                monster.bite[p] = kind.bite_ticks
-                s.ledger[0, p].written = 1
-        dx = 0.0
-        dy = 0.0
-        if monster.knocked > 0:
-            monster.knocked -= 1
-            dx = monster.knock_x
-            dy = monster.knock_y
-        elif target >= 0:
-            dx = _approach(s.path[tick, target].x - x, stand_off, speed)
-            dy = _approach(s.path[tick, target].y - y, stand_off, speed)
-        if dx != 0.0 or dy != 0.0:
-            x, y = _moved(s, level, x, y, half_width, half_height, dx, dy, COAST_BLOCKS)
-    monster.x = x
-    monster.y = y
-
-
-@merged
-def _live_in_lanes(s: State, w: int, first: int, count: int) -> None:
-    """Let up to `LANES` monsters of `scratch` live through a whole step of a lone player.
-
-    All are moved at once as if they did nothing but chase. For those of which that is not true, the
-    result is thrown away. What they do to the player is noted in their usual order, as sums demand.
-    """
-    for lane in range(count):
-        _enter_lane(s, w, s.scratch[first + lane].order, lane)
-    _chase(s.chase[0], s.path, s.settings[0].ticks, s.player_stats[0])
-    for lane in range(count):
-        m = s.scratch[first + lane].order
-        if _only_chased(s, w, m, lane):
-            _leave_lane(s, w, m, lane)
-        else:
-            _live_step(s, w, m)
+    target = -1
+    nearest = math.inf
+    for p in range(s.players.shape[1]):
+        if not s.tick[p].there:
+            monster.noticed &= ~np.uint8(1 << p)
+            monster.bite[p] = 0
+            continue
+        gap = _sense(s, w, m, p)
+        if gap <= kind.notice_squared and gap < nearest:
+            nearest = gap
+            target = p
+    dx = 0.0
+    dy = 0.0
+    if monster.knocked > 0:
+        monster.knocked -= 1
+        dx = monster.knock_x
+        dy = monster.knock_y
+    elif target >= 0:
+        dx = _approach(s.players[w, target].x - monster.x, kind.stand_off, kind.speed)
+        dy = _approach(s.players[w, target].y - monster.y, kind.stand_off, kind.speed)
+    if dx != 0.0 or dy != 0.0:
+        stops = s.settings[0].monster_stops
+        monster.x, monster.y = _moved(s, w, m, monster.x, monster.y, kind, dx, dy, stops, crowded)
 
 
 @part
-def _enter_lane(s: State, w: int, m: int, lane: int) -> None:
-    chase = s.chase[0]
-    monster = s.monsters[w, m]
-    kind = s.monster_stats[s.worlds[w].level, m]
-    chase.x[lane] = chase.left[lane] = chase.right[lane] = monster.x
-    chase.y[lane] = chase.top[lane] = chase.bottom[lane] = monster.y
-    chase.farthest[lane] = 0.0
-    chase.bite[lane] = monster.bite[0]
-    chase.struck[lane] = chase.bites[lane] = chase.contacts[lane] = 0.0
-    chase.half_width[lane] = kind.half_width
-    chase.half_height[lane] = kind.half_height
-    chase.attack_squared[lane] = kind.attack_squared
-    chase.stand_off[lane] = kind.stand_off
-    chase.speed[lane] = kind.speed
-    chase.bite_ticks[lane] = kind.bite_ticks
-
-
-@kernel
-def _chase(chase: Array, path: Array, ticks: int, stats: Array) -> None:
-    """Move all lanes through the ticks of a step as `_live_step` would, without a branch.
-
-    What lies in unused lanes is never looked at.
-    """
-    half_width, half_height = stats.half_width, stats.half_height
-    bit = 1.0
-    for tick in range(ticks):
-        spot = path[tick, 0]
-        player_x, player_y = spot.x, spot.y
-        if spot.armed:
-            _strike_lanes(chase, spot.box_x, spot.box_y, spot.half_width, spot.half_height)
-        for lane in range(LANES):
-            x, y, bite = chase.x[lane], chase.y[lane], chase.bite[lane]
-            chase.left[lane], chase.right[lane] = min(chase.left[lane], x), max(chase.right[lane], x)
-            chase.top[lane], chase.bottom[lane] = min(chase.top[lane], y), max(chase.bottom[lane], y)
-            across = max(abs(player_x - x) - half_width, 0.0)
-            down = max(abs(player_y - y) - half_height, 0.0)
-            gap = across * across + down * down
-            chase.farthest[lane] = max(chase.farthest[lane], gap)
-            within = gap <= chase.attack_squared[lane]
-            waits = bite > 1.0
-            chase.bites[lane] += bit if within and not waits else 0.0
-            chase.contacts[lane] += bit if within and bite == 0.0 else 0.0
-            chase.bite[lane] = (bite - 1.0 if waits else chase.bite_ticks[lane]) if within else 0.0
-            chase.x[lane] = x + _approach(player_x - x, chase.stand_off[lane], chase.speed[lane])
-            chase.y[lane] = y + _approach(player_y - y, chase.stand_off[lane], chase.speed[lane])
-        bit *= 2.0
+def _is_struck(tick: Array, monster: Array, kind: Array) -> bool:
+    """Tell whether what strikes in this tick overlaps a monster's body."""
+    across = abs(monster.x + kind.body_x - tick.box_x) < tick.half_width + kind.half_width
+    return across and abs(monster.y + kind.body_y - tick.box_y) < tick.half_height + kind.half_height
 
 
 @part
-def _strike_lanes(chase: Array, x: float, y: float, half_width: float, half_height: float) -> None:
-    """Note which lanes a box overlaps; see `_overlap`."""
-    for lane in range(LANES):
-        across = abs(chase.x[lane] - x) < half_width + chase.half_width[lane]
-        down = abs(chase.y[lane] - y) < half_height + chase.half_height[lane]
-        chase.struck[lane] = 1.0 if across & down else chase.struck[lane]
-
-
-@part
-def _only_chased(s: State, w: int, m: int, lane: int) -> bool:
-    """Tell whether a monster of a lane was free to chase the player from the first tick to the last."""
-    chase = s.chase[0]
-    monster = s.monsters[w, m]
-    if chase.struck[lane] or monster.knocked > 0 or monster.safe > 0 or not monster.noticed & 1:
-        return False
-    if chase.farthest[lane] > s.monster_stats[s.worlds[w].level, m].notice_squared:
-        return False
-    settings = s.settings[0]
-    first_column = int((chase.left[lane] - settings.left) * settings.cells_per_pixel)
-    last_column = int((chase.right[lane] - settings.left) * settings.cells_per_pixel)
-    first_row = int((chase.top[lane] - settings.top) * settings.cells_per_pixel)
-    last_row = int((chase.bottom[lane] - settings.top) * settings.cells_per_pixel)
-    if last_row >= s.room.shape[1] or last_column >= s.room.shape[2] or first_row < 0 or first_column < 0:
-        return False
-    for row in range(first_row, last_row + 1):
-        for column in range(first_column, last_column + 1):
-            if s.room[s.worlds[w].level, row, column] == 0:
-                return False
-    return True
-
-
-@part
-def _leave_lane(s: State, w: int, m: int, lane: int) -> None:
-    """Take over where a monster got in its lane, and note its bites."""
-    chase = s.chase[0]
-    monster = s.monsters[w, m]
-    monster.x = chase.x[lane]
-    monster.y = chase.y[lane]
-    monster.bite[0] = int(chase.bite[lane])
-    bites = int(chase.bites[lane])
-    contacts = int(chase.contacts[lane])
-    for tick in range(s.settings[0].ticks if bites > 0 else 0):
-        if bites >> tick & 1:
-            kind = s.monster_stats[s.worlds[w].level, m]
-            _bite(kind, s.ledger[tick, 0], s.player_stats[0], contacts >> tick & 1)
-            s.ledger[0, 0].written = 1
-
-
-@part
-def _only_waits(s: State, w: int, m: int, x: float, y: float) -> bool:
-    """Tell whether all that a monster does in a step is to wait for its next bite.
-
-    So it is for one that stands as near as it gets to a lone player who stands as well, when no bite
-    and no new blow is due: in a fight, most are.
-    """
-    monster = s.monsters[w, m]
-    kind = s.monster_stats[s.worlds[w].level, m]
-    spot = s.path[0, 0]
-    if monster.knocked > 0 or monster.safe > 0 or not monster.noticed & 1:
-        return False
-    if s.events[w, 0].present < s.settings[0].ticks:
-        return False
-    if monster.bite[0] <= s.settings[0].ticks:
-        return False
-    if abs(spot.x - x) > kind.stand_off or abs(spot.y - y) > kind.stand_off:
-        return False
-    gap = _gap(x, y, spot.x, spot.y, s.player_stats[0])
-    if gap > kind.attack_squared or gap > kind.notice_squared:
-        return False
-    if not spot.armed or spot.attack == monster.struck_by[0]:
-        return True
-    return not _overlap(spot, x, y, kind.half_width, kind.half_height)
-
-
-@part
-def _overlap(spot: Array, x: float, y: float, half_width: float, half_height: float) -> bool:
-    """Tell whether what strikes at a tick overlaps a body."""
-    return (
-        abs(x - spot.box_x) < spot.half_width + half_width
-        and abs(y - spot.box_y) < spot.half_height + half_height
-    )
-
-
-@kernel
-def _take_blow(monster: Array, kind: Array, spot: Array, x: float, y: float) -> None:
-    """Lose HP and fly back from the centre of the sword box; if it is there, the way faced."""
-    monster.safe = kind.safe
-    monster.hp = max(monster.hp - spot.damage, 0.0)
-    if monster.hp <= 0.0 or spot.knock_ticks < 0:
-        return
-    away_x = x - spot.box_x
-    away_y = y - spot.box_y
-    length = math.sqrt(away_x * away_x + away_y * away_y)
-    if length == 0.0:
-        away_x = float((spot.facing == RIGHT) - (spot.facing == LEFT))
-        away_y = float((spot.facing == DOWN) - (spot.facing == UP))
-        length = 1.0
-    speed = spot.knock_speed if kind.knock_ticks < 0 else kind.knock_speed
-    monster.knock_x = away_x / length * speed
-    monster.knock_y = away_y / length * speed
-    monster.knocked = spot.knock_ticks if kind.knock_ticks < 0 else kind.knock_ticks
-
-
-@part
-def _suffer(s: State, w: int, m: int, tick: int, p: int, x: float, y: float) -> None:
+def _suffer(s: State, w: int, m: int, p: int) -> None:
     """Take a player's blow, unless this attack has hit already or the monster is safe."""
     monster = s.monsters[w, m]
-    new = s.path[tick, p].attack != monster.struck_by[p]
-    if not new or monster.safe > 0 or monster.hp <= 0.0:
+    if monster.struck_by[p] == s.players[w, p].attack or monster.safe > 0 or monster.hp <= 0.0:
         return
-    monster.struck_by[p] = s.path[tick, p].attack
     kind = s.monster_stats[s.worlds[w].level, m]
-    _take_blow(monster, kind, s.path[tick, p], x, y)
-    s.ledger[tick, p].hits += 1
-    s.ledger[0, p].written = 1
+    tick = s.tick[p]
+    monster.struck_by[p] = s.players[w, p].attack
+    monster.safe = kind.safe
+    monster.hp = max(monster.hp - tick.damage, 0.0)
+    s.events[w, p].hits += 1
     if monster.hp <= 0.0:
-        _pay(s, w, monster, kind, tick, p)
+        _pay(s, w, m, p)
+    elif tick.knock_ticks >= 0 and monster.knocked == 0:
+        _knock_back(monster, kind, tick)
 
 
 @part
-def _pay(s: State, w: int, monster: Array, kind: Array, tick: int, striker: int) -> None:
+def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
+    """Fly away from the hilt; who flies already is neither turned nor flies on for longer."""
+    away_x = monster.x - tick.hilt_x
+    away_y = monster.y - tick.hilt_y
+    length = math.sqrt(away_x * away_x + away_y * away_y)
+    own = kind.knock_ticks >= 0
+    speed = kind.knock_speed if own else tick.knock_speed
+    monster.knock_x = away_x / length * speed if length > 0.0 else 0.0
+    monster.knock_y = away_y / length * speed if length > 0.0 else 0.0
+    monster.knocked = kind.knock_ticks if own else tick.knock_ticks
+
+
+@part
+def _pay(s: State, w: int, m: int, striker: int) -> None:
     """Credit a kill: to the one who landed the last blow, or to all within the attack circle."""
-    s.ledger[tick, striker].kills += 1
-    s.ledger[0, striker].written = 1
+    kind = s.monster_stats[s.worlds[w].level, m]
+    s.worlds[w].monsters_left -= 1
+    s.players[w, striker].kills += 1
+    s.events[w, striker].kills += 1
     for p in range(s.players.shape[1]):
-        if tick >= s.events[w, p].present:
+        tick = s.tick[p]
+        if not tick.there:
             continue
-        line = s.ledger[tick, p]
-        line.pays += 1
-        s.ledger[0, p].written = 1
-        if (monster.bite[p] > 0) if s.settings[0].credit_near else (p == striker):
-            line.xp += kind.xp
-            line.healed += kind.heal
+        tick.paid = 1
+        if (s.monsters[w, m].bite[p] > 0) if s.settings[0].credit_near else (p == striker):
+            tick.xp += kind.xp
+            tick.healed += kind.heal
 
 
 @part
-def _bite(kind: Array, line: Array, stats: Array, contact: bool) -> None:
-    """Bite a player: at once on `contact`, when it comes within reach, then at every interval."""
-    line.contacts += contact
-    if stats.safe == 0 or line.bitten == 0.0:  # one bite a tick for who is safe after it
-        line.bitten += kind.damage
+def _sense(s: State, w: int, m: int, p: int) -> float:
+    """Notice a player and bite him where he is near enough; return the squared distance to him."""
+    monster = s.monsters[w, m]
+    kind = s.monster_stats[s.worlds[w].level, m]
+    player = s.players[w, p]
+    stats = s.player_stats[p]
+    tick = s.tick[p]
+    gap = _gap(monster.x + kind.notice_x, monster.y + kind.notice_y, player, stats)
+    if gap > kind.notice_squared:
+        monster.noticed &= ~np.uint8(1 << p)
+    elif not monster.noticed & np.uint8(1 << p):
+        monster.noticed |= np.uint8(1 << p)
+        tick.notices += 1
+    if _gap(monster.x + kind.attack_x, monster.y + kind.attack_y, player, stats) > kind.attack_squared:
+        monster.bite[p] = 0
+    elif monster.bite[p] > 1:
+        monster.bite[p] -= 1
+    else:
+        tick.contacts += monster.bite[p] == 0
+        if monster.knocked > 0 and not s.settings[0].bite_while_knocked:
+            monster.bite[p] = 1  # due as soon as it has landed
+        else:
+            monster.bite[p] = kind.bite_ticks
+            if stats.safe == 0 or tick.bitten == 0.0:  # one bite a tick for who is safe after it
+                tick.bitten += kind.damage
+    return gap
 
 
 @part
@@ -794,65 +571,36 @@ def _approach(offset: float, stand_off: float, speed: float) -> float:
     return 0.0
 
 
-# --- Part 3: the ledger is settled ---------------------------------------------------------------
+# --- A tick: players get what it brought ---------------------------------------------------------
 
 
 @part
-def _settle(s: State, w: int, p: int, met: bool) -> None:
-    """Give a player, tick by tick, what the step brought; `met` says whether the ledger was written."""
+def _end_tick(s: State, w: int, p: int) -> None:
+    """Give a player what the tick brought: first what heals, then the bites."""
     player = s.players[w, p]
+    stats = s.player_stats[p]
     event = s.events[w, p]
-    if met:
-        for tick in range(np.int64(event.present)):
-            _settle_tick(s, player, event, tick, p)
-    else:
-        player.safe = max(player.safe - event.present, 0)
-        for tick in range(event.present if s.settings[0].magic else 0):
-            hp = min(player.hp + s.path[tick, p].healed, s.player_stats[p].hp)
-            event.hp_gained += hp - player.hp
-            player.hp = hp
-    at_sea = event.died and player.hp > 0.0  # else the bites were first
-    if at_sea:
-        event.hp_lost += player.hp
-        player.hp = 0.0
-    if player.hp <= 0.0:
-        _die(player, event, s.path[event.present if at_sea else event.present - 1, p])
-        if not at_sea:
-            _charge(player, event, s.settings[0].ending_cost)
-
-
-@part
-def _die(player: Array, event: Array, spot: Array) -> None:
-    """Leave a player as he was at the tick of his death."""
-    event.died = 1
-    player.x = spot.x
-    player.y = spot.y
-    player.facing = spot.facing
-    player.energy = spot.energy
-    player.attack = spot.attack
-    player.busy = 0
-    player.armed = 0
-
-
-@part
-def _settle_tick(s: State, player: Array, event: Array, tick: int, p: int) -> None:
-    line = s.ledger[tick, p]
-    hp, safe = _hp_after(s, tick, p, player.hp, np.int64(player.safe))
-    top = min(player.hp + (s.path[tick, p].healed + line.healed), s.player_stats[p].hp)
-    event.hp_gained += top - player.hp
-    event.hp_lost += top - hp
+    tick = s.tick[p]
+    player.safe = max(player.safe - 1, 0)
+    hp = player.hp + tick.healed
+    if s.settings[0].healing_cap:
+        hp = max(player.hp, min(hp, stats.hp))
+    event.hp_gained += hp - player.hp
     player.hp = hp
-    player.safe = safe
-    player.xp += line.xp
-    player.kills += line.kills
-    event.xp_gained += line.xp
-    event.hits += line.hits
-    event.kills += line.kills
-    event.notices += line.notices
-    event.contacts += line.contacts
-    if line.pays > 0:
+    if tick.bitten > 0.0 and player.safe == 0:
+        player.hp = max(hp - tick.bitten, 0.0)
+        player.safe = stats.safe
+        event.hp_lost += hp - player.hp
+    player.xp += tick.xp
+    event.xp_gained += tick.xp
+    event.notices += tick.notices
+    event.contacts += tick.contacts
+    if tick.paid:
         event.reward = player.xp
-    event.reward += line.notices + line.contacts
+    event.reward += tick.notices + tick.contacts
+    if player.hp <= 0.0:
+        _die(player, event)
+        _charge(player, event, s.settings[0].ending_cost)
 
 
 @part
@@ -878,22 +626,24 @@ def _closeness(distance: float) -> float:
     return 0.5 + 0.5 * z / math.sqrt(1.0 + z * z)
 
 
-# --- Moving among tiles --------------------------------------------------------------------------
+# --- Moving --------------------------------------------------------------------------------------
 
 
 @part
 def _moved(
-    s: State, level: int, x: float, y: float, half_width: float, half_height: float,
-    dx: float, dy: float, coast_blocks: int,
+    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int, crowded: int
 ) -> tuple[float, float]:  # fmt: skip
-    """Return where a body gets by moving, x first, among the tiles that block."""
-    if _has_room(s, level, x, y):
+    """Return where a body gets by moving, x first, among terrain and other bodies.
+
+    `me` is its index, players after monsters; `shape` its stats; `stops` the tiles that stop it.
+    """
+    near_tiles = not _has_room(s, s.worlds[w].level, x + shape.body_x, y + shape.body_y)
+    if not (near_tiles or crowded):
         return x + dx, y + dy
-    settings = s.settings[0]
     if dx != 0.0:
-        x = _slide_x(s.terrain, level, settings, x, y, half_width, half_height, dx, coast_blocks)
+        x = _moved_on_x(s, w, me, x, y, shape, dx, stops, near_tiles, crowded)
     if dy != 0.0:
-        y = _slide_y(s.terrain, level, settings, x, y, half_width, half_height, dy, coast_blocks)
+        y = _moved_on_y(s, w, me, x, y, shape, dy, stops, near_tiles, crowded)
     return x, y
 
 
@@ -907,56 +657,102 @@ def _has_room(s: State, level: int, x: float, y: float) -> bool:
 
 
 @kernel
-def _slide_x(
-    terrain: Array, level: int, settings: Array, x: float, y: float,
-    half_width: float, half_height: float, dx: float, coast_blocks: int,
+def _moved_on_x(
+    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, stops: int, near_tiles: bool,
+    crowded: int,
 ) -> float:  # fmt: skip
-    """Return x after moving by dx, stopped flush at the first tile that blocks."""
-    tile = settings.tile
-    first = math.floor((y - half_height - settings.top) / tile)
-    last = math.ceil((y + half_height - settings.top) / tile) - 1
-    if dx > 0:
-        column = math.ceil((x + dx + half_width - settings.left) / tile) - 1
+    """Return x after moving by dx, stopped flush at whatever is first in the way."""
+    middle_x, middle_y = x + shape.body_x, y + shape.body_y
+    way = 1.0 if dx > 0.0 else -1.0
+    stop = math.inf  # of the box's centre, times `way`
+    if near_tiles:
+        settings = s.settings[0]
+        left, top, tile = settings.left, settings.top, settings.tile
+        first = math.floor((middle_y - shape.half_height - top) / tile)
+        last = math.ceil((middle_y + shape.half_height - top) / tile) - 1
+        if dx > 0.0:
+            column = math.ceil((middle_x + dx + shape.half_width - left) / tile) - 1
+            edge = left + column * tile - shape.half_width
+        else:
+            column = math.floor((middle_x + dx - shape.half_width - left) / tile)
+            edge = left + (column + 1) * tile + shape.half_width
         for row in range(first, last + 1):
-            if _blocked(terrain, level, column, row, coast_blocks):
-                return max(x, settings.left + column * tile - half_width)
-    else:
-        column = math.floor((x + dx - half_width - settings.left) / tile)
-        for row in range(first, last + 1):
-            if _blocked(terrain, level, column, row, coast_blocks):
-                return min(x, settings.left + (column + 1) * tile + half_width)
-    return x + dx
+            if _blocked(s.terrain, s.worlds[w].level, column, row, stops):
+                stop = way * edge
+    if crowded:
+        for other in range(s.monsters.shape[1] + s.players.shape[1]):
+            if other != me and _is_alive(s, w, other):
+                there_x, there_y, half_width, half_height = _box(s, w, other)
+                reach = shape.half_width + half_width
+                beside = abs(middle_y - there_y) >= shape.half_height + half_height - HAIR
+                if not beside and way * (there_x - middle_x) >= reach - HAIR:
+                    stop = min(stop, way * there_x - reach)
+    if way * (middle_x + dx) <= stop:
+        return x + dx
+    return max(x, stop - shape.body_x) if dx > 0.0 else min(x, -stop - shape.body_x)
 
 
 @kernel
-def _slide_y(
-    terrain: Array, level: int, settings: Array, x: float, y: float,
-    half_width: float, half_height: float, dy: float, coast_blocks: int,
+def _moved_on_y(
+    s: State, w: int, me: int, x: float, y: float, shape: Array, dy: float, stops: int, near_tiles: bool,
+    crowded: int,
 ) -> float:  # fmt: skip
-    """Return y after moving by dy, stopped flush at the first tile that blocks."""
-    tile = settings.tile
-    first = math.floor((x - half_width - settings.left) / tile)
-    last = math.ceil((x + half_width - settings.left) / tile) - 1
-    if dy > 0:
-        row = math.ceil((y + dy + half_height - settings.top) / tile) - 1
+    """Return y after moving by dy, stopped flush at whatever is first in the way."""
+    middle_x, middle_y = x + shape.body_x, y + shape.body_y
+    way = 1.0 if dy > 0.0 else -1.0
+    stop = math.inf  # of the box's centre, times `way`
+    if near_tiles:
+        settings = s.settings[0]
+        left, top, tile = settings.left, settings.top, settings.tile
+        first = math.floor((middle_x - shape.half_width - left) / tile)
+        last = math.ceil((middle_x + shape.half_width - left) / tile) - 1
+        if dy > 0.0:
+            row = math.ceil((middle_y + dy + shape.half_height - top) / tile) - 1
+            edge = top + row * tile - shape.half_height
+        else:
+            row = math.floor((middle_y + dy - shape.half_height - top) / tile)
+            edge = top + (row + 1) * tile + shape.half_height
         for column in range(first, last + 1):
-            if _blocked(terrain, level, column, row, coast_blocks):
-                return max(y, settings.top + row * tile - half_height)
-    else:
-        row = math.floor((y + dy - half_height - settings.top) / tile)
-        for column in range(first, last + 1):
-            if _blocked(terrain, level, column, row, coast_blocks):
-                return min(y, settings.top + (row + 1) * tile + half_height)
-    return y + dy
+            if _blocked(s.terrain, s.worlds[w].level, column, row, stops):
+                stop = way * edge
+    if crowded:
+        for other in range(s.monsters.shape[1] + s.players.shape[1]):
+            if other != me and _is_alive(s, w, other):
+                there_x, there_y, half_width, half_height = _box(s, w, other)
+                reach = shape.half_height + half_height
+                beside = abs(middle_x - there_x) >= shape.half_width + half_width - HAIR
+                if not beside and way * (there_y - middle_y) >= reach - HAIR:
+                    stop = min(stop, way * there_y - reach)
+    if way * (middle_y + dy) <= stop:
+        return y + dy
+    return max(y, stop - shape.body_y) if dy > 0.0 else min(y, -stop - shape.body_y)
 
 
 @part
-def _blocked(terrain: Array, level: int, column: int, row: int, coast_blocks: int) -> bool:
+def _is_alive(s: State, w: int, body: int) -> bool:
+    if body < s.monsters.shape[1]:
+        return s.monsters[w, body].hp > 0.0
+    return s.players[w, body - s.monsters.shape[1]].hp > 0.0
+
+
+@part
+def _box(s: State, w: int, body: int) -> tuple[float, float, float, float]:
+    """Return the centre and half sides of a body, monsters first, then players."""
+    if body < s.monsters.shape[1]:
+        monster = s.monsters[w, body]
+        kind = s.monster_stats[s.worlds[w].level, body]
+        return monster.x + kind.body_x, monster.y + kind.body_y, kind.half_width, kind.half_height
+    player = s.players[w, body - s.monsters.shape[1]]
+    stats = s.player_stats[body - s.monsters.shape[1]]
+    return player.x + stats.body_x, player.y + stats.body_y, stats.half_width, stats.half_height
+
+
+@part
+def _blocked(terrain: Array, level: int, column: int, row: int, stops: int) -> bool:
     """Tell whether a tile stops a body; what lies off the grid does."""
     if column < 0 or row < 0 or row >= terrain.shape[1] or column >= terrain.shape[2]:
         return True
-    code = terrain[level, row, column]
-    return code == SOLID or (code == COAST and coast_blocks != 0)
+    return (stops >> terrain[level, row, column]) & 1 != 0
 
 
 # --- Observation ---------------------------------------------------------------------------------
@@ -1050,12 +846,18 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
     if settings.layout != LAYOUT_PYGAME:
         out[2] = hp
         out[3] = player.xp * settings.xp_scale
-        return 4
-    out[2] = (player.facing == RIGHT) - (player.facing == LEFT)
-    out[3] = (player.facing == DOWN) - (player.facing == UP)
-    out[4] = hp
-    out[5] = player.energy * s.player_stats[p].energy_scale
-    return 6
+        at = 4
+    else:
+        out[2] = (player.facing == RIGHT) - (player.facing == LEFT)
+        out[3] = (player.facing == DOWN) - (player.facing == UP)
+        out[4] = hp
+        out[5] = player.energy * s.player_stats[p].energy_scale
+        at = 6
+    if settings.observe_facing:
+        for facing in range(4):
+            out[at + facing] = player.facing == facing
+        at += 4
+    return at
 
 
 @part
@@ -1101,9 +903,10 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     free = player.busy < s.settings[0].ticks
     for a in range(4):
         s.masks[w, p, a] = free
-    hemmed_in = stats.speed == 0.0 or not _has_room(s, s.worlds[w].level, player.x, player.y)
+    middle_x, middle_y = player.x + stats.body_x, player.y + stats.body_y
+    hemmed_in = stats.speed == 0.0 or not _has_room(s, s.worlds[w].level, middle_x, middle_y)
     if free and hemmed_in:
-        s.masks[w, p, player.facing] = _may_walk(s, w, player, stats, player.facing)
+        s.masks[w, p, player.facing] = _may_walk(s, w, p, player.facing)
     s.masks[w, p, ATTACK] = 1
     if s.masks.shape[2] > HEAL:
         energy = player.energy
@@ -1114,12 +917,10 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 
 
 @part
-def _may_walk(s: State, w: int, player: Array, stats: Array, action: int) -> bool:
-    """Tell whether one tick of walking gets a player anywhere."""
-    dx = stats.speed if action == RIGHT else -stats.speed if action == LEFT else 0.0
-    dy = stats.speed if action == DOWN else -stats.speed if action == UP else 0.0
-    coast = 1 - s.settings[0].deadly_coast
-    x, y = _moved(
-        s, s.worlds[w].level, player.x, player.y, stats.half_width, stats.half_height, dx, dy, coast
-    )
+def _may_walk(s: State, w: int, p: int, action: int) -> bool:
+    """Tell whether terrain lets a player walk for a tick; bodies may be gone by then."""
+    player = s.players[w, p]
+    stats = s.player_stats[p]
+    dx, dy = _walk(stats.speed, action)
+    x, y = _moved(s, w, -1, player.x, player.y, stats, dx, dy, s.settings[0].player_stops, 0)
     return x != player.x or y != player.y

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MAX_PLAYERS = 8
-LANES = 16
-"""Monsters that the compiler moves side by side, in vector registers."""
 
 Array = Any
 """A NumPy array, or a row of one, inside a kernel."""
@@ -64,7 +62,12 @@ MONSTER = _record(  # what every step looks at comes first: it shares a line of 
 
 # --- What the rules read --------------------------------------------------------------------------
 
-_BODY = (("half_width", "f8"), ("half_height", "f8"))
+_BODY = (
+    ("half_width", "f8"),
+    ("half_height", "f8"),
+    ("body_x", "f8"),  # centre of the body box from the position
+    ("body_y", "f8"),
+)
 
 PLAYER_STATS = _record(
     ("hp", "f8"),
@@ -81,6 +84,8 @@ PLAYER_STATS = _record(
     ("sword_y", "f8", (4,)),
     ("sword_half_width", "f8", (4,)),
     ("sword_half_height", "f8", (4,)),
+    ("hilt_x", "f8", (4,)),  # from the player, by facing: knock-back points away from it
+    ("hilt_y", "f8", (4,)),
     ("flame_ticks", "i4"),  # that the spell lasts
     ("heal_ticks", "i4"),
     ("flame_damage", "f8"),
@@ -102,7 +107,11 @@ MONSTER_STATS = _record(
     ("speed", "f8"),
     *_BODY,
     ("notice_squared", "f8"),
+    ("notice_x", "f8"),  # centre of the notice circle from the position
+    ("notice_y", "f8"),
     ("attack_squared", "f8"),
+    ("attack_x", "f8"),  # and of the attack circle
+    ("attack_y", "f8"),
     ("stand_off", "f8"),  # no approach on an axis nearer than this
     ("damage", "f8"),
     ("bite_ticks", "i4"),
@@ -126,11 +135,18 @@ SETTINGS = _record(
     ("step_limit", "i8"),
     ("end_on_clear", "i4"),
     ("deadly_coast", "i4"),
+    ("player_stops", "i4"),  # bit 1 << code: tiles of this code stop players
+    ("monster_stops", "i4"),
+    ("bodies_block", "i4"),
+    ("crowd", "f8"),  # on an axis, bodies further apart than this cannot meet within one step
+    ("bite_while_knocked", "i4"),
+    ("healing_cap", "i4"),  # whether the HP of a kill stop at full HP
     ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
     ("ending_cost", "f8"),  # XP lost by an ending other than the coast's
     ("keep_xp", "i4"),  # from episode to episode
     ("magic", "i4"),
     ("layout", "i4"),  # of observations
+    ("observe_facing", "i4"),
     ("fixed_order", "i4"),
     ("perceived", "i4"),  # most monsters in an observation
     ("middle_x", "f8"),  # positions are observed as (x - middle) * scale
@@ -157,61 +173,29 @@ EVENTS = _record(
 )
 """What happened to a player during one step, for rewards computed outside."""
 
-PATH = _record(
-    ("x", "f8"),
-    ("y", "f8"),
-    ("facing", "i4"),
-    ("energy", "f8"),
-    ("armed", "i4"),  # whether something strikes at this tick: the box below
-    ("attack", "i4"),  # number of that attack
+TICK = _record(
+    ("there", "i4"),  # whether the player lives through this tick
+    ("crowded", "i4"),  # whether any body is near enough to be met within the step
+    ("strikes", "i4"),  # whether a sword or a flame strikes the box below
     ("box_x", "f8"),
     ("box_y", "f8"),
     ("half_width", "f8"),
     ("half_height", "f8"),
     ("damage", "f8"),
+    ("hilt_x", "f8"),
+    ("hilt_y", "f8"),
     ("knock_speed", "f8"),
     ("knock_ticks", "i4"),  # below 0: it knocks nobody back
-    ("healed", "f8"),  # by a spell
-    ("still", "i4"),  # at the first tick: whether nothing of all this changes during the step
-)
-"""Where a player is at one tick of a step and what strikes from there."""
-
-LEDGER = _record(
     ("xp", "f8"),
     ("healed", "f8"),
     ("bitten", "f8"),
-    ("hits", "i4"),
-    ("kills", "i4"),
     ("notices", "i4"),
     ("contacts", "i4"),
-    ("pays", "i4"),  # kills of this tick, anybody's
-    ("written", "i4"),  # at the first tick: whether anything is written for the player at any
+    ("paid", "i4"),  # whether anybody killed
 )
-"""What one tick of a step brings a player."""
+"""What a player does in one tick, and what the tick brings."""
 
-SCRATCH = _record(("order", "u8"), ("distance", "f8"))
-
-CHASE = _record(
-    ("x", "f8", (LANES,)),
-    ("y", "f8", (LANES,)),
-    ("left", "f8", (LANES,)),  # the box around the places from which it has moved so far
-    ("top", "f8", (LANES,)),
-    ("right", "f8", (LANES,)),
-    ("bottom", "f8", (LANES,)),
-    ("farthest", "f8", (LANES,)),  # squared distance from the player's body, at any tick so far
-    ("bite", "f8", (LANES,)),  # as in MONSTER, for the lone player
-    ("struck", "f8", (LANES,)),  # 1 once the player has struck where it is
-    ("bites", "f8", (LANES,)),  # the sum of 2**tick over the ticks at which it bites
-    ("contacts", "f8", (LANES,)),  # and over those of them at which it came within reach
-    ("half_width", "f8", (LANES,)),  # what follows is as in MONSTER_STATS
-    ("half_height", "f8", (LANES,)),
-    ("attack_squared", "f8", (LANES,)),
-    ("stand_off", "f8", (LANES,)),
-    ("speed", "f8", (LANES,)),
-    ("bite_ticks", "f8", (LANES,)),
-)
-"""Monsters that do nothing but chase a lone player, a lane each; all numbers of one size, as vectors need."""
-
+SCRATCH = _record(("order", "u8"), ("distance", "f8"), ("crowded", "i4"))
 
 class State(NamedTuple):
     """Every array that the kernels share.
@@ -232,19 +216,15 @@ class State(NamedTuple):
     events: Array  # (N, P) EVENTS
     observations: Array  # (N, P, features) float32
     masks: Array  # (N, P, actions) int8: 0 where an action would do nothing
-    path: Array  # (ticks, P) PATH
-    ledger: Array  # (ticks, P) LEDGER
-    backup: Array  # (M,) MONSTER
+    tick: Array  # (P,) TICK
     scratch: Array  # (M,) SCRATCH
-    chase: Array  # (1,) CHASE
 
 
 DTYPES = State(
     WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.uint8),
-    np.dtype(np.float64), EVENTS, np.dtype(np.float32), np.dtype(np.int8), PATH, LEDGER, MONSTER, SCRATCH,
-    CHASE,
+    np.dtype(np.float64), EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH,
 )  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 2, 2, 1, 1, 1)
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 1, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES]).encode()).hexdigest()[:16]
 _SOURCES = [Path(__file__).with_name(name).read_bytes() for name in ("rules.py", "state.py")]
@@ -259,7 +239,7 @@ changed, they are compiled anew, and so is whatever elsewhere calls them.
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (17,) HANDLE: what the kernels are called with.
+    """Return addresses and shapes of all arrays, (14,) HANDLE: what the kernels are called with.
 
     Handing one small array to a compiled function instead of all saves most of the time of a call. The
     arrays must outlive the handle.

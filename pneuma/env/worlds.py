@@ -85,7 +85,7 @@ class Worlds:
             [characters.monster_stats(cast, level, self.player_stats, config.magic) for level in self.levels]
         )
         for level, kinds in zip(self.levels, self.monster_stats, strict=True):
-            refuse_bad_places(level, self.player_stats, kinds, config.coast == "wall")
+            refuse_bad_places(level, self.player_stats, kinds, config)
         self.settings = self._settings(config)
         fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
         self.spaces = [
@@ -101,7 +101,6 @@ class Worlds:
     def _allocate(self, count: int, actions: int) -> None:
         players, monsters = len(self.player_stats), self.monster_stats.shape[1]
         margin = characters.margin(self.player_stats, self.monster_stats.ravel())
-        ticks = int(self.settings["ticks"][0])
         self.worlds = np.zeros(count, state.WORLD)
         self.worlds["key"] = np.random.SeedSequence().generate_state(
             count, np.uint64
@@ -125,11 +124,8 @@ class Worlds:
             self.events,
             self.observations,
             self.masks,
-            np.zeros((ticks, players), state.PATH),
-            np.zeros((ticks, players), state.LEDGER),
-            np.zeros(monsters, state.MONSTER),
+            np.zeros(players, state.TICK),
             np.zeros(monsters, state.SCRATCH),
-            np.zeros(1, state.CHASE),
         )
         self._take_addresses()
         self._every = np.ones(count, np.bool_)
@@ -193,6 +189,13 @@ class Worlds:
         row["step_limit"] = config.episode_steps
         row["end_on_clear"] = config.end_on_clear
         row["deadly_coast"] = config.coast == "deadly"
+        trees = (config.trees == "wall") << rules.SOLID
+        row["player_stops"] = trees | (config.coast == "wall") << rules.COAST
+        row["monster_stops"] = trees | 1 << rules.COAST if config.terrain_stops == "all" else 0
+        row["bodies_block"] = config.bodies == "block"
+        row["crowd"] = characters.crowd(self.player_stats, self.monster_stats.ravel())
+        row["bite_while_knocked"] = config.bite_while_knocked
+        row["healing_cap"] = config.healing_cap
         row["credit_near"] = config.kill_credit == "near"
         row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
