@@ -276,10 +276,10 @@ class Oracle:
             return
         gains[p].kills += 1
         for q in there:
-            gains[q].deaths += 1
             # Within the attack circle is who was when the monster last looked, a tick ago.
             earns = monster.bite[q] > 0 if self.book.settings.credit_near else q == p
             if earns:
+                gains[q].deaths += 1
                 gains[q].xp += kind.xp
                 gains[q].kill_heal += kind.heal
 

@@ -217,7 +217,7 @@ class Gain:
     kills: int = 0
     notices: int = 0
     contacts: int = 0
-    deaths: int = 0  # of monsters, whoever killed them
+    deaths: int = 0  # of monsters that paid the player
 
 
 # --- What is done to them ---------------------------------------------------------------------------

@@ -116,16 +116,20 @@ def _about_player(world: Oracle, player: Player) -> list[float]:
 
 
 def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[float]:
-    """Return a monster's row of an observation: zeros for a dead one, no direction where the player is."""
+    """Return a monster's row of an observation: no direction where the player is; zeros for a dead one.
+
+    The published code's layout shows the dead where they died (AIController2D.gd:20-25).
+    """
     settings, kind = world.book.settings, monster.kind
+    shown = monster.hp > 0.0 or settings.layout == LAYOUT_GODOT
     alive = monster.hp > 0.0
     length = _distance(monster, player)
-    inverse = 1.0 / length if alive and length > 0.0 else 0.0
+    inverse = 1.0 / length if shown and length > 0.0 else 0.0
     hp = monster.hp * kind.hp_scale
     if settings.layout == LAYOUT_GODOT:
         return [
-            (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0,
-            (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0,
+            (monster.x - settings.middle_x) * settings.scale_x,
+            (monster.y - settings.middle_y) * settings.scale_y,
             hp,
             (player.x - monster.x) * inverse,
             (player.y - monster.y) * inverse,
