@@ -34,6 +34,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.team"),
     "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
     "pneuma.study.kept": ("pneuma.engines.base",),
+    # what keeps two of them from compiling the same:
+    "pneuma.study.compiling": ("pneuma.env.compiled",),
     # what measures how fast they train:
     "pneuma.study.calibration": ("pneuma.engines.base",),
     "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),
