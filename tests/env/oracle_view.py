@@ -32,6 +32,8 @@ def observe(world: Oracle, player: Player) -> list[float]:
     """Return what a player sees, and note how far off the nearest living monster is."""
     settings = world.book.settings
     about = _about_player(world, player)
+    if settings.observe_facing:
+        about += [float(player.facing == way) for way in (DOWN, LEFT, UP, RIGHT)]
     size = len(about) + settings.perceived * ROW[settings.layout]
     living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
     player.events.distance = min(living, default=math.inf)
@@ -44,7 +46,8 @@ def mask(world: Oracle, player: Player) -> list[int]:
     """Return 1 for every action that would do anything in the next step, and for attack in any case.
 
     None does while an attack or spell lasts through the step. Walking against a wall that one faces
-    already does nothing, nor does a spell that cannot be paid at any tick of it.
+    already does nothing, nor does a spell that cannot be paid at any tick of it. A body in the way may
+    be gone before the step is over.
     """
     settings, stats = world.book.settings, player.stats
     allowed = dict.fromkeys((*WAYS, ATTACK), 0)
@@ -52,7 +55,7 @@ def mask(world: Oracle, player: Player) -> list[int]:
         allowed |= {FLAME: 0, HEAL: 0}
     if player.busy < settings.ticks:
         for way in WAYS:
-            gets_on = world.walked(player, way) != (player.x, player.y)
+            gets_on = world.walked(player, way, []) != (player.x, player.y)
             allowed[way] = int(player.facing != way or gets_on)
         if settings.magic:
             energy = _energy_at_last(player, settings.ticks)
