@@ -92,12 +92,14 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
         "time_limit": "terminate",
         "end_on_clear": True,
     },
+    "pneuma/PneumaArena-v0": {"reward": "kills"},
 }
-"""What each environment sets other than the defaults: the published code's quirks for Godot's."""
+"""What each environment sets other than the defaults: the published code's quirks for Godot's, another reward
+for the arena."""
 
 ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
 
-ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
+ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4, "pneuma/PneumaArena-v0": 4}
 """How many worlds a study collects from side by side, unless it says so itself."""
 
 OBSERVATION_SETTINGS = {

@@ -19,7 +19,7 @@ from pneuma.study.spec import list_studies, load_study
 
 ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
-COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --setting (\S+) (.*?)--results \"results\"")
+COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --world (\S+) (.*?)--results \"results\"")
 
 MAKE = shutil.which("make")
 pytestmark = pytest.mark.skipif(MAKE is None, reason="there is no make here")
@@ -35,10 +35,10 @@ def _told(target: str, *words: str) -> str:
 
 
 def _commands(target: str) -> list[tuple[str, str, Selection]]:
-    """Return what a target would run: study, setting and selection."""
+    """Return what a target would run: study, world and selection."""
     return [
-        (study, setting, Selection(preset, conditions=tuple(re.findall(r"--condition (\S+)", options))))
-        for study, preset, setting, options in COMMAND.findall(_told(target))
+        (study, world, Selection(preset, conditions=tuple(re.findall(r"--condition (\S+)", options))))
+        for study, preset, world, options in COMMAND.findall(_told(target))
     ]
 
 
@@ -46,8 +46,8 @@ def _trained(target: str) -> set[str]:
     """Return the ids of the runs that a target trains, for whichever study; all commands are sound."""
     return {
         cell.run_id
-        for study, setting, selection in _commands(target)
-        for cell in make_plan(load_study(study, setting), selection).cells
+        for study, world, selection in _commands(target)
+        for cell in make_plan(load_study(study, world), selection).cells
     }
 
 
@@ -57,15 +57,15 @@ def _small(run: Run) -> bool:
 
 def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
     commands = _commands("reproduction")
-    assert {(study, setting) for study, setting, _ in commands} == {
-        (study, setting)
+    assert {(study, world) for study, world, _ in commands} == {
+        (study, world)
         for study in (
             "activation", "actor-size", "clip-range", "gradient-limits", "hyperparameters", "optimizer",
         )
-        for setting in ("text", "godot")
+        for world in ("text", "godot")
     }  # fmt: skip
-    for study, setting, selection in commands:
-        plan = make_plan(load_study(study, setting), selection)
+    for study, world, selection in commands:
+        plan = make_plan(load_study(study, world), selection)
         assert plan.seeds == tuple(range(10))
         assert all(_small(cell.run) and cell.run.steps >= 1_000_000 for cell in plan.cells)
 
@@ -74,8 +74,8 @@ def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
 def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
     trained = set().union(*map(_trained, TARGETS))
     for name in list_studies():
-        for setting in load_study(name).settings_known:
-            study = load_study(name, setting)
+        for world in load_study(name).worlds:
+            study = load_study(name, world)
             for preset in ("paper", *(["claims"] if fixed_amounts(study) else [])):
                 plan = make_plan(study, Selection(preset))
                 assert {cell.run_id for cell in plan.cells} <= trained

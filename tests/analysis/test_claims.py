@@ -67,7 +67,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "margin of a wrong type": ("margin = 0.04", 'margin = "0.04"', 23, ('margin = "0.04"', "a number")),
     "unknown need": ("margin = 0.04", 'margin = 0.04\nneed = "one"', 24, ("need", "all, any")),
     "not less without margin": ('"greater"\nmargin = 0.04', '"not-less"', 14, ("'margin'", "missing")),
-    "unknown setting": ('["text"]', '["txet"]', 24, ("settings", "text, godot")),
+    "unknown world": ('["text"]', '["txet"]', 24, ("settings", "text, godot")),
     "no quote": ('quote = "a quote"\n', "", 14, ("'quote'", "missing")),
     "an empty quote": ('"a quote"', '""', 15, ("quote", "a text")),
     "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 14, ("'margin'", "missing")),
@@ -133,7 +133,7 @@ def test_a_mistake_is_told_with_file_line_and_what_to_mend(mistake: str, tmp_pat
 def test_a_shipped_claim_can_be_judged(claim: Claim) -> None:
     """Its runs are those of its study's paper preset, or those and more seeds."""
     study = load_study(claim.study)
-    assert set(claim.settings) <= set(study.settings_known)
+    assert set(claim.settings) <= set(study.worlds)
     assert claim.section in SECTIONS
     assert 10 <= len(claim.quote) <= 120
     find_outcome(claim.outcome)
@@ -146,8 +146,8 @@ def test_a_shipped_claim_can_be_judged(claim: Claim) -> None:
 
 @pytest.mark.parametrize("claim", SHIPPED.claims.values(), ids=SHIPPED.claims.keys())
 def test_no_shipped_claim_compares_what_is_the_same(claim: Claim) -> None:
-    for setting in claim.settings:
-        study = load_study(claim.study, setting)
+    for world in claim.settings:
+        study = load_study(claim.study, world)
         for a, b in claim.pairs:
             assert b is None or study.settings(a) != study.settings(b)
 
@@ -186,14 +186,14 @@ def test_the_claims_are_no_study() -> None:
         load_study("claims")
 
 
-@pytest.mark.parametrize("setting", ["text", "godot"])
-def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by(setting: str) -> None:
+@pytest.mark.parametrize("world", ["text", "godot"])
+def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by(world: str) -> None:
     fixed: dict[str, set[tuple[str, int]]] = {}
     for claim in SHIPPED.claims.values():
-        if setting in claim.settings:
+        if world in claim.settings:
             cells = {(name, seed) for name, seeds in claim.seeds.items() for seed in seeds}
             fixed[claim.study] = fixed.get(claim.study, set()) | cells
     for study, cells in fixed.items():
-        plan = make_plan(load_study(study, setting), Selection("claims"))
+        plan = make_plan(load_study(study, world), Selection("claims"))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells
-        assert make_plan(load_study(study, setting), Selection("paper+claims")).cells
+        assert make_plan(load_study(study, world), Selection("paper+claims")).cells

@@ -159,7 +159,7 @@ def test_the_settings_are_judged_side_by_side(store: Store, tmp_path: Path) -> N
     claims = changed(('settings = ["text"]\n', ""))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, setting="godot")
+    save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, world="godot")
     verdicts = {one.place: one.verdict for one in judge_claims(store, tmp_path, claims)}
     assert verdicts == {"text": "supported", "godot": "refuted"}
 

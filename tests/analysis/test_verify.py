@@ -40,7 +40,7 @@ def test_the_document_has_every_claim_in_every_setting(
     document = _document(capsys, *command)
     assert (document["schema"], document["contrasts"], document["alpha"]) == (1, 2, 0.05)
     assert document["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
-    told = [(one["claim"], one["setting"], one["verdict"]) for one in document["claims"]]
+    told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
     assert told == [
         ("better", "text", "supported"), ("better", "godot", "untestable"),
         ("other", "text", "untestable"), ("other", "godot", "untestable"),
@@ -83,7 +83,7 @@ def test_what_claims_fix_can_be_published_whatever_was_run_last(
 
 def test_one_claim_in_one_setting_is_judged_like_all(command: list[str], capsys: Captured) -> None:
     every = _document(capsys, *command)
-    one = _document(capsys, *command, "better", "--setting", "text")
+    one = _document(capsys, *command, "better", "--world", "text")
     assert one["claims"] == every["claims"][:1]
     assert one["contrasts"] == every["contrasts"]
 
@@ -103,7 +103,7 @@ def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     ("arguments", "words"),
     [
         (("bettr",), "unknown claim 'bettr' (did you mean better?)"),
-        (("--setting", "txt"), "unknown setting 'txt' (did you mean text?)"),
+        (("--world", "txt"), "unknown world 'txt' (did you mean text?)"),
         (("--claims", "nowhere.toml"), "nowhere.toml: cannot be read"),
     ],
 )
@@ -118,7 +118,7 @@ def test_a_mistake_is_told_in_one_line(
 
 def test_the_shipped_claims_are_judged_without_any_run(tmp_path: Path, capsys: Captured) -> None:
     document = _document(capsys, "study", "verify", "--results", str(tmp_path / "nothing"))
-    verdicts = {(one["setting"], one["verdict"]) for one in document["claims"]}
+    verdicts = {(one["world"], one["verdict"]) for one in document["claims"]}
     assert verdicts == {
         ("text", "untestable"), ("godot", "untestable"), ("logs", "untestable"), ("logs", "inconclusive"),
     }  # fmt: skip

@@ -18,7 +18,7 @@ from pneuma.analysis.trajectories import encode_trajectories, gathered, trajecto
 from pneuma.cli import main, report_contents
 from pneuma.config import as_settings, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.figures.report_verdicts import MEANINGS, SETTINGS
+from pneuma.figures.report_verdicts import MEANINGS, WORLDS
 from pneuma.study import spec
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
@@ -106,8 +106,8 @@ def test_without_any_run_every_shipped_study_says_how_to_get_them(make: Callable
     words = _words(page)
     for name in spec.list_studies():
         assert f"No runs yet. To train what is missing: pneuma study run {name}" in words
-        in_both = "godot" in spec.load_study(name).settings_known
-        assert (f"pneuma study run {name} --setting godot" in words) is in_both
+        in_both = "godot" in spec.load_study(name).worlds
+        assert (f"pneuma study run {name} --world godot" in words) is in_both
     assert page.all("img") == []
 
 
@@ -146,12 +146,12 @@ def test_what_is_missing_is_trained_by_the_selection_that_lacks_it(
     for name in ("activation-godot", "mine", "mine-forks-ab12"):
         record = _record(store, name, TWO, selection=chosen)
         path = "elsewhere/mine.toml" if name == "mine" else None
-        setting = "godot" if name.endswith("godot") else "text"
-        store.save_selection(name, {**record, "path": path, "setting": setting})
+        world = "godot" if name.endswith("godot") else "text"
+        store.save_selection(name, {**record, "path": path, "world": world})
         (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
     options = "--preset paper --seeds 2 --condition tanh --condition relu --set 'betas=[0.9, 0.9]'"
     words = _words(make("activation", "mine", "mine-forks-ab12"))
-    assert f"To train what is missing: pneuma study run activation --setting godot {options}" in words
+    assert f"To train what is missing: pneuma study run activation --world godot {options}" in words
     assert f"To train what is missing: pneuma study run mine.toml {options}" in words
     assert "pneuma study run mine-forks" not in words  # there is no such file
 
@@ -171,7 +171,7 @@ def test_a_study_of_another_world_is_not_said_to_be_the_thesiss(
     assert headings.count("In pneuma/Mailman-v0") == headings.count("In the text's environment") == 1
 
 
-def test_both_settings_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
+def test_all_worlds_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
     _record(store, "activation", TWO)
     _record(store, "activation-godot", TWO, settings={"env": "pneuma/PneumaGodot-v0"})
     page = make("activation")
@@ -211,9 +211,9 @@ def test_the_verdicts_are_those_of_study_verify(
     capsys.readouterr()
     assert main(["study", "verify", "--results", str(store.root), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    counted = Counter((claim["setting"], claim["verdict"]) for claim in document["claims"])
-    rows = [each.text for each in page.elements if each.tag == "td"][: 4 * len(SETTINGS)]
-    assert [int(cell) for cell in rows] == [counted[place, word] for place in SETTINGS for word in MEANINGS]
+    counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
+    rows = [each.text for each in page.elements if each.tag == "td"][: 4 * len(WORLDS)]
+    assert [int(cell) for cell in rows] == [counted[place, word] for place in WORLDS for word in MEANINGS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
     assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
     assert document["claims_hash"] in _words(page)

@@ -31,7 +31,7 @@ def _run_id(number: int) -> str:
     return f"{number:016x}"
 
 
-def _part(record: str, setting: str, first: int) -> Part:
+def _part(record: str, world: str, first: int) -> Part:
     names = ("tanh", "relu")
     runs = [RunRow(name, seed, _run_id(first + 2 * seed + k), "done", "batched")
             for seed in range(3) for k, name in enumerate(names)]  # fmt: skip
@@ -40,7 +40,7 @@ def _part(record: str, setting: str, first: int) -> Part:
     summary = pd.DataFrame([{**outcome, **number} for outcome in outcomes])
     return Part(
         record,
-        setting,
+        world,
         extent="2 conditions, 3 seeds, 50,176 agent steps a run",
         pictures=(Picture(TINY_PICTURE, "svg", "Two lines, one above the other.", "Drawn."),),
         summary=summary,

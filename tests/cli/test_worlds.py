@@ -1,4 +1,4 @@
-"""`--setting`: which records, tables and figures a study's name stands for in each setting."""
+"""`--world`: which records, tables and figures a study's name stands for in each world."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from pneuma.cli import main
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import SETTINGS, load_study
+from pneuma.study.spec import WORLDS, load_study
 from pneuma.study.store import Store
 
 Captured = pytest.CaptureFixture[str]
@@ -20,9 +20,9 @@ Captured = pytest.CaptureFixture[str]
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
     """A results folder with records of one study in both settings, two seeds in godot's."""
-    for setting in SETTINGS:
-        study = load_study("activation", setting)
-        seeds = (0,) if setting == "text" else (0, 1)
+    for world in WORLDS:
+        study = load_study("activation", world)
+        seeds = (0,) if world == "text" else (0, 1)
         record = selection_record(make_plan(study, Selection(seeds=seeds, conditions=("relu",))))
         Store(tmp_path).save_selection(study.name, record)
     return tmp_path
@@ -33,10 +33,10 @@ def _document(captured: Captured, *arguments: str | Path) -> Any:
     return json.loads(captured.readouterr().out)
 
 
-def test_a_plan_in_godots_setting_is_of_other_runs(tmp_path: Path, capsys: Captured) -> None:
+def test_a_plan_in_godots_world_is_of_other_runs(tmp_path: Path, capsys: Captured) -> None:
     command = ("study", "plan", "activation", "--no-calibrate", "--results", tmp_path)
     text = _document(capsys, *command)
-    godot = _document(capsys, *command, "--setting", "godot")
+    godot = _document(capsys, *command, "--world", "godot")
     assert (text["study"], godot["study"]) == ("activation", "activation-godot")
     ids = [{run["run_id"] for run in document["runs"]} for document in (text, godot)]
     assert [len(own) for own in ids] == [9, 9]
@@ -46,24 +46,24 @@ def test_a_plan_in_godots_setting_is_of_other_runs(tmp_path: Path, capsys: Captu
 def test_status_tells_each_settings_record(recorded: Path, capsys: Captured) -> None:
     command = ("study", "status", "activation", "--results", recorded)
     assert len(_document(capsys, *command)["runs"]) == 1  # text is the usual one
-    assert len(_document(capsys, *command, "--setting", "text")["runs"]) == 1
-    assert len(_document(capsys, *command, "--setting", "godot")["runs"]) == 2
+    assert len(_document(capsys, *command, "--world", "text")["runs"]) == 1
+    assert len(_document(capsys, *command, "--world", "godot")["runs"]) == 2
     assert len(_document(capsys, "study", "status", "activation-godot", "--results", recorded)["runs"]) == 2
 
 
 @pytest.mark.parametrize(
-    ("setting", "names"),
-    [((), ["activation", "activation-godot"]), (("--setting", "godot"), ["activation-godot"])],
+    ("world", "names"),
+    [((), ["activation", "activation-godot"]), (("--world", "godot"), ["activation-godot"])],
 )
-def test_status_of_all_is_of_both_settings_or_of_one(
-    setting: tuple[str, ...], names: list[str], recorded: Path, capsys: Captured
+def test_status_of_all_is_of_all_worlds_or_of_one(
+    world: tuple[str, ...], names: list[str], recorded: Path, capsys: Captured
 ) -> None:
-    document = _document(capsys, "study", "status", *setting, "--results", recorded)
+    document = _document(capsys, "study", "status", *world, "--results", recorded)
     assert [study["study"] for study in document["studies"]] == names
 
 
-def test_a_selection_in_godots_setting_goes_over_its_own_record(recorded: Path, capsys: Captured) -> None:
-    command = ("study", "status", "activation", "--setting", "godot", "--steps", "8192")
+def test_a_selection_in_godots_world_goes_over_its_own_record(recorded: Path, capsys: Captured) -> None:
+    command = ("study", "status", "activation", "--world", "godot", "--steps", "8192")
     runs = _document(capsys, *command, "--results", recorded)["runs"]
     assert [(run["condition"], run["seed"]) for run in runs] == [("relu", 0), ("relu", 1)]
 
@@ -72,11 +72,11 @@ def test_a_selection_in_godots_setting_goes_over_its_own_record(recorded: Path, 
 def test_a_misspelt_setting_is_told_with_the_right_one(
     command: str, tmp_path: Path, capsys: Captured
 ) -> None:
-    assert main(["study", command, "activation", "--setting", "gdot", "--results", str(tmp_path)]) == 2
-    assert "unknown setting 'gdot' (did you mean godot?)" in capsys.readouterr().err
+    assert main(["study", command, "activation", "--world", "gdot", "--results", str(tmp_path)]) == 2
+    assert "unknown world 'gdot' (did you mean godot?)" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_was_not_run_in_a_setting_is_told_with_the_command(tmp_path: Path, capsys: Captured) -> None:
-    assert main(["study", "status", "activation", "--setting", "godot", "--results", str(tmp_path)]) == 2
-    assert "run `pneuma study run activation --setting godot` first" in capsys.readouterr().err
+    assert main(["study", "status", "activation", "--world", "godot", "--results", str(tmp_path)]) == 2
+    assert "run `pneuma study run activation --world godot` first" in capsys.readouterr().err

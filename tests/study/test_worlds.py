@@ -8,7 +8,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.study.definition import in_setting, run_command, split_setting
+from pneuma.study.definition import in_world, run_command, split_world
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
@@ -53,7 +53,7 @@ def test_the_texts_setting_is_the_file_as_it_stands(tmp_path: Path) -> None:
     assert load_study(path) == load_study(path, "text")
 
 
-def test_what_a_study_varies_or_sets_itself_stays_in_godots_setting(tmp_path: Path) -> None:
+def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path) -> None:
     text = PLAIN.replace("epochs = 5", "actor = [64]").replace("[run]", "[run]\nclip_range = 0.3")
     study = load_study(_write(tmp_path, text), "godot")
     runs = [make_run(study.settings(name)) for name in study.conditions]
@@ -74,13 +74,13 @@ def test_the_settings_have_names_figures_and_run_ids_of_their_own(tmp_path: Path
     assert (text.name, text.figure) == ("mine", "fig")
     assert (godot.name, godot.figure) == ("mine-godot", "fig-godot")
     plans = [make_plan(study, Selection()) for study in (text, godot)]
-    assert [selection_record(plan)["setting"] for plan in plans] == ["text", "godot"]
+    assert [selection_record(plan)["world"] for plan in plans] == ["text", "godot"]
     assert not {cell.run_id for cell in plans[0].cells} & {cell.run_id for cell in plans[1].cells}
 
 
-def test_a_shipped_study_in_godots_setting_goes_by_its_name_too() -> None:
+def test_a_shipped_study_in_godots_world_goes_by_its_name_too() -> None:
     assert load_study("activation-godot") == load_study("activation", "godot")
-    with pytest.raises(UserError, match="--setting text: the name activation-godot stands for"):
+    with pytest.raises(UserError, match="--world text: the name activation-godot stands for"):
         load_study("activation-godot", "text")
 
 
@@ -88,10 +88,10 @@ def test_a_shipped_study_in_godots_setting_goes_by_its_name_too() -> None:
     ("name", "path", "told"),
     [
         ("activation", None, "activation"),
-        ("activation-godot", None, "activation --setting godot"),
+        ("activation-godot", None, "activation --world godot"),
         ("activation", ["a stranger's"], "activation"),
         ("mine", "/here/mine.toml", "/here/mine.toml"),
-        ("mine-godot", "/my own/mine.toml", "'/my own/mine.toml' --setting godot"),
+        ("mine-godot", "/my own/mine.toml", "'/my own/mine.toml' --world godot"),
     ],
 )
 def test_a_study_is_trained_by_its_name_or_its_file(name: str, path: object, told: str) -> None:
@@ -100,41 +100,41 @@ def test_a_study_is_trained_by_its_name_or_its_file(name: str, path: object, tol
 
 @pytest.mark.parametrize("name", list_studies())
 def test_a_name_in_a_setting_can_be_taken_apart(name: str) -> None:
-    assert split_setting(in_setting(name, "godot")) == (name, "godot")
-    assert split_setting(in_setting(name, "text")) == (name, "text")
-    assert in_setting(in_setting(name, "godot"), "godot") == f"{name}-godot"
+    assert split_world(in_world(name, "godot")) == (name, "godot")
+    assert split_world(in_world(name, "text")) == (name, "text")
+    assert in_world(in_world(name, "godot"), "godot") == f"{name}-godot"
 
 
 @pytest.mark.parametrize("name", list_studies())
 def test_every_shipped_study_resolves_in_its_settings(name: str) -> None:
-    for setting in load_study(name).settings_known:
-        study = load_study(name, setting)
+    for world in load_study(name).worlds:
+        study = load_study(name, world)
         runs = [make_run(study.settings(condition)) for condition in study.conditions]
         godot = [run.env == "pneuma/PneumaGodot-v0" for run in runs]
-        assert all(godot) if setting == "godot" else not any(godot)
+        assert all(godot) if world == "godot" else not any(godot)
 
 
 def test_a_study_of_one_setting_is_refused_in_the_other(tmp_path: Path) -> None:
     path = _write(tmp_path, 'settings = ["text"]\n' + PLAIN)
-    with pytest.raises(UserError, match="mine is not run in the setting godot; it is in text"):
+    with pytest.raises(UserError, match="mine is not run in the world godot; it is in text"):
         load_study(path, "godot")
-    with pytest.raises(UserError, match=r"unknown setting 'gdot' \(did you mean godot\?\)"):
+    with pytest.raises(UserError, match=r"unknown world 'gdot' \(did you mean godot\?\)"):
         load_study(path, "gdot")
 
 
 def test_a_study_that_compares_environments_is_run_in_the_texts_setting_alone(tmp_path: Path) -> None:
     text = PLAIN.replace("epochs = 5", 'env = "pneuma/PneumaGodot-v0"')
-    assert load_study(_write(tmp_path, text)).settings_known == ("text",)
+    assert load_study(_write(tmp_path, text)).worlds == ("text",)
 
 
-def test_a_condition_that_cannot_be_in_godots_setting_is_told_where_it_stands(tmp_path: Path) -> None:
+def test_a_condition_that_cannot_be_in_godots_world_is_told_where_it_stands(tmp_path: Path) -> None:
     text = PLAIN + "[settings.godot]\nslots = 1\nhorizon = 32\n"
     with pytest.raises(UserError) as refused:
         load_study(_write(tmp_path, text))
-    for words in ("mine.toml, line 17: [settings.godot]", "setting godot, low", "minibatch = 64"):
+    for words in ("mine.toml, line 17: [settings.godot]", "world godot, low", "minibatch = 64"):
         assert words in str(refused.value)
 
 
 def test_a_file_may_not_be_called_like_another_ones_setting(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="-godot ends the names of studies in that setting"):
+    with pytest.raises(UserError, match="-godot ends the names of studies in that world"):
         load_study(_write(tmp_path, PLAIN, "mine-godot.toml"))
