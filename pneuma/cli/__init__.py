@@ -62,8 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         return _refuse(str(error))
     except typer.TyperException as error:
-        now = RENAMED.get(getattr(error, "option_name", ""))
-        return _refuse(f"{error.option_name} is called {now} now" if now else error.format_message())
+        option = str(getattr(error, "option_name", ""))
+        return _refuse(
+            f"{option} is called {RENAMED[option]} now" if option in RENAMED else error.format_message()
+        )
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
         return 130

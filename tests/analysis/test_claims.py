@@ -17,11 +17,12 @@ from pneuma.analysis.verdicts import smallest_p
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study, studies_folder
+from pneuma.worlds import WORLDS
 
 from .claim_files import CLAIMS, write_files
 
 SHIPPED = load_claims()
-FAMILY = sum(len(own.settings) * len(own.pairs) + len(own.logs) for own in SHIPPED.claims.values())
+FAMILY = sum(len(own.worlds) * len(own.pairs) + len(own.logs) for own in SHIPPED.claims.values())
 SECTIONS = ("3.1", "3.2", "3.3", "4", "4.2", "4.3", "4.4", "5.2", "5.3", "5.5", "6", "6.1", "6.2", "6.3")
 
 
@@ -67,7 +68,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "margin of a wrong type": ("margin = 0.04", 'margin = "0.04"', 23, ('margin = "0.04"', "a number")),
     "unknown need": ("margin = 0.04", 'margin = 0.04\nneed = "one"', 24, ("need", "all, any")),
     "not less without margin": ('"greater"\nmargin = 0.04', '"not-less"', 14, ("'margin'", "missing")),
-    "unknown world": ('["text"]', '["txet"]', 24, ("settings", "text, godot")),
+    "unknown world": ('["text"]', '["txet"]', 24, ("worlds", "text, godot, arena")),
     "no quote": ('quote = "a quote"\n', "", 14, ("'quote'", "missing")),
     "an empty quote": ('"a quote"', '""', 15, ("quote", "a text")),
     "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 14, ("'margin'", "missing")),
@@ -133,7 +134,7 @@ def test_a_mistake_is_told_with_file_line_and_what_to_mend(mistake: str, tmp_pat
 def test_a_shipped_claim_can_be_judged(claim: Claim) -> None:
     """Its runs are those of its study's paper preset, or those and more seeds."""
     study = load_study(claim.study)
-    assert set(claim.settings) <= set(study.worlds)
+    assert set(claim.worlds) <= set(study.worlds)
     assert claim.section in SECTIONS
     assert 10 <= len(claim.quote) <= 120
     find_outcome(claim.outcome)
@@ -146,7 +147,7 @@ def test_a_shipped_claim_can_be_judged(claim: Claim) -> None:
 
 @pytest.mark.parametrize("claim", SHIPPED.claims.values(), ids=SHIPPED.claims.keys())
 def test_no_shipped_claim_compares_what_is_the_same(claim: Claim) -> None:
-    for world in claim.settings:
+    for world in claim.worlds:
         study = load_study(claim.study, world)
         for a, b in claim.pairs:
             assert b is None or study.settings(a) != study.settings(b)
@@ -186,11 +187,11 @@ def test_the_claims_are_no_study() -> None:
         load_study("claims")
 
 
-@pytest.mark.parametrize("world", ["text", "godot"])
+@pytest.mark.parametrize("world", WORLDS)
 def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by(world: str) -> None:
     fixed: dict[str, set[tuple[str, int]]] = {}
     for claim in SHIPPED.claims.values():
-        if world in claim.settings:
+        if world in claim.worlds:
             cells = {(name, seed) for name, seeds in claim.seeds.items() for seed in seeds}
             fixed[claim.study] = fixed.get(claim.study, set()) | cells
     for study, cells in fixed.items():

@@ -11,15 +11,16 @@ import pytest
 from pneuma.cli import main
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import WORLDS, load_study
+from pneuma.study.spec import load_study
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
 
 Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    """A results folder with records of one study in both settings, two seeds in godot's."""
+    """A results folder with records of one study in every world: one seed in the text's, two elsewhere."""
     for world in WORLDS:
         study = load_study("activation", world)
         seeds = (0,) if world == "text" else (0, 1)
@@ -43,7 +44,7 @@ def test_a_plan_in_godots_world_is_of_other_runs(tmp_path: Path, capsys: Capture
     assert not ids[0] & ids[1]
 
 
-def test_status_tells_each_settings_record(recorded: Path, capsys: Captured) -> None:
+def test_status_tells_each_worlds_record(recorded: Path, capsys: Captured) -> None:
     command = ("study", "status", "activation", "--results", recorded)
     assert len(_document(capsys, *command)["runs"]) == 1  # text is the usual one
     assert len(_document(capsys, *command, "--world", "text")["runs"]) == 1
@@ -53,7 +54,10 @@ def test_status_tells_each_settings_record(recorded: Path, capsys: Captured) -> 
 
 @pytest.mark.parametrize(
     ("world", "names"),
-    [((), ["activation", "activation-godot"]), (("--world", "godot"), ["activation-godot"])],
+    [
+        ((), ["activation", "activation-arena", "activation-godot"]),
+        (("--world", "godot"), ["activation-godot"]),
+    ],
 )
 def test_status_of_all_is_of_all_worlds_or_of_one(
     world: tuple[str, ...], names: list[str], recorded: Path, capsys: Captured
@@ -69,14 +73,22 @@ def test_a_selection_in_godots_world_goes_over_its_own_record(recorded: Path, ca
 
 
 @pytest.mark.parametrize("command", ["plan", "run", "status", "plot", "publish", "show"])
-def test_a_misspelt_setting_is_told_with_the_right_one(
-    command: str, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_misspelt_world_is_told_with_the_right_one(command: str, tmp_path: Path, capsys: Captured) -> None:
     assert main(["study", command, "activation", "--world", "gdot", "--results", str(tmp_path)]) == 2
     assert "unknown world 'gdot' (did you mean godot?)" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_was_not_run_in_a_setting_is_told_with_the_command(tmp_path: Path, capsys: Captured) -> None:
+def test_what_worlds_were_called_before_is_refused_with_their_name(tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "mine.toml").write_text('title = "T"\nsettings = ["text"]\n')
+    for arguments, told in (
+        (["activation", "--setting", "godot"], "pneuma: --setting is called --world now\n"),
+        ([str(tmp_path / "mine.toml")], "mine.toml, line 2: settings is called worlds now\n"),
+    ):
+        assert main(["study", "plan", *arguments]) == 2
+        assert capsys.readouterr().err.endswith(told)
+
+
+def test_what_was_not_run_in_a_world_is_told_with_the_command(tmp_path: Path, capsys: Captured) -> None:
     assert main(["study", "status", "activation", "--world", "godot", "--results", str(tmp_path)]) == 2
     assert "run `pneuma study run activation --world godot` first" in capsys.readouterr().err

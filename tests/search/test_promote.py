@@ -25,8 +25,9 @@ from pneuma.search.record import read_record, save_record
 from pneuma.search.spec import Budget, list_searches, load_search
 from pneuma.search.trials import Task, Told
 from pneuma.study.plan import Cell, Selection, make_plan
-from pneuma.study.spec import WORLDS, load_study
+from pneuma.study.spec import load_study
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
 
 from .conftest import MakeTask, Solve, flat
 

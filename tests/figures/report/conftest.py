@@ -85,8 +85,8 @@ def example() -> Report:
                 "6.2",
                 "What differs, and why.",
                 (
-                    _part("activation", "In the text's environment", 16),
-                    _part("activation-godot", "In the published code's environment", 64),
+                    _part("activation", "In the text's world", 16),
+                    _part("activation-godot", "In the published code's world", 64),
                 ),
             ),
             StudySection(
@@ -94,7 +94,7 @@ def example() -> Report:
                 "Optimizer",
                 "6.1",
                 "",
-                (Part("optimizer", "In the text's environment", ("No runs yet.",), "pneuma study run x"),),
+                (Part("optimizer", "In the text's world", ("No runs yet.",), "pneuma study run x"),),
             ),
         ),
         claims_note="claims.toml, sha256 0123456789abcdef",
