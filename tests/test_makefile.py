@@ -16,6 +16,7 @@ from pneuma.search.spec import list_searches, load_search
 from pneuma.study.claimed import fixed_amounts
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
+from pneuma.worlds import WORLDS
 
 ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
@@ -62,7 +63,7 @@ def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
         for study in (
             "activation", "actor-size", "clip-range", "gradient-limits", "hyperparameters", "optimizer",
         )
-        for world in ("text", "godot")
+        for world in WORLDS
     }  # fmt: skip
     for study, world, selection in commands:
         plan = make_plan(load_study(study, world), selection)
@@ -109,7 +110,7 @@ def test_a_target_that_has_no_plan_refuses_to_be_asked_for_one(target: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("do", "status", "reached"), [("publish", 2, 4), ("run", 1, 4), ("run", 2, 1), ("publish", 130, 1)]
+    ("do", "status", "reached"), [("publish", 2, 6), ("run", 1, 6), ("run", 2, 1), ("publish", 130, 1)]
 )
 def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
     do: str, status: int, reached: int, tmp_path: Path
@@ -124,11 +125,11 @@ def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
         cwd=ROOT, capture_output=True, text=True, check=False, env={"PATH": os.environ["PATH"]},
     )  # fmt: skip
     assert told.returncode and len(asked.read_text().split()) == reached
-    failed = "activation (text) activation (godot)"
+    failed = "activation (text) activation (godot) activation (arena)"
     assert (f"Not published (why stands above): {failed}." in told.stdout) == (
-        do == "publish" and reached == 4
+        do == "publish" and reached == 6
     )
-    assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 4)
+    assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 6)
 
 
 def test_whoever_names_a_results_folder_for_all_commands_names_it_for_make(tmp_path: Path) -> None:

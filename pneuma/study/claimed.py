@@ -155,7 +155,7 @@ def _conditions(
 def _worlds(file: TomlFile, where: Where, table: Mapping[str, Any], study: Study) -> tuple[str, ...]:
     """Return the worlds that a claim is about: those of its study, unless it says fewer."""
     value = table.get("worlds", [*study.worlds])
-    if not isinstance(value, list) or not value or any(name not in WORLDS for name in value):
+    if not isinstance(value, list) or not value or not {*map(str, value)} <= {*WORLDS}:
         allowed = f"a list of {', '.join(WORLDS)}"
         raise file.mistake(where, f"worlds = {shown(value)} is not allowed: {allowed}", "worlds")
     for name in value:

@@ -153,7 +153,7 @@ def _read_worlds(file: TomlFile) -> tuple[tuple[str, ...], dict[str, dict[str, A
         file.refuse_unknown(("worlds",), value, _OTHER_WORLDS)
         besides = {key: read_settings_table(file, ("worlds", key)) for key in value}
         return (tuple(WORLDS) if value else ()), besides
-    if not isinstance(value, list) or not value or any(name not in WORLDS for name in value):
+    if not isinstance(value, list) or not value or not {*map(str, value)} <= {*WORLDS}:
         allowed = f"a list of {', '.join(WORLDS)}, or tables such as [worlds.{_OTHER_WORLDS[0]}]"
         raise file.mistake((), f"worlds = {shown(value)} is not allowed: {allowed}", "worlds")
     return tuple(name for name in WORLDS if name in value), {}

@@ -70,7 +70,7 @@ outcome = "final-share-killed"
 kind = "mean"
 direction = "greater"
 margin = 0.04
-settings = ["text"]
+worlds = ["text"]
 """
 
 LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]

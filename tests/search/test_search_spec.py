@@ -237,7 +237,7 @@ def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:
     assert write(space).start[0]["learning_rate"] == 3e-4
 
 
-def test_a_search_in_the_published_codes_setting(write: Load) -> None:
+def test_a_search_in_the_published_codes_world(write: Load) -> None:
     there = write(GOOD).in_world("godot")
     assert there.name == "mine-godot"
     assert there.space.fixed == {  # the search sets the actor itself

@@ -49,7 +49,7 @@ study = "mine.toml"
 a = "high"
 b = "low"
 seeds = { high = 4, low = [1, 7] }
-settings = ["text"]
+worlds = ["text"]
 
 [claims.of-another]
 study = "activation"
@@ -143,7 +143,7 @@ def test_a_mistake_in_a_claim_is_told_with_its_line(tmp_path: Path) -> None:
         claims_preset(_study(tmp_path, CLAIMS.replace('a = "high"\nb = [', 'a = "hihg"\nb = [')))
 
 
-def test_the_command_names_study_and_setting(tmp_path: Path) -> None:
+def test_the_command_names_study_and_world(tmp_path: Path) -> None:
     shipped = load_study("optimizer", "godot")
     assert shipped.path is not None
     claims = shipped.path.parent / "claims.toml"

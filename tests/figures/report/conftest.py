@@ -58,7 +58,7 @@ def _part(record: str, world: str, first: int) -> Part:
 
 @pytest.fixture(scope="session")
 def example() -> Report:
-    """A report with every kind of thing in it: two claims, a study in two settings, one without runs."""
+    """A report with every kind of thing in it: two claims, a study in two worlds, one without runs."""
     quote = "tanh both improves performance, and decreases variance"
     killed = Effect("tanh against relu", "supported", 0.12, (0.05, 0.19), (10, 10), 0.004)
     none = Effect("tanh against relu", "refuted", -0.001, (-0.02, 0.02), (10, 10), 0.0001)
