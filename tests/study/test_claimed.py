@@ -79,7 +79,7 @@ def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
     }
 
 
-def test_a_setting_has_what_claims_about_it_fix(tmp_path: Path) -> None:
+def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
     there = claims_preset(_study(tmp_path, world="godot"))
     assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
 
