@@ -84,7 +84,7 @@ def test_searches_that_sought_different_things_share_no_study(winners: list[Winn
 def test_searches_in_different_worlds_or_by_different_engines_share_no_study(winners: list[Winner]) -> None:
     first, second = winners
     there = replace(second, search=replace(second.search, world="godot"))
-    with pytest.raises(UserError, match="not tuned alike: settings text and godot"):
+    with pytest.raises(UserError, match="not tuned alike: worlds text and godot"):
         winners_study([first, there])
     for key, value, told in (
         ("env", "pneuma/PneumaGodot-v0", "environments pneuma/Pneuma-v0 and pneuma/PneumaGodot-v0"),
