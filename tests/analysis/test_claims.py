@@ -24,7 +24,7 @@ from .claim_files import CLAIMS, write_files
 SHIPPED = load_claims()
 FAMILY = sum(len(own.worlds) * len(own.pairs) + len(own.logs) for own in SHIPPED.claims.values())
 TOO_FEW = ("small-best", "small-steadiest", "mid-most-variable", "big-worst")
-"""Claims on big networks, whose few seeds cannot support anything in a list of three worlds; verify says so."""
+"""Claims on big networks, too slow for more seeds: in a list of three worlds these support nothing."""
 SECTIONS = ("3.1", "3.2", "3.3", "4", "4.2", "4.3", "4.4", "5.2", "5.3", "5.5", "6", "6.1", "6.2", "6.3")
 
 
@@ -159,6 +159,7 @@ def test_no_shipped_claim_compares_what_is_the_same(claim: Claim) -> None:
 def test_the_fixed_runs_of_a_shipped_claim_could_support_it(claim: Claim) -> None:
     """Were every other contrast of the list still open, the best runs there can be would be enough."""
     generator = np.random.default_rng(1)
+    least = []
     for a, b in claim.pairs:
         runs = [generator.permutation(len(claim.seeds[name])) % 2 for name in (a, b) if name is not None]
         if b is None:
@@ -166,7 +167,8 @@ def test_the_fixed_runs_of_a_shipped_claim_could_support_it(claim: Claim) -> Non
         else:
             found = compare(claim.kind, runs[0], runs[1], claim.margin, generator)
         assert found.reason == ""
-        assert (smallest_p(found, claim.direction) * FAMILY <= ALPHA) == (claim.name not in TOO_FEW)
+        least.append(smallest_p(found, claim.direction))
+    assert (max(least) * FAMILY <= ALPHA) == (claim.name not in TOO_FEW)
 
 
 def test_margins_are_half_a_monster_and_a_ratio_of_one_and_a_half() -> None:
