@@ -16,7 +16,10 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
 }
 
-BASE = ("pneuma.config", "pneuma.env_settings", "pneuma.algorithms", "pneuma.errors", "pneuma.values")
+BASE = (
+    "pneuma.config", "pneuma.env_settings", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
+    "pneuma.worlds",
+)  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -27,6 +30,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.env_settings": ("pneuma.errors", "pneuma.values"),
     "pneuma.errors": (),
     "pneuma.values": (),
+    "pneuma.worlds": ("pneuma.errors",),
     "pneuma.env": (),
     "pneuma.engines": ("pneuma.env",),
     "pneuma.study": (),

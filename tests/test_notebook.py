@@ -51,7 +51,7 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
         ({"steps": 0}, "steps = 0 is not allowed: at least 1"),
         ({"workers": 0}, "workers = 0 is not allowed: at least 1"),
         ({"conditions": "tnh"}, "did you mean tanh?"),
-        ({"setting": "godto"}, "did you mean godot?"),
+        ({"world": "godto"}, "did you mean godot?"),
     ],
 )
 def test_what_cannot_be_run_is_refused_and_nothing_is_written(
@@ -115,7 +115,7 @@ def test_a_file_of_the_name_of_another_is_not_taken_for_it(tmp_path: Path) -> No
 
 def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
     (tmp_path / "published").symlink_to(Path(__file__).parents[1] / "results" / "published")
-    data = open_data("activation", tmp_path, setting="godot")
+    data = open_data("activation", tmp_path, world="godot")
     assert data.study == "activation-godot" and "relu" in data.conditions
     one = data.of_conditions("leaky-relu")
     assert one.conditions == ["leaky-relu"]

@@ -16,7 +16,7 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    NamedSetting,
+    NamedWorld,
     Results,
     Seeds,
     Settings,
@@ -126,7 +126,7 @@ def plot(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
-    setting: NamedSetting = None,
+    world: NamedWorld = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -135,11 +135,11 @@ def plot(
     looks.check()
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     chosen = _chosen(
-        {"--preset": preset, "--seeds": seeds, "--steps": steps, "--engine": engine, "--setting": setting},
+        {"--preset": preset, "--seeds": seeds, "--steps": steps, "--engine": engine, "--world": world},
         {"--condition": condition or [], "--set": set_ or []},
     )
     store = Store(results)
-    studies = _studies_to_draw(store, names, selection, window, setting)
+    studies = _studies_to_draw(store, names, selection, window, world)
     for _, data in studies:
         tell_left_out(data)
     draw_each = _draw if names else _draw_what_can_be
@@ -169,20 +169,20 @@ def _studies_to_draw(
     names: Sequence[str] | None,
     selection: Selection | None,
     window: str | None,
-    setting: str | None,
+    world: str | None,
 ) -> list[tuple[str, StudyData]]:
     """Return studies by the names that a person gave, or all."""
     from pneuma.analysis.sources import open_study
 
     def opened(name: str) -> StudyData:
-        data = open_study(store, study_record(store, name, selection, setting))
+        data = open_study(store, study_record(store, name, selection, world))
         data.checked_window(window)
         return data
 
     if names:
         studies = [(name, opened(name)) for name in names]
     else:
-        studies = each_study(known_studies(store, setting), opened)
+        studies = each_study(known_studies(store, world), opened)
     if not studies:
         raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
     return studies

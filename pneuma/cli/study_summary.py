@@ -15,10 +15,10 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     Selected,
-    SettingName,
     StudyName,
     Trust,
     Workers,
+    WorldName,
     print_json,
     read_path,
     read_seeds_option,
@@ -56,12 +56,12 @@ def summary(
         ),
     ] = None,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
-    data = open_data(Store(results), name, selection, setting)
+    data = open_data(Store(results), name, selection, world)
     from pneuma.analysis.run_view import common_step
     from pneuma.analysis.summaries import summary_table
 
@@ -97,7 +97,7 @@ def collapse(
     workers: Workers = None,
     trust: Trust = False,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
@@ -109,7 +109,7 @@ def collapse(
     if not fork and (idle := _idle(run, fork_seeds, workers, trust)):
         raise UserError(f"--{idle}: goes with --fork alone")
     store = Store(results)
-    data = open_data(store, name, selection, setting, mixed=not fork)
+    data = open_data(store, name, selection, world, mixed=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found = diagnoses(data)
@@ -153,11 +153,9 @@ def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> li
     return draw_collapse(data, out, f"{data.figure}-collapse", formats)
 
 
-def open_data(
-    store: Store, name: str, selection: Any, setting: str | None, *, mixed: bool = True
-) -> StudyData:
+def open_data(store: Store, name: str, selection: Any, world: str | None, *, mixed: bool = True) -> StudyData:
     """Open a study's data, as `open_study` does, saying how many runs of the selection are left out."""
-    record = study_record(store, name, selection, setting)
+    record = study_record(store, name, selection, world)
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record, mixed=mixed)

@@ -20,11 +20,9 @@ from pneuma.errors import UserError
 from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import ABOVE_ALL, far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
+from pneuma.worlds import WORLDS
 
-_WORLDS = {
-    "pneuma/Pneuma-v0": "in the text's world",
-    "pneuma/PneumaGodot-v0": "in the published code's world",
-}
+_WORLDS = {world.env: f"in {world.title}" for world in WORLDS.values()}
 
 _, _TRAILING_WINDOW = WINDOWS
 MOST_ABSENT = 6
@@ -60,7 +58,7 @@ def _refuse_unwritable(data: StudyData) -> None:
 
 def title_of(data: StudyData) -> str:
     """Return a study's title and where it is played; a level or characters of one's own are no such place."""
-    plain = data.title.removesuffix(f" ({data.setting})")
+    plain = data.title.removesuffix(f" ({data.world})")
     played = [_WORLDS.get(name, "") for name in data.environments]
     one = len(played) == 1 and all(_is_shipped(data.settings(run)) for run in data.runs)
     return " ".join(filter(None, [plain, played[0] if one else ""]))

@@ -24,8 +24,9 @@ from pneuma.errors import UserError
 from pneuma.study.event_files import EventFile, Scalar, read_event_file
 from pneuma.study.log_folders import LogFolder, find_logs
 from pneuma.study.plan import Selection
-from pneuma.study.spec import list_studies, split_setting
+from pneuma.study.spec import list_studies
 from pneuma.study.store import SCALARS_FILE, Status, Store, to_json
+from pneuma.worlds import split_world
 
 SOURCE = "tensorboard"
 """What a selection's record calls the source of an imported study."""
@@ -254,7 +255,7 @@ def _study_name(folder: Path, name: str | None, store: Store) -> str:
         raise UserError(
             f"--name {asked}: a study's name is letters, digits, dots, - and _, and not a file's (….toml)"
         )
-    if split_setting(study)[0] in list_studies():
+    if split_world(study)[0] in list_studies():
         raise UserError(f"--name {study}: a shipped study is called that; give another")
     record = store.selection(study)
     if record and record.get("source") != SOURCE:

@@ -53,15 +53,15 @@ STEADIER = Claim(
 CLAIMS = {claim.claim: claim for claim in (BETTER, STEADIER)}
 
 
-def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_setting() -> None:
+def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_place() -> None:
     page = with_verdicts("Mine.\n<!-- claim tanh-better -->\nold\n<!-- end -->\nMine too.\n", CLAIMS)
     assert page == (
         "Mine.\n<!-- claim tanh-better -->\n"
         "**tanh-better**: “improves performance” (6.2). Claimed: tanh greater than relu, in mean of "
         "final-share-killed (monsters killed). Why so.\n\n"
-        "- *The text's environment*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
+        "- *The text's world*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
         "p < 0.001.\n"
-        "- *The published code's*: not run yet (`pneuma study run activation --preset claims`).\n"
+        "- *The published code's world*: not run yet (`pneuma study run activation --preset claims`).\n"
         "<!-- end -->\nMine too.\n"
     )
 
@@ -77,16 +77,16 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
     )
     row = (
         "| tanh greater than relu: monsters killed | 6.2: “improves performance” | "
-        "**supported** +0.050 [+0.012, +0.090] | not run yet | – |"
+        "**supported** +0.050 [+0.012, +0.090] | not run yet | – | – |"
     )
     assert page.count(row) == 2
     assert page.count("| tanh less than relu: deviation between seeds of monsters killed |") == 1
 
 
-def test_counts_are_by_setting() -> None:
+def test_counts_are_by_place() -> None:
     page = with_verdicts("<!-- counts -->\n<!-- end -->", CLAIMS)
-    assert "| The text's environment | 1 | 0 | 1 | 0 | 0 |" in page
-    assert "| The published code's | 0 | 0 | 0 | 0 | 1 |" in page
+    assert "| The text's world | 1 | 0 | 1 | 0 | 0 |" in page
+    assert "| The published code's world | 0 | 0 | 0 | 0 | 1 |" in page
 
 
 def test_writing_again_changes_nothing() -> None:
