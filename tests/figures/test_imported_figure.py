@@ -28,7 +28,7 @@ def figure(tmp_path: Path, write_events: WriteEvents, monkeypatch: pytest.Monkey
         points = [(RETURN, step, step / 100) for step in range(100, end + 1, 100)]
         write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)
     store = Store(tmp_path / "results")
-    import_tensorboard(tmp_path / "logs", store)
+    import_tensorboard([tmp_path / "logs"], store)
     figures: list[Figure] = []
 
     def save(figure: Figure, *arguments: Any) -> list[Path]:
