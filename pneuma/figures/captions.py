@@ -170,8 +170,8 @@ def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: st
     )
     if episodes and data.averaged_over:
         of = " of episodes" if updates else ""
-        logger = f"averaged over its last {data.averaged_over} episodes by Stable-Baselines3"
-        words.append(f"Values{of} are as they were logged: each run's is already {logger}.")
+        logged = f"over its last {data.averaged_over} episodes, as Stable-Baselines3 logs them"
+        words.append(f"Values{of} are each run's mean {logged}.")
     elif episodes and window == _TRAILING_WINDOW:
         averaged.append("each run's last 100 episodes")
     over_budget = ["episodes"] * (episodes and not words and not averaged) + ["updates"] * updates

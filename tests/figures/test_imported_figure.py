@@ -49,7 +49,7 @@ def test_there_is_one_panel_whose_axis_says_what_was_averaged(figure: Figure) ->
     assert axes.get_title(loc="left") == "Return in training"
     assert axes.get_ylabel() == "Return, mean of 100 episodes"
     words = " ".join(" ".join(text.get_text() for text in figure.texts).split())  # wrapped anywhere
-    assert "already averaged over its last 100 episodes by Stable-Baselines3" in words
+    assert "mean over its last 100 episodes, as Stable-Baselines3 logs them" in words
     assert "last 5 %" not in words
 
 
