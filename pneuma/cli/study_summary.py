@@ -62,12 +62,14 @@ def summary(
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
     data = open_data(Store(results), name, selection, world)
-    from pneuma.analysis.run_view import common_step
+    from pneuma.analysis.run_view import common_step, ends_before
     from pneuma.analysis.summaries import summary_table
 
     table = summary_table(data, outcome) if outcome else summary_table(data)
     if json:
-        document = {"schema": 1, "study": data.study, "at_step": common_step(data)}
+        step = common_step(data)
+        left_out = [run.run_id for run in data.runs if ends_before(run, step)]
+        document = {"schema": 1, "study": data.study, "at_step": step, "left_out": left_out}
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
     tell_step(data)
@@ -135,10 +137,10 @@ def collapse(
 
 def tell_step(data: StudyData) -> None:
     """Say at what step runs of unlike budgets are compared."""
-    from pneuma.analysis.run_view import common_step
+    from pneuma.analysis.run_view import common_step, step_words
 
     if step := common_step(data):
-        print(f"Budgets are unlike: all as they stood at {step:,} steps.")
+        print(f"Budgets are unlike: all as they stood at {step:,} steps, {plain(step_words(data))}.")
 
 
 def _idle(run: list[str] | None, fork_seeds: str, workers: str | None, trust: bool) -> str:

@@ -13,7 +13,7 @@ from pneuma.analysis.bands import BANDS
 from pneuma.analysis.coverage import coverage
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import have_one_return, reference_levels, shared_levels
-from pneuma.analysis.run_view import common_step
+from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
 from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.errors import UserError
@@ -122,7 +122,7 @@ def looks_told(data: StudyData) -> list[str]:
 def step_told(data: StudyData) -> list[str]:
     """Say at what step runs of unlike budgets are compared."""
     step = common_step(data)
-    return [f"All as they stood at {step:,} steps, the most that all runs were to reach."] if step else []
+    return [f"All as they stood at {step:,} steps, {step_words(data)}."] if step else []
 
 
 def absent_told(data: StudyData) -> list[str]:
@@ -168,8 +168,8 @@ def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: st
     )
     if episodes and data.averaged_over:
         of = " of episodes" if updates else ""
-        logger = f"averaged over its last {data.averaged_over} episodes by Stable-Baselines3"
-        words.append(f"Values{of} are as they were logged: each run's is already {logger}.")
+        logged = f"over its last {data.averaged_over} episodes, as Stable-Baselines3 logs them"
+        words.append(f"Values{of} are each run's mean {logged}.")
     elif episodes and window == _TRAILING_WINDOW:
         averaged.append("each run's last 100 episodes")
     over_budget = ["episodes"] * (episodes and not words and not averaged) + ["updates"] * updates
@@ -194,7 +194,7 @@ def _marks(
         words.append("×: a run diverged, and its curve ends there.")
     step = common_step(data)
     if step is not None:
-        words.append(f"Upright line: {step:,} steps, the most that all runs were to reach: compare there.")
+        words.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
     words += [_above(data, name, group) for name, group in curves.items()]
     unlike = any(reference_levels(data, name) and not shared_levels(data, name) for name in curves)
     if unlike and len(data.conditions) <= MOST_IN_A_PANEL:  # of more, each panel has its own
