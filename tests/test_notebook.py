@@ -129,7 +129,7 @@ def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
     assert data.study == "mine-godot" and data.conditions == ["a", "b"]
     one = data.of_conditions("b")
     assert one.conditions == ["b"]
-    with pytest.raises(UserError, match="unknown condition 'c'"):
+    with pytest.raises(UserError, match="known are a, b"):
         data.of_conditions(["c"])
     run, kept = one.runs[0], one.run_table(one.runs[0], "evaluations").copy()
     written = one.run_table(run, "evaluations")

@@ -54,7 +54,7 @@ def verify(
         contrasts = sum(len(one.pairs) for one in every)
         head = {"schema": 1, "claims_hash": known.digest, "alpha": ALPHA, "contrasts": contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
-    if lacking := nothing_yet(Store(results)):
+    if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
     _print_table(shown)
     _print_reasons(shown, named=bool(claims))
