@@ -48,8 +48,6 @@ WORLDS_tabular = text
 WORLDS_magic = text
 WORLDS_classes = text
 WORLDS_independent = text
-WORLDS_tuned-optimizers = text
-WORLDS_tuned-algorithms = text
 
 PRESET = paper+claims
 PRESET_perception = paper
@@ -57,8 +55,6 @@ PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
 PRESET_actor-size-big = paper
-PRESET_tuned-optimizers = paper
-PRESET_tuned-algorithms = paper
 
 # What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
 CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
@@ -93,14 +89,14 @@ reproduction: CONDITIONS_actor-size = --condition smallest --condition small --c
 reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, in all worlds
 	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)
 
-reproduction-rest: install  ## Train chapters 3 to 5, the 50 seeds of claims on spread and incidence, and tuned optimizers
-	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer tuned-optimizers)
+reproduction-rest: install  ## Train chapters 3 to 5, and the 50 seeds of claims on spread and incidence
+	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)
 
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
-	$(call each,architecture actor-size-big algorithms tuned-algorithms)
+	$(call each,architecture actor-size-big algorithms)
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\
@@ -121,8 +117,7 @@ trajectories: install  ## Let policies of the reproduction play, and keep where 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
 RIVALS ?= optimizers algorithms
-# Whatever the searches find here stands in RESULTS/winners-*.toml, each winner beside its search's base. What they found
-# for the tables that are published stands in studies/tuned-*.toml, which `reproduction-rest` and `reproduction-slow` train.
+# What the searches find stands in RESULTS/winners-*.toml, each winner beside its search's base.
 tuned = $(foreach name,$(2),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" &&) \
 rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
   --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)" && \

@@ -28,7 +28,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_choice, tell_left_out
-from pneuma.cli.study_records import each_study, known_studies, study_record
+from pneuma.cli.study_records import each_study, known_studies, nothing_yet, study_record
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
 from pneuma.study.plan import Selection
@@ -182,9 +182,9 @@ def _studies_to_draw(
     if names:
         studies = [(name, opened(name)) for name in names]
     else:
+        if lacking := nothing_yet(store, world):
+            raise UserError(lacking)
         studies = each_study(known_studies(store, world), opened)
-    if not studies:
-        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
     return studies
 
 

@@ -64,6 +64,13 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
     )
 
 
+def nothing_yet(store: Store, setting: str | None = None) -> str:
+    """Return what to say where no study was run, imported or published here; '' where one was."""
+    if known_studies(store, setting):
+        return ""
+    return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
+
+
 def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[tuple[str, Read]]:
     """Read studies that nobody named one by one; of those that cannot be read only say so.
 

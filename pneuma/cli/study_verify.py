@@ -12,6 +12,7 @@ import typer
 
 from pneuma.cli.options import Json, OnlyWorld, Results, print_json, read_path
 from pneuma.cli.plain_text import plain
+from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import unknown_name
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS, check_world
@@ -51,6 +52,8 @@ def verify(
         contrasts = sum(len(one.pairs) for one in every)
         head = {"schema": 1, "claims_hash": known.digest, "alpha": ALPHA, "contrasts": contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
+    if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
+        print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
     _print_table(shown)
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""

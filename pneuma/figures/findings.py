@@ -163,13 +163,16 @@ _WRITERS: dict[str, Callable[[Sequence[Claim]], str]] = {
 
 
 def main(pages: Sequence[Path], results: Path) -> None:
-    """Write every page anew, or none, and say so.
+    """Write every page anew, or none, and say so; leave all as they are where nothing is published.
 
     Raises:
-        UserError: for a page that cannot be read, or has a wrong mark, or without published tables.
+        UserError: for a page that cannot be read, or has a wrong mark, or without a results folder.
     """
+    if not results.is_dir():
+        raise UserError(f"{results}: is no folder, so no verdict is written")
     if not (results / PUBLISHED).is_dir():
-        raise UserError(f"{results / PUBLISHED}: is no folder, so no verdict is written")
+        print(f"no study is published in {results / PUBLISHED} yet: the pages stay as they are")
+        return
     claims = published_claims(results)
     written = {page: with_verdicts(_read(page), claims) for page in pages}
     for page, text in written.items():

@@ -133,3 +133,8 @@ def test_the_shipped_claims_are_judged_without_any_run(tmp_path: Path, capsys: C
         ("logs", "inconclusive"),
     }  # fmt: skip
     assert not (tmp_path / "nothing").exists()
+
+
+def test_where_nothing_was_run_it_is_said(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["study", "verify", "tanh-better", "--results", str(tmp_path)]) == 0
+    assert "no study was run or published in" in capsys.readouterr().out.splitlines()[0]
