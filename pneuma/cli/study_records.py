@@ -64,9 +64,9 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
     )
 
 
-def nothing_yet(store: Store, setting: str | None = None) -> str:
+def nothing_yet(store: Store, world: str | None = None) -> str:
     """Return what to say where no study was run, imported or published here; '' where one was."""
-    if known_studies(store, setting):
+    if known_studies(store, world):
         return ""
     return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
 

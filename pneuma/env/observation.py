@@ -155,9 +155,7 @@ def observation_space(
             middle, scale = settings[f"middle_{axis}"], settings[f"scale_{axis}"]
             seen[axis] = (low - middle) * scale, (high - middle) * scale
     row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
-    limits = np.array(
-        [bounds[name] for name in player_features(config)] + row * int(settings["perceived"])
-    )
+    limits = np.array([bounds[name] for name in player_features(config)] + row * int(settings["perceived"]))
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Where bodies may stand when an episode begins: inside the grid, clear of what stops them and of each other."""
+"""Where bodies may begin an episode: inside the grid, clear of what stops them and of each other."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pneuma.errors import UserError
 
 
 def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, config: EnvConfig) -> None:
-    """Refuse a level in which a body would begin beyond the grid, in terrain that stops it, or in another body.
+    """Refuse a level in which a body begins beyond the grid, in terrain that stops it, or in another body.
 
-    The rules look up tiles unchecked, and who begins inside a wall may never get out. Players take turns at the
-    start places, so each must hold the widest and the tallest.
+    The rules look up tiles unchecked, and who begins inside a wall may never get out. Players take turns at
+    the start places, so each must hold the widest and the tallest.
 
     Args:
         level: the level.

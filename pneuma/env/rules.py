@@ -629,7 +629,8 @@ def _closeness(distance: float) -> float:
 
 @part
 def _moved(
-    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int, crowded: int
+    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int,
+    crowded: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Return where a body gets by moving, x first, among terrain and other bodies.
 
