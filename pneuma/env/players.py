@@ -10,7 +10,7 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.characters import TICKS_PER_STEP
-from pneuma.env.paths import Plan, Ways
+from pneuma.env.paths import Body, Plan, Ways, spot
 from pneuma.env.worlds import Worlds
 
 FARTHEST = 1e6
@@ -47,9 +47,9 @@ class Hunter:
         self._way = np.zeros(worlds.players.shape, np.int64)
         self._seen = np.full((2, *worlds.monsters.shape), np.nan)  # where awake monsters last were
         self._plans: dict[tuple[int, int], Plan] = {}
-        bodies = {(float(row["half_width"]), float(row["half_height"])) for row in worlds.player_stats}
-        sea = worlds.config.coast == "deadly"
-        self._ways = {body: Ways(worlds.levels, *body, sea) for body in bodies}
+        stops, sea = int(worlds.settings["player_stops"][0]), worlds.config.coast == "deadly"
+        bodies = {_body(row) for row in worlds.player_stats}
+        self._ways = {body: Ways(worlds.levels, body, stops, sea) for body in bodies}
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
@@ -118,23 +118,22 @@ class Hunter:
         flags = np.zeros(worlds.players.shape, bool)
         x, y = worlds.players["x"], worlds.players["y"]
         for key, plan in self._plans.items():
-            flags[key] = (x[key], y[key]) in plan
+            flags[key] = spot((x[key], y[key])) in plan
         return flags
 
     def _ways_of(self, worlds: Worlds, player: int) -> Ways:
-        stats = worlds.player_stats[player]
-        return self._ways[float(stats["half_width"]), float(stats["half_height"])]
+        return self._ways[_body(worlds.player_stats[player])]
 
     def _follow(self, worlds: Worlds, world: int, player: int, monster: int) -> int | None:
         """Return the next step of the plan, of a new one where the last is at its end."""
         row, prey = worlds.players[world, player], worlds.monsters[world, monster]
         place = float(row["x"]), float(row["y"])
         plan = self._plans.get((world, player), {})
-        if place not in plan:
+        if spot(place) not in plan:
             level, goal = int(worlds.worlds["level"][world]), (float(prey["x"]), float(prey["y"]))
             ways, reach = self._ways_of(worlds, player), _reach(worlds, player)
             plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
-        return plan.get(place)
+        return plan.get(spot(place))
 
     def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray, walks: np.ndarray) -> np.ndarray:
         """Return the way to walk to a monster at (dx, dy), or for a while some other way.
@@ -177,15 +176,19 @@ class Hunter:
         monsters = worlds.monsters
         awake = monsters["noticed"] > 0
         meets = np.ones(x.shape, bool)
-        for i, (offset, axis, side) in enumerate(((x, "x", "width"), (y, "y", "height"))):
+        for i, (between, axis, side) in enumerate(((x, "x", "width"), (y, "y", "height"))):
             centre = worlds.player_stats[f"sword_{axis}"][player, facing][..., None]  # (N, P, 1)
             half = worlds.player_stats[f"sword_half_{side}"][player, facing][..., None]
             comes = awake & (monsters[axis] != self._seen[i])
-            after = np.where(comes[:, None, :], _come_closer(worlds, offset), offset)
-            low, high = np.minimum(offset, after), np.maximum(offset, after)
-            body = stats[f"half_{side}"]
-            meets &= (low - body < centre + half) & (high + body > centre - half)
+            after = np.where(comes[:, None, :], _come_closer(worlds, between), between)
+            low, high = np.minimum(between, after), np.maximum(between, after)
+            middle, body = stats[f"body_{axis}"], stats[f"half_{side}"]
+            meets &= (low + middle - body < centre + half) & (high + middle + body > centre - half)
         return meets
+
+
+def _body(stats: np.void) -> Body:
+    return Body(*(float(stats[name]) for name in ("half_width", "half_height", "body_x", "body_y")))
 
 
 def _reach(worlds: Worlds, player: int) -> float:
