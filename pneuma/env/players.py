@@ -74,13 +74,12 @@ class Hunter:
         strike = (self._meets_sword(worlds, x, y) & alive).any(axis=-1)
         walks = free & ~strike
         far = (length * worlds.level.tile > self.NEAR_PIXELS) & np.isfinite(length) | self._under_way(worlds)
-        walk = self._walk(worlds, dx, dy, walks)
+        walk = self._walk(worlds, dx, dy, walks, far)
         self._left_off = np.where(walks, [worlds.players["x"], worlds.players["y"]], np.nan)
-        for world, player in np.argwhere(far & walks).tolist():
+        for world, player in np.argwhere(far & walks & (self._detour == 0)).tolist():
             action = self._follow(worlds, world, player, int(nearest[world, player, 0]))
             if action is not None:
                 walk[world, player] = action
-                self._left_off[:, world, player], self._detour[world, player] = np.nan, 0
         if worlds.config.coast == "deadly":
             self._keep_ashore(worlds, walk, walks)
         return np.where(strike, rules.ATTACK, walk)
@@ -135,10 +134,13 @@ class Hunter:
             plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
         return plan.get(spot(place))
 
-    def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray, walks: np.ndarray) -> np.ndarray:
+    def _walk(
+        self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray, walks: np.ndarray, far: np.ndarray
+    ) -> np.ndarray:
         """Return the way to walk to a monster at (dx, dy), or for a while some other way.
 
-        Only those who walk this time, (N, P) booleans, come any further with going round something.
+        Only those who walk this time, (N, P) booleans, come any further with going round something;
+        those far off have a plan to go back to.
         """
         along_x = np.where(dx > 0, rules.RIGHT, rules.LEFT)
         along_y = np.where(dy > 0, rules.DOWN, rules.UP)
@@ -146,23 +148,32 @@ class Hunter:
         straight, across = np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
         stand_off = worlds.monster_stats["stand_off"].max(initial=0.0)
         crowded = walks & (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off)
-        self._go_round(worlds, walks, crowded, back=(along_y + 2) % 4, across=across)
+        self._go_round(worlds, walks, crowded, far, back=(along_y + 2) % 4, across=across)
         return np.where(self._detour > 0, self._way, straight)
 
     def _go_round(
-        self, worlds: Worlds, walks: np.ndarray, crowded: np.ndarray, back: np.ndarray, across: np.ndarray
+        self,
+        worlds: Worlds,
+        walks: np.ndarray,
+        crowded: np.ndarray,
+        far: np.ndarray,
+        back: np.ndarray,
+        across: np.ndarray,
     ) -> None:
         """Begin, go on with and end detours: back from a monster too close to strike, across where stopped.
 
-        A detour that is stopped as well turns round. All are (N, P): who walks, who is crowded, and the ways.
+        A detour that is stopped as well turns round, or, once it has led past what was in the way of one
+        far off, is over. All are (N, P): who walks, who is crowded, who is far off, and the ways.
         """
         crowded = crowded & (self._detour == 0)
         stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
         stopped &= walks
         again = stopped & (self._detour > 0)
+        over = again & far & (self._detour < self.SIDE_STEPS)
         self._detour = np.maximum(self._detour - walks, 0)
         self._detour[crowded], self._detour[stopped] = self.BACK_STEPS, self.SIDE_STEPS
         self._way = np.where(crowded, back, self._way)
+        self._detour[over] = 0
         self._way = np.where(again, (self._way + 2) % 4, np.where(stopped, across, self._way))
 
     def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
