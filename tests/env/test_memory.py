@@ -18,7 +18,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .arena import ATTACK, DOWN, play, stage
-from .oracle_cases import Map
+from .oracle_maps import Map
 
 
 def handle_type(module: ModuleType) -> object:
