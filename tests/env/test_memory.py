@@ -11,7 +11,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .arena import ATTACK, DOWN, play, stage
-from .oracle_cases import Map
+from .oracle_maps import Map
 
 
 def small_level(folder: Path, start: tuple[float, float], monster: tuple[str, float, float]) -> str:
