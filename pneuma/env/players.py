@@ -31,13 +31,12 @@ class RandomPlayer:
 class Hunter:
     """Walks to the living monster nearest on foot and strikes whenever the sword would meet one.
 
-    From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it lines up on one
-    axis, steps back from a monster that is too close for the sword, and goes across for a few steps
-    when something is in the way. It knows the whole state, not only what a player observes.
+    From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it turns to where its sword
+    meets the monster. Where a body or a wall stops it, it goes another way for a few steps. It knows the
+    whole state, not only what a player observes.
     """
 
     SIDE_STEPS = 4
-    BACK_STEPS = 2
     NEAR_PIXELS = 128.0
     """On foot; nearer monsters are walked to straight on."""
 
@@ -67,23 +66,42 @@ class Hunter:
     def _choose(self, worlds: Worlds, alive: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return actions, of which those of the players that are free to act count."""
         x, y = _offsets(worlds)
+        meets = np.stack([self._meets_sword(worlds, x, y, facing) & alive for facing in range(4)])
+        strike = _pick(meets.any(axis=-1), worlds.players["facing"])
+        walks = free & ~strike
         on_foot = self._lengths(worlds)
         order = np.where(np.isfinite(on_foot), on_foot, FARTHEST + np.hypot(x, y))
+        order = np.where(meets.any(axis=0), order - 2 * FARTHEST, order)  # first whom a turn is enough for
         nearest = np.where(alive, order, np.inf).argmin(axis=-1)[..., None]
         dx, dy, length = (np.take_along_axis(each, nearest, -1)[..., 0] for each in (x, y, on_foot))
-        strike = (self._meets_sword(worlds, x, y) & alive).any(axis=-1)
-        walks = free & ~strike
+        within_reach = np.take_along_axis(meets, nearest[None], -1)[..., 0]  # (4, N, P)
+        straight, across = _ways_towards(dx, dy)
+        turns = ~_pick(within_reach, straight) & _pick(within_reach, across)
+        way, aside = np.where(turns, across, straight), np.where(turns, straight, across)
         far = (length * worlds.level.tile > self.NEAR_PIXELS) & np.isfinite(length) | self._under_way(worlds)
-        walk = self._walk(worlds, dx, dy, walks)
-        self._left_off = np.where(walks, [worlds.players["x"], worlds.players["y"]], np.nan)
-        for world, player in np.argwhere(far & walks).tolist():
+        for world, player in np.argwhere(far & walks & ~within_reach.any(axis=0)).tolist():
             action = self._follow(worlds, world, player, int(nearest[world, player, 0]))
             if action is not None:
-                walk[world, player] = action
-                self._left_off[:, world, player], self._detour[world, player] = np.nan, 0
+                way[world, player], aside[world, player] = action, (action + 1) % 4  # keep to the right
+        walk = np.where(within_reach.any(axis=0), way, self._go_round(worlds, walks, way, aside))
         if worlds.config.coast == "deadly":
             self._keep_ashore(worlds, walk, walks)
         return np.where(strike, rules.ATTACK, walk)
+
+    def _go_round(self, worlds: Worlds, walks: np.ndarray, way: np.ndarray, aside: np.ndarray) -> np.ndarray:
+        """Return the way, or another one for a few steps where somebody was stopped.
+
+        First aside, then round to the right. Later players go further, lest two meet in the same place for ever.
+        All are (N, P).
+        """
+        stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
+        stopped &= walks
+        again = stopped & (self._detour > 0)
+        self._way = np.where(again, (self._way + 1) % 4, np.where(stopped, aside, self._way))
+        steps = self.SIDE_STEPS * (1 + np.arange(worlds.players.shape[1]))
+        self._detour = np.where(stopped, steps, np.maximum(self._detour - walks, 0))
+        self._left_off = np.where(walks, [worlds.players["x"], worlds.players["y"]], np.nan)
+        return np.where(self._detour > 0, self._way, way)
 
     def _keep_ashore(self, worlds: Worlds, walk: np.ndarray, may_walk: np.ndarray) -> None:
         """Let players strike where they stand whose next step would drown them."""
@@ -134,56 +152,36 @@ class Hunter:
             plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
         return plan.get(place)
 
-    def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray, walks: np.ndarray) -> np.ndarray:
-        """Return the way to walk to a monster at (dx, dy), or for a while some other way.
-
-        Only those who walk this time, (N, P) booleans, come any further with going round something.
-        """
-        along_x = np.where(dx > 0, rules.RIGHT, rules.LEFT)
-        along_y = np.where(dy > 0, rules.DOWN, rules.UP)
-        sideways = np.abs(dx) > np.maximum(np.abs(dy), worlds.player_stats["sword_half_width"][:, rules.UP])
-        straight, across = np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
-        stand_off = worlds.monster_stats["stand_off"].max(initial=0.0)
-        crowded = walks & (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off)
-        self._go_round(worlds, walks, crowded, back=(along_y + 2) % 4, across=across)
-        return np.where(self._detour > 0, self._way, straight)
-
-    def _go_round(
-        self, worlds: Worlds, walks: np.ndarray, crowded: np.ndarray, back: np.ndarray, across: np.ndarray
-    ) -> None:
-        """Begin, go on with and end detours: back from a monster too close to strike, across where stopped.
-
-        A detour that is stopped as well turns round. All are (N, P): who walks, who is crowded, and the ways.
-        """
-        crowded = crowded & (self._detour == 0)
-        stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
-        stopped &= walks
-        again = stopped & (self._detour > 0)
-        self._detour = np.maximum(self._detour - walks, 0)
-        self._detour[crowded], self._detour[stopped] = self.BACK_STEPS, self.SIDE_STEPS
-        self._way = np.where(crowded, back, self._way)
-        self._way = np.where(again, (self._way + 2) % 4, np.where(stopped, across, self._way))
-
-    def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Tell which monsters a swing begun now would meet, the way the player faces: (N, P, M).
+    def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray, facing: int) -> np.ndarray:
+        """Tell which monsters a swing begun now, this way, would meet: (N, P, M).
 
         One that is awake comes closer meanwhile, on each axis on which nothing holds it up.
         """
-        facing = worlds.players["facing"]
-        player = np.arange(facing.shape[1])
         stats = _kinds(worlds)
         monsters = worlds.monsters
         awake = monsters["noticed"] > 0
         meets = np.ones(x.shape, bool)
         for i, (offset, axis, side) in enumerate(((x, "x", "width"), (y, "y", "height"))):
-            centre = worlds.player_stats[f"sword_{axis}"][player, facing][..., None]  # (N, P, 1)
-            half = worlds.player_stats[f"sword_half_{side}"][player, facing][..., None]
+            centre = worlds.player_stats[f"sword_{axis}"][:, facing, None]  # (P, 1)
+            half = worlds.player_stats[f"sword_half_{side}"][:, facing, None]
             comes = awake & (monsters[axis] != self._seen[i])
             after = np.where(comes[:, None, :], _come_closer(worlds, offset), offset)
             low, high = np.minimum(offset, after), np.maximum(offset, after)
             body, at = stats[f"half_{side}"], stats[f"body_{axis}"]
             meets &= (low + at - body < centre + half) & (high + at + body > centre - half)
         return meets
+
+
+def _pick(by_facing: np.ndarray, facing: np.ndarray) -> np.ndarray:
+    """Return what (4, N, P) has for the facing of every player, (N, P)."""
+    return np.asarray(np.take_along_axis(by_facing, facing[None].astype(np.int64), 0)[0])
+
+
+def _ways_towards(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ways along the longer and the shorter axis to a place at (dx, dy)."""
+    along_x, along_y = np.where(dx > 0, rules.RIGHT, rules.LEFT), np.where(dy > 0, rules.DOWN, rules.UP)
+    sideways = np.abs(dx) > np.abs(dy)
+    return np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
 
 
 def _middles(worlds: Worlds) -> np.ndarray:
