@@ -9,11 +9,12 @@ import pytest
 
 from pneuma.env import paths, rules
 from pneuma.env.level import Level
-from pneuma.env.paths import NOWHERE, Ways
+from pneuma.env.paths import NOWHERE, Body, Ways, spot
 
 from .arena import DOWN, LEFT, RIGHT, UP, begin
 
-HALVES = (23.5, 24.0)
+BODY = Body(23.5, 24.0, -1.5, 2.0)
+WALLS = 1 << rules.SOLID | 1 << rules.COAST
 REACH = 40.0
 
 # Two rooms and a gap that is one tile wide. Tiles of 64 px; the upper left corner is at 0, 0.
@@ -41,7 +42,7 @@ def lengths(ways: Ways, goal: tuple[float, float], *places: tuple[float, float])
 
 
 def test_lengths_count_tiles_around_what_is_closed() -> None:
-    ways = Ways([rooms()], *HALVES, False)
+    ways = Ways([rooms()], BODY, WALLS, False)
     # To column 0, row 3: from itself, from column 2 of the gap, from the other room's far corner.
     found = lengths(ways, (32, 224), (32, 224), (160, 160), (480, 32))
     assert found == [0, 3, 5 + 3 + 2]
@@ -50,7 +51,7 @@ def test_lengths_count_tiles_around_what_is_closed() -> None:
 
 def test_nowhere_leads_to_where_a_body_does_not_fit() -> None:
     """Among tiles of 32 px a body needs two abreast: the gap of one is closed to it."""
-    ways = Ways([rooms(32.0)], *HALVES, False)
+    ways = Ways([rooms(32.0)], BODY, WALLS, False)
     assert lengths(ways, (16, 16), (32, 32), (224, 32), (224, 144)) == [0, 6, NOWHERE]
 
 
@@ -59,10 +60,10 @@ def test_fields_that_are_too_many_are_forgotten_and_found_again(monkeypatch: pyt
     level = rooms()
     far = (480.0, 32.0)
     goals = [(x, y) for y in (32.0, 96.0, 224.0) for x in np.arange(32.0, 512.0, 64.0)]
-    free = Ways([level], *HALVES, False)
+    free = Ways([level], BODY, WALLS, False)
     expected = [lengths(free, goal, far) for goal in goals]
     monkeypatch.setattr(paths, "MOST_CELLS", 5 * free._fields.shape[1])
-    tight = Ways([level], *HALVES, False)
+    tight = Ways([level], BODY, WALLS, False)
     for _ in range(2):
         assert [lengths(tight, goal, far) for goal in goals] == expected
         assert len(tight._lists) <= 6
@@ -73,8 +74,8 @@ def test_fields_that_are_too_many_are_forgotten_and_found_again(monkeypatch: pyt
 def test_steps_lead_where_the_rules_lead(coast: str) -> None:
     """From random places of a random level, hundreds of steps in every direction."""
     count = 2000
-    worlds = begin(count, level="random:test:3", coast=coast)
-    ways = Ways(worlds.levels, *HALVES, coast == "deadly")
+    worlds = begin(count, level="random:test:3", coast=coast, bodies="pass")
+    ways = Ways(worlds.levels, BODY, int(worlds.settings["player_stops"][0]), coast == "deadly")
     generator = np.random.default_rng(0)
     for _ in range(30):  # away from the start places, to walls and shores
         worlds.step(generator.integers(4, size=(count, 1)))
@@ -89,26 +90,26 @@ def test_steps_lead_where_the_rules_lead(coast: str) -> None:
 
 
 def test_a_plan_leads_through_a_gap_that_steps_of_its_length_miss() -> None:
-    """From x = 140 steps of 40 px stand at 20, 60, …; only 151.5 to 168.5 lead through the gap."""
-    ways = Ways([rooms()], *HALVES, False)
+    """From x = 140 steps of 40 px stand at 20, 60, …; only 153 to 170 lead through the gap."""
+    ways = Ways([rooms()], BODY, WALLS, False)
     place, goal = (140.0, 32.0), (160.0, 224.0)
     for _ in range(10):
         plan = ways.plan(0, place, goal, REACH)
-        while place in plan:
-            there = ways.step(0, place, plan[place], REACH)
+        while spot(place) in plan:
+            there = ways.step(0, place, plan[spot(place)], REACH)
             assert there is not None
             place = there
     assert place[1] >= 192  # a tile from the goal at most
 
 
 def test_no_plan_is_made_to_where_no_way_leads() -> None:
-    ways = Ways([rooms(32.0)], *HALVES, False)
+    ways = Ways([rooms(32.0)], BODY, WALLS, False)
     assert ways.plan(0, (32.0, 32.0), (32.0, 144.0), REACH) == {}
 
 
 def test_levels_have_ways_of_their_own() -> None:
     field = replace(rooms(), terrain=np.zeros_like(rooms().terrain))
-    ways = Ways([rooms(), field], *HALVES, False)
+    ways = Ways([rooms(), field], BODY, WALLS, False)
     level = np.array([0, 1])
     goal = np.full((2, 1), 480.0), np.full((2, 1), 224.0)
     here = np.full(2, 480.0), np.full(2, 96.0)

@@ -37,8 +37,8 @@ def crowd(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a level in which three starts and monsters of all kinds lie close to each other and to rocks."""
     places = [(-120.0 + 80 * column, -150.0 + 100 * row) for column in range(4) for row in range(4)]
     codes = [BAMBOO, SPIRIT, RACCOON, SQUID] * 4
-    starts = [(-160.0, 0.0), (0.0, 160.0), (160.0, -100.0)]
-    rocks = [(8, 8), (12, 9), (9, 13), (11, 6)]
+    starts = [(-200.0, 0.0), (32.0, 210.0), (160.0, -100.0)]
+    rocks = [(8, 6), (13, 9), (9, 13), (11, 6)]
     folder = tmp_path_factory.mktemp("crowd")
     return write_level(folder, starts, places, rocks, codes)
 
