@@ -226,7 +226,9 @@ def _by_facing(reach: Mapping[str, Any]) -> tuple[list[float], list[float]]:
     """Return x and y from the player by facing; a plain number is a distance straight ahead."""
     ahead = {"down": (0, 1), "left": (-1, 0), "up": (0, -1), "right": (1, 0)}
     places = [
-        (reach[name] * ahead[name][0], reach[name] * ahead[name][1]) if _is_number(reach[name]) else reach[name]
+        (reach[name] * ahead[name][0], reach[name] * ahead[name][1])
+        if _is_number(reach[name])
+        else reach[name]
         for name in FACINGS
     ]
     return [x for x, _ in places], [y for _, y in places]
@@ -259,7 +261,10 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
         away = np.hypot(monster[f"{name}_x"], monster[f"{name}_y"])
         furthest.append(math.sqrt(monster[f"{name}_squared"]) + float(away))
     for name in ("sword", "flame") if magic else ("sword",):
-        x, y = players[f"{name}_x"] - players["body_x"][:, None], players[f"{name}_y"] - players["body_y"][:, None]
+        x, y = (
+            players[f"{name}_x"] - players["body_x"][:, None],
+            players[f"{name}_y"] - players["body_y"][:, None],
+        )
         x = np.abs(x) + players[f"{name}_half_width"]
         y = np.abs(y) + players[f"{name}_half_height"]
         furthest.append(float(np.hypot(x, y).max()) + furthest[0])
@@ -299,7 +304,9 @@ def _read_value(where: str, group: str, key: str, value: object) -> Any:
         sound = isinstance(value, dict) and set(value) == set(FACINGS)
         if not sound or not all(_is_place(side) for side in value.values()):  # type: ignore[attr-defined]
             names = ", ".join(FACINGS)
-            raise UserError(f"{where} {key} = {value!r} is not allowed: a number or [x, y] for each of {names}")
+            raise UserError(
+                f"{where} {key} = {value!r} is not allowed: a number or [x, y] for each of {names}"
+            )
         return value
     try:
         return form[key].read(value)

@@ -120,8 +120,8 @@ def observation_space(
 ) -> spaces.Box:
     """Return the Box of finite bounds that every observation of a player lies in, float32."""
     edges = levels[0].grid
-    beyond = config.coast == "deadly"  # players die a little way out
-    left, top, right, bottom = edges if beyond else _land(levels)
+    at_sea = config.coast == "deadly" or config.terrain_stops == "players"  # players, or monsters
+    left, top, right, bottom = edges if at_sea else _land(levels)
     diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
     forever = config.xp_scope == "forever"
     worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
@@ -151,9 +151,7 @@ def observation_space(
     seen |= {"direction_x": (-1.0, 1.0), "direction_y": (-1.0, 1.0)}
     seen |= {axis: (min(bounds[axis][0], 0.0), max(bounds[axis][1], 0.0)) for axis in ("x", "y")}
     row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
-    limits = np.array(
-        [bounds[name] for name in player_features(config)] + row * int(settings["perceived"])
-    )
+    limits = np.array([bounds[name] for name in player_features(config)] + row * int(settings["perceived"]))
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

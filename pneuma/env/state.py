@@ -197,6 +197,7 @@ TICK = _record(
 
 SCRATCH = _record(("order", "u8"), ("distance", "f8"), ("crowded", "i4"))
 
+
 class State(NamedTuple):
     """Every array that the kernels share.
 

@@ -88,7 +88,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
             "weapons": ["own", "lance", "sai"],
         },
     ),
-    "eight players": (THESIS, {"players": 8, "characters": "pygame"}),
+    "eight players": (THESIS, {"players": 8}),
     "godot": (GODOT, {"start": "random", "ending_cost": 0.0}),
     "three at a deadly coast": (
         GODOT,
@@ -97,12 +97,12 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("where", ["crowd", "pit", "thesis"])
+@pytest.mark.parametrize("where", ["crowd", "thesis"])
 @pytest.mark.parametrize("name", CASES)
-def test_a_step_is_its_ticks(name: str, where: str, crowd: str, pit: str) -> None:
+def test_a_step_is_its_ticks(name: str, where: str, crowd: str) -> None:
     """Compare, wherever the last player lives to the end of the step: with him, the ticks stop."""
     env_id, settings = CASES[name]
-    level = {"crowd": crowd, "pit": pit, "thesis": "thesis"}[where]
+    level = {"crowd": crowd, "thesis": "thesis"}[where]
     settings = {"level": level, "episode_steps": 10_000, "end_on_clear": False, **settings}
     whole, ticks = (begin(16, env_id=env_id, **settings) for _ in range(2))
     ticks.settings["ticks"] = 1
@@ -128,7 +128,8 @@ def test_a_step_is_its_ticks(name: str, where: str, crowd: str, pit: str) -> Non
         copy_state(whole, ticks)
     assert happened["present"] > 10_000
     if where == "crowd":
-        assert min(happened[field] for field in COUNTED) > 0, happened
+        healed = name == "three players"  # in time, by their spells
+        assert min(happened[field] for field in COUNTED if field != "died" or not healed) > 0, happened
 
 
 @pytest.mark.parametrize("name", CASES)
