@@ -2,7 +2,8 @@
 
 A step takes a body a fixed way along one axis, or flush to what stops it, so that it cannot stand
 just anywhere, and a gap that is one tile wide can be missed. Distances are therefore walked over
-tiles, and the few steps that follow are searched among the places that steps really lead to.
+tiles, and the few steps that follow are searched among the places that steps really lead to. Other
+bodies in the way are not looked at: they move.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +26,23 @@ MOST_CELLS = 20_000_000
 But always twice those that were asked for at once."""
 
 Place = tuple[float, float]
-Plan = dict[Place, int]
-"""The action to take at each place along the way."""
+Spot = tuple[int, int]
+Plan = dict[Spot, int]
+"""The action to take at the spot of each place along the way."""
+
+
+class Body(NamedTuple):
+    """A body's box: half its sides, and its centre from the body's place."""
+
+    half_width: float
+    half_height: float
+    x: float = 0.0
+    y: float = 0.0
+
+
+def spot(place: Place) -> Spot:
+    """Return what places have in common that only rounding sets apart."""
+    return round(place[0] * 32), round(place[1] * 32)
 
 
 class Ways:
@@ -35,31 +52,26 @@ class Ways:
     fields behind it count from cell to cell. All grids have a rim of closed tiles.
     """
 
-    def __init__(
-        self, levels: Sequence[Level], half_width: float, half_height: float, sea: bool, trees: bool
-    ) -> None:
+    def __init__(self, levels: Sequence[Level], body: Body, stops: int, sea: bool) -> None:
         """Prepare for some levels.
 
         Args:
             levels: of equal shape and place, as those of a `Worlds` are.
-            half_width: half the body's width.
-            half_height: and its height.
-            sea: whether the coast drowns instead of stopping.
-            trees: whether obstacles stop a body.
+            body: whose ways.
+            stops: bit c: tiles of code c stop it.
+            sea: whether the coast drowns.
         """
         level = levels[0]
-        self._halves = (half_width, half_height)
+        self._halves, self._offset = body[:2], body[2:]
         self._tile = level.tile
-        self._abreast = math.ceil(2 * max(half_width, half_height) / level.tile)
+        self._abreast = math.ceil(2 * max(self._halves) / level.tile)
         rim = self._abreast
         self._corner = (level.left - rim * level.tile, level.top - rim * level.tile)
-        met = [np.where(each.terrain == rules.SOLID, trees * rules.SOLID, each.terrain) for each in levels]
-        terrains = [np.pad(terrain, rim, constant_values=rules.SOLID) for terrain in met]
-        self._shape = terrains[0].shape
-        self._fits = [self._room(terrain == rules.OPEN) for terrain in terrains]
-        stops = [terrain != rules.OPEN if not sea else terrain == rules.SOLID for terrain in terrains]
-        self._stops = [(grid.tolist(), grid.T.tolist()) for grid in stops]
-        drowns = [(terrain == rules.COAST) & sea for terrain in terrains]
+        closed = [np.pad(stops >> each.terrain & 1 > 0, rim, constant_values=True) for each in levels]
+        drowns = [np.pad((each.terrain == rules.COAST) & sea, rim) for each in levels]
+        self._shape = closed[0].shape
+        self._fits = [self._room(~grid & ~water) for grid, water in zip(closed, drowns, strict=True)]
+        self._stops = [(grid.tolist(), grid.T.tolist()) for grid in closed]
         self._drowns = [grid.tolist() if grid.any() else None for grid in drowns]
         self._numbers = np.full((len(levels), self._fits[0].size), -1)  # of the field to each tile
         self._lists: list[list[float]] = []
@@ -82,7 +94,8 @@ class Ways:
         numbers = self._numbers[level[:, None], goals]
         for world, monster in np.argwhere(numbers < 0).tolist():
             numbers[world, monster] = self._number(int(level[world]), int(goals[world, monster]))
-        here = self._tiles(x, y, (1 - self._abreast) / 2)
+        across, down = self._offset
+        here = self._tiles(x + across, y + down, (1 - self._abreast) / 2)
         return np.asarray(self._fields[numbers, here[:, None]])
 
     def plan(self, level: int, place: Place, goal: Place, reach: float) -> Plan:
@@ -98,17 +111,17 @@ class Ways:
         field = self._lists[self._number(level, tile)]
         first = self._length(field, *place)
         enough = max(first - 2 * self._tile, self._tile)
-        came: dict[Place, tuple[Place, int]] = {place: (place, -1)}
-        best, nearest = place, first
+        came: dict[Spot, tuple[Spot, int]] = {spot(place): (spot(place), -1)}
+        best, nearest = spot(place), first
         queue = [(first, first, 0, 0, place)]  # A*: first by the whole way, then by what is left of it
         while queue and nearest > enough and len(came) < MOST_PLACES:
             _, length, _, steps, here = heappop(queue)
             if length < nearest:
-                best, nearest = here, length
+                best, nearest = spot(here), length
             for action in range(4):
                 there = self.step(level, here, action, reach)
-                if there is not None and there not in came:
-                    came[there] = (here, action)
+                if there is not None and spot(there) not in came:
+                    came[spot(there)] = (spot(here), action)
                     left = self._length(field, *there)
                     heappush(queue, (left + (steps + 1) * reach, left, len(came), steps + 1, there))
         return dict(_trace(came, best))
@@ -175,7 +188,8 @@ class Ways:
     def _length(self, field: list[float], x: float, y: float) -> float:
         """Return how many pixels it is from a place to a field's goal, by the best cell at hand."""
         tile, width, abreast = self._tile, self._shape[1], self._abreast
-        across, down = (x - self._corner[0]) / tile, (y - self._corner[1]) / tile
+        across = (x + self._offset[0] - self._corner[0]) / tile
+        down = (y + self._offset[1] - self._corner[1]) / tile
         best = NOWHERE
         for row in _cells(down, self._halves[1] / tile, abreast):
             for column in _cells(across, self._halves[0] / tile, abreast):
@@ -190,22 +204,22 @@ class Ways:
         tile, corner = self._tile, self._corner
         lines = self._stops[level][1 - axis]  # lines of tiles that lie across the way
         half, other = self._halves[axis], self._halves[1 - axis]
-        first = math.floor((place[1 - axis] - other - corner[1 - axis]) / tile)
-        last = math.ceil((place[1 - axis] + other - corner[1 - axis]) / tile)
-        start = place[axis] - corner[axis]
+        offset, aside = self._offset[axis], place[1 - axis] + self._offset[1 - axis] - corner[1 - axis]
+        first, last = math.floor((aside - other) / tile), math.ceil((aside + other) / tile)
+        start = place[axis] + offset - corner[axis]
         if way > 0:
             for line in range(math.ceil((start + half) / tile), math.ceil((start + way + half) / tile)):
                 if True in lines[line][first:last]:
-                    return max(place[axis], corner[axis] + line * tile - half)
+                    return max(place[axis], corner[axis] + line * tile - half - offset)
         else:
             end = math.floor((start + way - half) / tile)
             for line in range(math.floor((start - half) / tile) - 1, end - 1, -1):
                 if True in lines[line][first:last]:
-                    return min(place[axis], corner[axis] + (line + 1) * tile + half)
+                    return min(place[axis], corner[axis] + (line + 1) * tile + half - offset)
         return place[axis] + way
 
     def _meets_sea(self, level: int, place: Place, there: Place) -> bool:
-        """Tell whether a body's centre comes to a tile of the coast on a straight way."""
+        """Tell whether a body's place comes to a tile of the coast on a straight way."""
         (left, right), (top, bottom) = (
             sorted(int((point[axis] - self._corner[axis]) / self._tile) for point in (place, there))
             for axis in (0, 1)
@@ -220,8 +234,8 @@ def _cells(middle: float, half: float, abreast: int) -> range:
     return range(min(first, last), max(first, last) + 1)
 
 
-def _trace(came: dict[Place, tuple[Place, int]], end: Place) -> Iterator[tuple[Place, int]]:
-    """Yield the places on the way to an end, the last but one first, and what to do at each."""
+def _trace(came: dict[Spot, tuple[Spot, int]], end: Spot) -> Iterator[tuple[Spot, int]]:
+    """Yield the spots on the way to an end, the last but one first, and what to do at each."""
     place, action = came[end]
     while action >= 0:
         yield place, action

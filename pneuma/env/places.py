@@ -15,10 +15,10 @@ from pneuma.errors import UserError
 
 
 def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, config: EnvConfig) -> None:
-    """Refuse a level in which a body begins beyond the grid, in terrain that stops it, or in another body.
+    """Refuse a level in which a body would begin beyond the grid, in what stops it, or in another body.
 
-    The rules look up tiles unchecked, and who begins inside a wall may never get out. Players take turns at
-    the start places, so each must hold the widest and the tallest.
+    The rules look up tiles unchecked, and who begins inside a wall may never get out. Players take turns
+    at the start places, so each must hold everybody.
 
     Args:
         level: the level.
@@ -29,8 +29,10 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
     Raises:
         UserError: naming the start place or the monster.
     """
-    widest = {name: players[name].max() for name in ("half_width", "half_height", "body_x", "body_y")}
-    starts = [_Body(f"start place {i}", x, y, widest) for i, (x, y) in enumerate(level.starts)]
+    shapes = np.unique(players[["half_width", "half_height", "body_x", "body_y"]])
+    starts = [
+        _Body(f"start place {i}", x, y, shape) for i, (x, y) in enumerate(level.starts) for shape in shapes
+    ]
     others = [
         _Body(f"monster {i} ({name})", x, y, kind)
         for i, ((name, x, y), kind) in enumerate(zip(level.monsters, monsters, strict=True))
@@ -77,6 +79,8 @@ def _refuse_overlaps(level: Level, bodies: Sequence[_Body], others: Sequence[_Bo
     """Refuse bodies that overlap each other or any of the others; touching is no overlap."""
     for i, body in enumerate(bodies):
         for other in (*bodies[:i], *others):
+            if body.told == other.told:
+                continue  # two players' bodies at one place
             across = abs(body.x - other.x) < body.half_width + other.half_width - rules.HAIR
             if across and abs(body.y - other.y) < body.half_height + other.half_height - rules.HAIR:
                 raise UserError(f"level {level.name}: {body.told} begins inside {other.told}")

@@ -6,11 +6,13 @@ score 1 the hunter's.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.characters import TICKS_PER_STEP
-from pneuma.env.paths import Plan, Ways
+from pneuma.env.paths import Body, Plan, Ways, spot
 from pneuma.env.worlds import Worlds
 
 FARTHEST = 1e6
@@ -31,13 +33,12 @@ class RandomPlayer:
 class Hunter:
     """Walks to the living monster nearest on foot and strikes whenever the sword would meet one.
 
-    From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it lines up on one
-    axis, steps back from a monster that is too close for the sword, and goes across for a few steps
-    when something is in the way. It knows the whole state, not only what a player observes.
+    From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it turns to where
+    its sword meets the monster. Where something stops it, it goes another way for a few steps. It
+    knows the whole state, not only what a player observes.
     """
 
     SIDE_STEPS = 4
-    BACK_STEPS = 2
     NEAR_PIXELS = 128.0
     """On foot; nearer monsters are walked to straight on."""
 
@@ -47,15 +48,15 @@ class Hunter:
         self._way = np.zeros(worlds.players.shape, np.int64)
         self._seen = np.full((2, *worlds.monsters.shape), np.nan)  # where awake monsters last were
         self._plans: dict[tuple[int, int], Plan] = {}
-        bodies = {(float(row["half_width"]), float(row["half_height"])) for row in worlds.player_stats}
-        sea, trees = worlds.config.coast == "deadly", worlds.config.trees == "wall"
-        self._ways = {body: Ways(worlds.levels, *body, sea, trees) for body in bodies}
+        stops, sea = int(worlds.settings["player_stops"][0]), worlds.config.coast == "deadly"
+        self._bodies = [_body(stats) for stats in worlds.player_stats]
+        self._ways = {body: Ways(worlds.levels, body, stops, sea) for body in set(self._bodies)}
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
         self._begin_again(worlds.worlds["steps"] == 0)
         alive = worlds.monsters["hp"][:, None, :] > 0
-        free = (worlds.players["busy"] == 0) & (worlds.players["hp"] > 0) & alive.any(axis=-1)
+        free = (worlds.players["busy"] < TICKS_PER_STEP) & (worlds.players["hp"] > 0) & alive.any(axis=-1)
         free &= (worlds.worlds["ending"] == 0)[:, None]
         actions = self._choose(worlds, alive, free) if free.any() else free
         self._left_off[:, ~free] = np.nan
@@ -67,31 +68,51 @@ class Hunter:
     def _choose(self, worlds: Worlds, alive: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return actions, of which those of the players that are free to act count."""
         x, y = _offsets(worlds)
+        meets = np.stack([self._meets_sword(worlds, x, y, facing) & alive for facing in range(4)])
+        strike = _pick(meets.any(axis=-1), worlds.players["facing"])
+        walks = free & ~strike
         on_foot = self._lengths(worlds)
         order = np.where(np.isfinite(on_foot), on_foot, FARTHEST + np.hypot(x, y))
+        order = np.where(meets.any(axis=0), order - 2 * FARTHEST, order)  # first whom a turn is enough for
         nearest = np.where(alive, order, np.inf).argmin(axis=-1)[..., None]
         dx, dy, length = (np.take_along_axis(each, nearest, -1)[..., 0] for each in (x, y, on_foot))
-        strike = (self._meets_sword(worlds, x, y) & alive).any(axis=-1)
-        walks = free & ~strike
+        within_reach = np.take_along_axis(meets, nearest[None], -1)[..., 0]  # (4, N, P)
+        straight, across = _ways_towards(dx, dy)
+        swap = ~_pick(within_reach, straight) & _pick(within_reach, across)
+        way, aside = np.where(swap, across, straight), np.where(swap, straight, across)
         far = (length * worlds.level.tile > self.NEAR_PIXELS) & np.isfinite(length) | self._under_way(worlds)
-        walk = self._walk(worlds, dx, dy, walks)
-        self._left_off = np.where(walks, [worlds.players["x"], worlds.players["y"]], np.nan)
-        for world, player in np.argwhere(far & walks).tolist():
+        for world, player in np.argwhere(far & walks & ~within_reach.any(axis=0)).tolist():
             action = self._follow(worlds, world, player, int(nearest[world, player, 0]))
             if action is not None:
-                walk[world, player] = action
-                self._left_off[:, world, player], self._detour[world, player] = np.nan, 0
-        if worlds.config.coast == "deadly":
-            self._keep_ashore(worlds, walk, walks)
-        return np.where(strike, rules.ATTACK, walk)
+                way[world, player], aside[world, player] = action, (action + 1) % 4  # keep to the right
+        turns = within_reach.any(axis=0) & ~self._drowns(worlds, way, walks)
+        walk = np.where(turns, way, self._go_round(worlds, walks, way, aside))
+        return np.where(strike | self._drowns(worlds, walk, walks), rules.ATTACK, walk)
 
-    def _keep_ashore(self, worlds: Worlds, walk: np.ndarray, may_walk: np.ndarray) -> None:
-        """Let players strike where they stand whose next step would drown them."""
-        for world, player in np.argwhere(may_walk).tolist():
-            level, way = int(worlds.worlds["level"][world]), int(walk[world, player])
-            place = _middle(worlds, world, player)
-            if self._ways_of(worlds, player).step(level, place, way, _reach(worlds, player)) is None:
-                walk[world, player] = rules.ATTACK
+    def _go_round(self, worlds: Worlds, walks: np.ndarray, way: np.ndarray, aside: np.ndarray) -> np.ndarray:
+        """Return the way, or another one for a few steps where somebody was stopped.
+
+        First aside, then round to the right. Later players go further, lest two meet in the same place
+        for ever. All are (N, P).
+        """
+        stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
+        stopped |= self._drowns(worlds, np.where(self._detour > 0, self._way, way), walks)
+        stopped &= walks
+        again = stopped & (self._detour > 0)
+        self._way = np.where(again, (self._way + 1) % 4, np.where(stopped, aside, self._way))
+        steps = self.SIDE_STEPS * (1 + np.arange(worlds.players.shape[1]))
+        self._detour = np.where(stopped, steps, np.maximum(self._detour - walks, 0))
+        self._left_off = np.where(walks, [worlds.players["x"], worlds.players["y"]], np.nan)
+        return np.where(self._detour > 0, self._way, way)
+
+    def _drowns(self, worlds: Worlds, walk: np.ndarray, walks: np.ndarray) -> np.ndarray:
+        """Tell whose next step would lead into a deadly sea, (N, P)."""
+        drowns = np.zeros(walks.shape, bool)
+        for world, player in np.argwhere(walks & (worlds.config.coast == "deadly")).tolist():
+            level, place = int(worlds.worlds["level"][world]), _place(worlds, world, player)
+            step = self._ways_of(player).step(level, place, int(walk[world, player]), _reach(worlds, player))
+            drowns[world, player] = step is None
+        return drowns
 
     def _begin_again(self, fresh: np.ndarray) -> None:
         """Forget what concerns the worlds whose episodes have only just begun, (N,)."""
@@ -102,82 +123,45 @@ class Hunter:
     def _lengths(self, worlds: Worlds) -> np.ndarray:
         """Return how many tiles every player has to walk to every monster, (N, P, M)."""
         level = worlds.worlds["level"].astype(np.int64)
-        monsters, middles = worlds.monsters, _middles(worlds)
-        return np.stack(
-            [
-                self._ways_of(worlds, p).lengths(level, monsters["x"], monsters["y"], *middles[:, :, p])
-                for p in range(worlds.players.shape[1])
-            ],
-            axis=1,
-        )
+        monsters, (x, y) = worlds.monsters, (worlds.players["x"].T, worlds.players["y"].T)  # (P, N)
+        every = [
+            self._ways_of(p).lengths(level, monsters["x"], monsters["y"], x[p], y[p]) for p in range(len(x))
+        ]
+        return np.stack(every, axis=1)
 
     def _under_way(self, worlds: Worlds) -> np.ndarray:
         """Return who is in the middle of a plan, which is walked to its end, (N, P)."""
         flags = np.zeros(worlds.players.shape, bool)
-        x, y = _middles(worlds)
         for key, plan in self._plans.items():
-            flags[key] = (x[key], y[key]) in plan
+            flags[key] = spot(_place(worlds, *key)) in plan
         return flags
 
-    def _ways_of(self, worlds: Worlds, player: int) -> Ways:
-        stats = worlds.player_stats[player]
-        return self._ways[float(stats["half_width"]), float(stats["half_height"])]
+    def _ways_of(self, player: int) -> Ways:
+        return self._ways[self._bodies[player]]
 
     def _follow(self, worlds: Worlds, world: int, player: int, monster: int) -> int | None:
         """Return the next step of the plan, of a new one where the last is at its end."""
         prey = worlds.monsters[world, monster]
-        place = _middle(worlds, world, player)
+        place = _place(worlds, world, player)
         plan = self._plans.get((world, player), {})
-        if place not in plan:
+        if spot(place) not in plan:
             level, goal = int(worlds.worlds["level"][world]), (float(prey["x"]), float(prey["y"]))
-            ways, reach = self._ways_of(worlds, player), _reach(worlds, player)
+            ways, reach = self._ways_of(player), _reach(worlds, player)
             plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
-        return plan.get(place)
+        return plan.get(spot(place))
 
-    def _walk(self, worlds: Worlds, dx: np.ndarray, dy: np.ndarray, walks: np.ndarray) -> np.ndarray:
-        """Return the way to walk to a monster at (dx, dy), or for a while some other way.
-
-        Only those who walk this time, (N, P) booleans, come any further with going round something.
-        """
-        along_x = np.where(dx > 0, rules.RIGHT, rules.LEFT)
-        along_y = np.where(dy > 0, rules.DOWN, rules.UP)
-        sideways = np.abs(dx) > np.maximum(np.abs(dy), worlds.player_stats["sword_half_width"][:, rules.UP])
-        straight, across = np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
-        stand_off = worlds.monster_stats["stand_off"].max(initial=0.0)
-        crowded = walks & (np.abs(dx) <= stand_off) & (np.abs(dy) <= stand_off)
-        self._go_round(worlds, walks, crowded, back=(along_y + 2) % 4, across=across)
-        return np.where(self._detour > 0, self._way, straight)
-
-    def _go_round(
-        self, worlds: Worlds, walks: np.ndarray, crowded: np.ndarray, back: np.ndarray, across: np.ndarray
-    ) -> None:
-        """Begin, go on with and end detours: back from a monster too close to strike, across where stopped.
-
-        A detour that is stopped as well turns round. All are (N, P): who walks, who is crowded, and the ways.
-        """
-        crowded = crowded & (self._detour == 0)
-        stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
-        stopped &= walks
-        again = stopped & (self._detour > 0)
-        self._detour = np.maximum(self._detour - walks, 0)
-        self._detour[crowded], self._detour[stopped] = self.BACK_STEPS, self.SIDE_STEPS
-        self._way = np.where(crowded, back, self._way)
-        self._way = np.where(again, (self._way + 2) % 4, np.where(stopped, across, self._way))
-
-    def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Tell which monsters a swing begun now would meet, the way the player faces: (N, P, M).
+    def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray, facing: int) -> np.ndarray:
+        """Tell which monsters a swing begun now, this way, would meet: (N, P, M).
 
         One that is awake comes closer meanwhile, on each axis on which nothing holds it up.
         """
-        facing = worlds.players["facing"]
-        player = np.arange(facing.shape[1])
         stats = _kinds(worlds)
         monsters = worlds.monsters
         awake = monsters["noticed"] > 0
         meets = np.ones(x.shape, bool)
         for i, (offset, axis, side) in enumerate(((x, "x", "width"), (y, "y", "height"))):
-            centre = worlds.player_stats[f"sword_{axis}"][player, facing][..., None]  # (N, P, 1)
-            half = worlds.player_stats[f"sword_half_{side}"][player, facing][..., None]
+            centre = worlds.player_stats[f"sword_{axis}"][:, facing, None]  # (P, 1)
+            half = worlds.player_stats[f"sword_half_{side}"][:, facing, None]
             comes = awake & (monsters[axis] != self._seen[i])
             after = np.where(comes[:, None, :], _come_closer(worlds, offset), offset)
             low, high = np.minimum(offset, after), np.maximum(offset, after)
@@ -186,14 +170,25 @@ class Hunter:
         return meets
 
 
-def _middles(worlds: Worlds) -> np.ndarray:
-    """Return x and y of the centres of all players' bodies, (2, N, P)."""
-    return np.stack([worlds.players[axis] + worlds.player_stats[f"body_{axis}"] for axis in "xy"])
+def _pick(by_facing: Any, facing: np.ndarray) -> np.ndarray:
+    """Return what (4, N, P) has for the facing of every player, (N, P)."""
+    return np.asarray(np.take_along_axis(by_facing, facing[None].astype(np.int64), 0)[0])
 
 
-def _middle(worlds: Worlds, world: int, player: int) -> tuple[float, float]:
-    x, y = _middles(worlds)[:, world, player]
-    return float(x), float(y)
+def _ways_towards(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ways along the longer and the shorter axis to a place at (dx, dy)."""
+    along_x, along_y = np.where(dx > 0, rules.RIGHT, rules.LEFT), np.where(dy > 0, rules.DOWN, rules.UP)
+    sideways = np.abs(dx) > np.abs(dy)
+    return np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
+
+
+def _body(stats: np.void) -> Body:
+    return Body(*(float(stats[name]) for name in ("half_width", "half_height", "body_x", "body_y")))
+
+
+def _place(worlds: Worlds, world: int, player: int) -> tuple[float, float]:
+    row = worlds.players[world, player]
+    return float(row["x"]), float(row["y"])
 
 
 def _reach(worlds: Worlds, player: int) -> float:

@@ -219,7 +219,7 @@ class Renderer:
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
         """Yield a picture with its feet at the lower edge of a body, and its shadow."""
-        x, y = self._place(body["x"], body["y"] + stats["half_height"])
+        x, y = self._place(body["x"], _foot(body, stats))
         picture = sprites.enlarge(picture, self._zoom)
         height, width = picture.shape[:2]
         shadow = sprites.shadow_picture(width - 2)
@@ -227,12 +227,12 @@ class Renderer:
         yield Item(y, picture, x - width // 2, y + 1 - height)
 
     def _sword(self, player: Any, stats: Any) -> Item:
-        """Return a player's sword, centred where the rules have its box."""
+        """Return a player's sword, centred at its hilt."""
         way, facing = player["facing"], sprites.FACINGS[player["facing"]]
         moment = sprites.SWINGS[int(3 * (stats["swing"] - player["busy"]) // stats["swing"])]
         picture = sprites.enlarge(sprites.sword_picture(facing, moment), self._zoom)
-        x, y = self._place(player["x"] + stats["sword_x"][way], player["y"] + stats["sword_y"][way])
-        _, foot = self._place(0.0, player["y"] + stats["half_height"])
+        x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
+        _, foot = self._place(0.0, _foot(player, stats))
         height, width = picture.shape[:2]
         return Item(foot + (-0.2 if facing == "up" else 0.2), picture, x - width // 2, y - height // 2)
 
@@ -248,8 +248,13 @@ class Renderer:
                 if 0 < body["hp"] < stats["hp"]:
                     filled = filled_part(body["hp"], stats["hp"], BAR_WIDTH)
                     bar = sprites.enlarge(sprites.bar_picture(filled, BAR_WIDTH, colour), self._zoom)
-                    x, y = self._place(body["x"], body["y"] + stats["half_height"])
+                    x, y = self._place(body["x"], _foot(body, stats))
                     yield Item(0.0, bar, x - bar.shape[1] // 2, y - (height + 3) * self._zoom)
+
+
+def _foot(body: Any, stats: Any) -> float:
+    """Return the lower edge of a body."""
+    return float(body["y"] + stats["body_y"] + stats["half_height"])
 
 
 def ground_kinds(level: Level) -> np.ndarray:

@@ -72,7 +72,7 @@ def obstacle_picture(name: str) -> np.ndarray:
 
 @cache
 def sword_picture(facing: str, moment: str) -> np.ndarray:
-    """Return a sword at one of the `SWINGS`; its centre is that of the sword's box."""
+    """Return a sword at one of the `SWINGS`; its centre is the weapon's place."""
     drawn = _read_sheets((art.SWORD, art.SLASH), art.COLOURS)
     picture = np.zeros((18, 24, 4), np.uint8)
     trail = picture[3:10, 2:22]

@@ -3,6 +3,11 @@
 The arena is 20 x 20 tiles of 64 px around the origin: the grid spans -640 … 640 on both axes. Its
 outermost ring is coast, so the land spans -576 … 576. One tile, column 14 and row 10, is an
 obstacle: x from 256 to 320, y from 0 to 64.
+
+A player's body reaches 25 px to the left of its place, 22 to the right, 22 up and 26 down; a bamboo's
+12 px to either side, 23 up and 27 down. So the two touch where the bamboo is 34 px to the right of the
+player, 37 to the left, or 49 above or below. Facing right the sword strikes a bamboo that is between -13 and
+90 px to the right and between -49 and 52 px below; its hilt is at (54, 14).
 """
 
 from __future__ import annotations
@@ -17,8 +22,8 @@ from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
-LAND = 576.0
-OBSTACLE_LEFT, OBSTACLE_TOP, OBSTACLE_RIGHT, OBSTACLE_BOTTOM = 256.0, 0.0, 320.0, 64.0
+WEST, EAST, NORTH, SOUTH = -551.0, 554.0, -554.0, 550.0
+"""Where a player's body is flush with the coast: -576 + 25, 576 - 22, -576 + 22 and 576 - 26."""
 TILES = 20
 HEADER = 'title = "Arena"\ntile = 64\norigin = [10, 10]\ncoast = [0]\n'
 START, BAMBOO, SPIRIT, RACCOON, SQUID = 400, 390, 391, 392, 393

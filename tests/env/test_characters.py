@@ -86,10 +86,19 @@ def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
     assert (row["hp"], row["speed"], row["damage"], row["swing"], row["safe"]) == (100, 5, 20, 24, 0)
     assert (row["half_width"], row["half_height"]) == (23.5, 24)
     assert (row["knock_speed"], row["knock_ticks"]) == (2, 30)
-    assert row["sword_x"].tolist() == [0, -54, 0, 54] and row["sword_y"].tolist() == [52, 0, -44, 0]
+    assert (row["body_x"], row["body_y"]) == (-1.5, 2)
+    # By facing: down, left, up, right. The shape of the weapon's scene is 51 x 79 px at (10.5, -15.5), turned
+    # about the weapon's place, which is the hilt's.
+    assert row["sword_x"].tolist() == [-12 + 10.5, -54 + 15.5, 8 - 10.5, 54 - 15.5]
+    assert row["sword_y"].tolist() == [52 - 15.5, 14 + 10.5, -44 + 15.5, 14 - 10.5]
+    assert row["sword_half_width"].tolist() == [25.5, 39.5, 25.5, 39.5]
+    assert row["sword_half_height"].tolist() == [39.5, 25.5, 39.5, 25.5]
+    assert row["hilt_x"].tolist() == [-12, -54, 8, 54] and row["hilt_y"].tolist() == [52, 14, -44, 14]
     bamboo = monster_rows(zoo, "")["bamboo"]
     assert (bamboo["hp"], bamboo["speed"], bamboo["damage"], bamboo["bite_ticks"]) == (40, 2.5, 7, 60)
     assert (bamboo["half_width"], bamboo["half_height"], bamboo["stand_off"]) == (12, 25, 30)
+    assert (bamboo["body_y"], bamboo["notice_y"], bamboo["attack_y"]) == (2, 7, 5)
+    assert not (bamboo["body_x"] or bamboo["notice_x"] or bamboo["attack_x"])
     assert (bamboo["notice_squared"], bamboo["attack_squared"]) == (300**2, 40**2)
     assert (bamboo["xp"], bamboo["heal"], bamboo["safe"]) == (1, 7, 0)
     assert bamboo["knock_ticks"] == -1  # as the striker's weapon has it
@@ -124,6 +133,7 @@ body = [40, 44]
 weapon = "club"
 invulnerable = 0.5
 energy_recovery = 1.0
+body_at = [3, -4]
 
 [weapons.club]
 damage = 33
@@ -131,7 +141,7 @@ swing = 1.0
 knock_back = 240
 knock_back_time = 0.25
 box = [60, 50]
-reach = { down = 40, left = 41, up = 42, right = 43 }
+reach = { down = 40, left = [-41, 6], up = 42, right = 43 }
 
 [monsters.wolf]
 code = 500
@@ -178,7 +188,9 @@ def test_a_file_may_add_a_class_and_a_weapon(tmp_path: Path) -> None:
     assert (row["half_width"], row["half_height"]) == (20, 22)
     assert (row["damage"], row["swing"]) == (9 + 33, 60)
     assert (row["knock_speed"], row["knock_ticks"]) == (4, 15)
-    assert row["sword_x"].tolist() == [0, -41, 0, 43] and row["sword_y"].tolist() == [40, 0, -42, 0]
+    assert (row["body_x"], row["body_y"]) == (3, -4)
+    assert row["sword_x"].tolist() == [0, -41, 0, 43] and row["sword_y"].tolist() == [40, 6, -42, 0]
+    assert np.array_equal(row["hilt_x"], row["sword_x"]) and np.array_equal(row["hilt_y"], row["sword_y"])
     assert row["sword_half_width"].tolist() == [25, 30, 25, 30]  # 60 along the way faced, 50 across
     assert row["energy_gain"] == 1.0 * 3 / 60
     assert player_row(characters=write(tmp_path, ROGUE), weapons="club")["damage"] == 33  # base adds 0
@@ -235,7 +247,7 @@ def complaint(file: str, **settings: object) -> str:
         (
             "[weapons.axe]\nreach = 50",
             "[weapons.axe]",
-            "reach = 50 is not allowed: a number for each of down",
+            "reach = 50 is not allowed: a number or [x, y] for each of down",
         ),
         ("[weapons.axe]\nreach = { down = 1 }", "[weapons.axe]", "reach = {'down': 1} is not allowed"),
         (

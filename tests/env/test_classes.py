@@ -128,15 +128,15 @@ def test_a_struck_spirit_is_safe_for_300_ms(zoo: str) -> None:
 
 
 def test_a_spirit_flies_back_its_own_way(zoo: str) -> None:
-    # 60 px away from the sword's centre, as a bamboo, but 20 px a tick for 3 ticks: from (84, 40), which
-    # is 50 x (0.6, 0.8) from (54, 0), to (120, 88).
+    # 60 px away from the hilt, as a bamboo, but 20 px a tick for 3 ticks: from (84, -26), which is
+    # 50 x (0.6, -0.8) from (54, 14), to (120, -74).
     worlds = stage(zoo, ticks=1, still=True)
     worlds.monsters["hp"] = 100
-    move_monster(worlds, SPIRIT_OF_ZOO, 84.0, 40.0)
+    move_monster(worlds, SPIRIT_OF_ZOO, 84.0, -26.0)
     play(worlds, ATTACK)
-    assert monster_at(worlds, SPIRIT_OF_ZOO) == pytest.approx((96.0, 56.0))
+    assert monster_at(worlds, SPIRIT_OF_ZOO) == pytest.approx((96.0, -42.0))
     play(worlds, STAND, STAND, STAND, STAND)
-    assert monster_at(worlds, SPIRIT_OF_ZOO) == pytest.approx((120.0, 88.0))
+    assert monster_at(worlds, SPIRIT_OF_ZOO) == pytest.approx((120.0, -74.0))
 
 
 # --- Other monsters ------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def test_a_spirit_flies_back_its_own_way(zoo: str) -> None:
 )
 def test_each_kind_chases_and_bites_in_its_own_way(zoo: str, monster: int, bite: float, pace: float) -> None:
     worlds = stage(zoo, ticks=1, facing=UP)
-    move_monster(worlds, monster, 0.0, 170.0)  # 146 px off: noticed, but out of every reach
+    move_monster(worlds, monster, 0.0, 170.0)  # 144 px off: noticed, but out of every reach
     play(worlds, STAND)
     assert monster_at(worlds, monster) == (0.0, 170.0 - pace)
     assert player_hp(worlds) == 100
@@ -164,10 +164,12 @@ def test_each_kind_chases_and_bites_in_its_own_way(zoo: str, monster: int, bite:
     ids=["bamboo", "spirit", "raccoon", "squid"],
 )
 def test_each_kind_has_its_own_circles(zoo: str, monster: int, notice: float, attack: float) -> None:
-    for radius, event in ((notice, "notices"), (attack, "contacts")):
+    # The body's lower edge is at 26; a bamboo's circles are centred 7 and 5 px below its place.
+    below = (7.0, 5.0) if monster == 0 else (0.0, 0.0)
+    for radius, event, at in ((notice, "notices", below[0]), (attack, "contacts", below[1])):
         for outside in (0.0, 0.25):
             worlds = stage(zoo, ticks=1, facing=UP, still=True)
-            move_monster(worlds, monster, 0.0, 24.0 + radius + outside)
+            move_monster(worlds, monster, 0.0, 26.0 - at + radius + outside)
             play(worlds, STAND)
             assert worlds.events[event][0, 0] == (outside == 0), event
 
@@ -178,7 +180,7 @@ def test_a_kill_pays_what_each_kind_is_worth(zoo: str) -> None:
     worlds.monsters["hp"] = 1
     worlds.players["hp"] = 50
     for monster in range(4):
-        move_monster(worlds, monster, 54.0, 50.0)
+        move_monster(worlds, monster, 54.0, 40.0)
     worlds.monster_stats["attack_squared"] = 1.0  # nobody bites
     play(worlds, ATTACK)
     assert worlds.events["kills"][0, 0] == 4

@@ -17,6 +17,7 @@ from pneuma.env.worlds import Worlds
 
 from .arena import (
     ATTACK,
+    DOWN,
     GODOT,
     LEFT,
     RIGHT,
@@ -148,16 +149,16 @@ def test_death_by_bites_costs_1_xp_and_terminates() -> None:
     env = make()
     env.reset(seed=0)
     env.state.players["hp"], env.state.players["xp"] = 7, 4
-    move_monster(env.state, 0, FIRST[0] - 30, FIRST[1])
+    move_monster(env.state, 0, FIRST[0] - 40, FIRST[1])
     _, paid, terminated, truncated, info = env.step(np.int64(ATTACK))
     assert (terminated, truncated) == (True, False)
     assert (info["ending"], info["xp"], info["hp"]) == ("killed", 3.0, 0.0)
     assert paid == 3.0  # set to the XP
 
 
-def swim(**settings: object) -> PneumaEnv:
+def swim() -> PneumaEnv:
     """Return an environment whose player stands two ticks' walk off the northern coast, with 4 XP."""
-    env = make(**settings)
+    env = make(coast="deadly")
     env.reset(seed=0)
     # At column 20, x from (20 - 28) x 64 = -512, find where the land ends.
     level = env.state.level
@@ -171,7 +172,7 @@ def swim(**settings: object) -> PneumaEnv:
     return env
 
 
-def test_the_coast_kills_and_costs_no_xp() -> None:
+def test_a_deadly_coast_kills_and_costs_no_xp() -> None:
     env = swim()
     y = player_at(env.state)[1]
     _, paid, terminated, truncated, info = env.step(np.int64(UP))
@@ -184,7 +185,7 @@ def test_the_coast_kills_and_costs_no_xp() -> None:
 
 def test_a_shore_walk_is_safe_until_the_centre_is_out(arena: str) -> None:
     # The land ends at x = 576: the body may hang over, the centre may not be beyond.
-    worlds = scene(arena, ticks=1, players=((560.0, 0.0),))
+    worlds = scene(arena, ticks=1, players=((560.0, 0.0),), coast="deadly")
     play(worlds, RIGHT, RIGHT, RIGHT)
     assert (player_at(worlds), worlds.ending(0)) == ((575.0, 0.0), "running")
     play(worlds, RIGHT)
@@ -193,11 +194,11 @@ def test_a_shore_walk_is_safe_until_the_centre_is_out(arena: str) -> None:
 
 def test_whoever_is_bitten_to_death_before_reaching_the_sea_pays(arena: str) -> None:
     # Facing the sea 5 px off, with 7 HP: the bite falls in the first tick, the sea in the second.
-    worlds = scene(arena, (544.0, 0.0), players=((574.0, 0.0),))
+    worlds = scene(arena, (534.0, 0.0), players=((574.0, 0.0),), coast="deadly")
     worlds.players["hp"] = 7
     play(worlds, UP)
     assert (worlds.ending(0), xp(worlds)) == ("killed", -1)
-    worlds = scene(arena, (544.0, 0.0), players=((574.0, 0.0),))
+    worlds = scene(arena, (534.0, 0.0), players=((574.0, 0.0),), coast="deadly")
     worlds.players["hp"] = 7
     play(worlds, RIGHT)  # out in the first tick, before anything bites
     assert (worlds.ending(0), xp(worlds)) == ("killed", 0)
@@ -214,7 +215,7 @@ def test_clearing_the_level_costs_1_xp_and_terminates() -> None:
     move_monster(env.state, 0, FIRST[0] + 54, FIRST[1])
     _, paid, terminated, truncated, info = env.step(np.int64(ATTACK))
     assert (terminated, truncated) == (True, False)
-    assert (info["ending"], info["kills"], info["xp"], info["hp"]) == ("cleared", 1, 4.0, 100.0)  # 4 + 1 - 1
+    assert (info["ending"], info["kills"], info["xp"], info["hp"]) == ("cleared", 1, 4.0, 107.0)  # 4 + 1 - 1
     assert paid == 4.0
 
 
@@ -232,7 +233,7 @@ def test_the_time_limit_is_1000_seconds() -> None:
 
 
 def test_of_several_players_each_pays_for_its_own_death(arena: str) -> None:
-    worlds = scene(arena, (-30.0, 0.0), players=((0.0, 0.0), (400.0, -400.0)), episode_steps=2)
+    worlds = scene(arena, (-40.0, 0.0), players=((0.0, 0.0), (400.0, -400.0)), episode_steps=2)
     worlds.players["hp"][0, 0] = 7
     play(worlds, STAND)
     assert (xp(worlds, 0), xp(worlds, 1)) == (-1, 0)
@@ -258,8 +259,8 @@ def strike(arena: str, x: float, y: float, *others: Place) -> Worlds:
 @pytest.mark.parametrize(
     ("x", "paid"),
     [
-        (63.5, True),  # 40 px off the body
-        (64.0, False),
+        (62.0, True),  # 40 px off the body
+        (62.5, False),
     ],
 )
 def test_a_kill_earns_only_within_the_attack_circle(arena: str, x: float, paid: bool) -> None:
@@ -301,7 +302,7 @@ def test_the_reward_of_a_chase_is_1_for_each_circle(arena: str) -> None:
 
 def returns(level: str, first: int, second: int) -> tuple[list[float], set[str]]:
     """Return the returns of episodes of two actions in turn, and how they ended."""
-    env = PneumaVecEnv([0], make_env_config({"level": level}, GODOT))
+    env = PneumaVecEnv([0], make_env_config({"level": level, "coast": "deadly"}, GODOT))
     env.keep_finished = True
     env.reset()
     step = 0
@@ -316,6 +317,6 @@ def test_who_dies_of_bites_earns_1_less_in_every_episode_and_who_drowns_does_not
     bitten, endings = returns(pit, LEFT, RIGHT)
     assert endings == {"killed"} and len(bitten) > 5
     assert np.diff(bitten).tolist() == [-1] * (len(bitten) - 1)
-    drowned, endings = returns(pit, LEFT, LEFT)
+    drowned, endings = returns(pit, DOWN, DOWN)
     assert endings == {"killed"} and len(drowned) > 5
     assert np.diff(drowned).tolist() == [0] * (len(drowned) - 1)

@@ -15,13 +15,16 @@ from pneuma.errors import UserError
 
 from .arena import (
     ATTACK,
+    EAST,
     GODOT,
-    LAND,
     LEFT,
+    NORTH,
     RIGHT,
+    SOUTH,
     STAND,
     THESIS,
     UP,
+    WEST,
     Place,
     begin,
     play,
@@ -56,18 +59,18 @@ def rows(worlds: Worlds) -> np.ndarray:
 def test_every_number_of_a_layout_has_a_name(layout: str) -> None:
     worlds = Worlds(1, make_env_config({"observation": layout}))
     head, width = WIDTHS[layout]
-    names = feature_names(layout, (LENGTHS[layout] - head) // width)
+    names = feature_names(worlds.config, (LENGTHS[layout] - head) // width)
     assert len(names) == len(set(names)) == LENGTHS[layout]
     assert worlds.space.shape == worlds.observations.shape[2:] == (LENGTHS[layout],)
 
 
 def test_the_names_are_in_the_order_of_the_numbers() -> None:
-    assert feature_names("pygame", 1) == [
+    assert feature_names(make_env_config({"observation": "pygame"}), 1) == [
         "x", "y", "facing_x", "facing_y", "hp", "energy",
         "monster_0_distance", "monster_0_direction_x", "monster_0_direction_y", "monster_0_hp",
         "monster_0_xp",
     ]  # fmt: skip
-    assert feature_names("godot", 1) == [
+    assert feature_names(make_env_config({"observation": "godot"}), 1) == [
         "x", "y", "hp", "xp",
         "monster_0_x", "monster_0_y", "monster_0_hp", "monster_0_direction_x", "monster_0_direction_y",
     ]  # fmt: skip
@@ -162,7 +165,7 @@ def test_unit_distances_are_in_each_monsters_own_notice_radii(zoo: str) -> None:
 def test_scaled_shares_are_of_the_players_own_class(arena: str, layout: str, scale: str) -> None:
     players = ((0.0, 0.0), (100.0, 0.0))
     worlds = look(arena, players=players, observation=layout, scale=scale, classes=["tank", "mage"])
-    hp = feature_names(layout, 0).index("hp")
+    hp = feature_names(worlds.config, 0).index("hp")
     assert worlds.observations[0, :, hp].tolist() == [1, 1]
 
 
@@ -270,6 +273,14 @@ def test_no_observation_ever_leaves_its_space(env_id: str, layout: str, scale: s
 
 
 @pytest.mark.parametrize("layout", OBSERVATIONS)
+def test_a_monster_that_no_coast_stops_is_inside_the_space_out_at_sea(arena: str, layout: str) -> None:
+    # The sea ends at -640, where a bamboo's body is flush at -640 + 12 and -640 + 23.
+    settings = {"observation": layout, "terrain_stops": "players", "scale": "raw"}
+    worlds = look(arena, (-628.0, -617.0), players=((EAST, SOUTH),), **settings)
+    assert worlds.spaces[0].contains(seen(worlds))
+
+
+@pytest.mark.parametrize("layout", OBSERVATIONS)
 def test_what_a_costly_ending_leaves_is_inside_the_space(pit: str, layout: str) -> None:
     settings = {"level": pit, "observation": layout, "ending_cost": 100, "start": "first"}
     worlds = Worlds(1, make_env_config(settings))
@@ -281,7 +292,6 @@ def test_what_a_costly_ending_leaves_is_inside_the_space(pit: str, layout: str) 
 
 
 def test_a_player_in_any_corner_is_inside_the_space(arena: str) -> None:
-    for layout, scale, x, y in itertools.product(OBSERVATIONS, SCALES, (-1, 1), (-1, 1)):
-        there = (x * (LAND - 23.5), y * (LAND - 24.0))
-        worlds = look(arena, (-there[0], -there[1]), players=(there,), observation=layout, scale=scale)
+    for layout, scale, x, y in itertools.product(OBSERVATIONS, SCALES, (WEST, EAST), (NORTH, SOUTH)):
+        worlds = look(arena, (-x, -y), players=((x, y),), observation=layout, scale=scale)
         assert worlds.spaces[0].contains(seen(worlds)), (layout, scale)

@@ -73,9 +73,9 @@ def test_there_are_seven_actions_only_with_magic(magic: bool, actions: int) -> N
 
 
 def beside(facing: int, along: float, across: float) -> Place:
-    """Return the place so far ahead of a player, and so far to the side."""
+    """Return the place of a bamboo whose body is so far ahead of a player, and so far to the side."""
     x, y = WAYS[facing]
-    return x * along + y * across, y * along + x * across
+    return x * along + y * across, y * along + x * across - 2
 
 
 @pytest.mark.parametrize("facing", WAYS)
@@ -152,7 +152,7 @@ def test_healing_gives_20_hp_up_to_full(arena: str, before: float, after: float)
 
 
 def test_healing_comes_before_the_bites_of_its_tick(arena: str) -> None:
-    worlds = stage(arena, (-30.0, 0.0), settings={"magic": True}, ticks=1)
+    worlds = stage(arena, (-40.0, 0.0), settings={"magic": True}, ticks=1)
     worlds.players["hp"] = 5
     play(worlds, HEAL)  # 5 + 20 - 7
     assert player_hp(worlds) == 18

@@ -16,12 +16,15 @@ from pneuma.env.worlds import Worlds
 from .arena import (
     ATTACK,
     DOWN,
+    EAST,
     GODOT,
-    LAND,
     LEFT,
+    NORTH,
     RIGHT,
+    SOUTH,
     THESIS,
     UP,
+    WEST,
     Place,
     begin,
     bits,
@@ -30,7 +33,6 @@ from .arena import (
 )
 
 FREE = [1, 1, 1, 1, 1]
-EDGE_X, EDGE_Y = LAND - 23.5, LAND - 24.0  # where a body is flush with the coast
 
 
 def mask(worlds: Worlds, player: int = 0) -> list[int]:
@@ -45,11 +47,11 @@ def mask(worlds: Worlds, player: int = 0) -> list[int]:
 @pytest.mark.parametrize(
     ("way", "place"),
     [
-        (LEFT, (-EDGE_X, 0.0)),
-        (RIGHT, (EDGE_X, 0.0)),
-        (UP, (0.0, -EDGE_Y)),
-        (DOWN, (0.0, EDGE_Y)),
-        (RIGHT, (232.5, 30.0)),  # the obstacle's left edge is at 256
+        (LEFT, (WEST, 0.0)),
+        (RIGHT, (EAST, 0.0)),
+        (UP, (0.0, NORTH)),
+        (DOWN, (0.0, SOUTH)),
+        (RIGHT, (234.0, 30.0)),  # the obstacle's left edge is at 256
     ],
 )
 def test_walking_on_into_a_wall_already_faced_is_masked(arena: str, way: int, place: Place) -> None:
@@ -60,16 +62,16 @@ def test_walking_on_into_a_wall_already_faced_is_masked(arena: str, way: int, pl
 
 
 def test_a_wall_one_pixel_off_leaves_something_to_walk(arena: str) -> None:
-    assert mask(stage(arena, players=[(EDGE_X - 1, 0.0)], facing=RIGHT)) == FREE
+    assert mask(stage(arena, players=[(EAST - 1, 0.0)], facing=RIGHT)) == FREE
 
 
 def test_in_a_corner_only_the_faced_wall_is_masked(arena: str) -> None:
-    worlds = stage(arena, players=[(EDGE_X, EDGE_Y)], facing=DOWN)
+    worlds = stage(arena, players=[(EAST, SOUTH)], facing=DOWN)
     assert mask(worlds) == [0, 1, 1, 1, 1]
 
 
 def test_a_deadly_coast_stops_nobody(arena: str) -> None:
-    assert mask(stage(arena, players=[(EDGE_X, 0.0)], facing=RIGHT, settings={"coast": "deadly"})) == FREE
+    assert mask(stage(arena, players=[(EAST, 0.0)], facing=RIGHT, settings={"coast": "deadly"})) == FREE
 
 
 # --- Attacks -------------------------------------------------------------------------------------
@@ -96,7 +98,7 @@ def test_all_but_attack_is_masked_while_an_attack_lasts_through_the_step(
 
 
 def test_each_player_has_its_own_mask(arena: str) -> None:
-    worlds = stage(arena, players=[(EDGE_X, 0.0), (0.0, 0.0), (100.0, 100.0)], facing=RIGHT)
+    worlds = stage(arena, players=[(EAST, 0.0), (0.0, 0.0), (100.0, 100.0)], facing=RIGHT)
     worlds.players["busy"][0, 1] = 16
     assert [mask(worlds, player) for player in range(3)] == [[1, 1, 1, 0, 1], [0, 0, 0, 0, 1], FREE]
 

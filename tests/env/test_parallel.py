@@ -220,7 +220,7 @@ def test_players_leave_one_after_another(arena: str) -> None:
         assert set(observations) == set(rewards) == set(terminations) == set(truncations) == set(infos)
         assert "player_0" not in observations
         steps += 1
-    assert steps == 8  # as in test_worlds: the monster arrives in tick 65
+    assert steps == 7  # as in test_worlds: the monster arrives in tick 64
     assert terminations == {"player_1": True, "player_2": False}
     assert env.agents == ["player_2"]
 

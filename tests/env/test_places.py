@@ -12,7 +12,7 @@ from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import DOWN, LEFT, RIGHT, UP, begin, play, write_level
+from .arena import DOWN, LEFT, RIGHT, UP, Place, begin, play, write_level
 
 GIANT = """
 [players.giant]
@@ -58,12 +58,12 @@ def test_a_start_place_inside_an_obstacle_is_refused(tmp_path: Path) -> None:
 
 def test_touching_is_no_overlap(tmp_path: Path) -> None:
     walls = [(11, 10), (10, 11)]
-    level = write_level(tmp_path / "level", [(40.5, 40.0)], [(-200.0, -200.0)], walls)
+    level = write_level(tmp_path / "level", [(42.0, 38.0)], [(-200.0, -200.0)], walls)
     worlds = begin(1, level=level)
     play(worlds, RIGHT, DOWN)
-    assert (worlds.players["x"][0, 0], worlds.players["y"][0, 0]) == (40.5, 40.0)
+    assert (worlds.players["x"][0, 0], worlds.players["y"][0, 0]) == (42.0, 38.0)
     play(worlds, LEFT, UP)
-    assert (worlds.players["x"][0, 0], worlds.players["y"][0, 0]) == (0.5, 0.0)
+    assert (worlds.players["x"][0, 0], worlds.players["y"][0, 0]) == (2.0, -2.0)
 
 
 def test_the_coast_stops_a_body_unless_it_kills(tmp_path: Path) -> None:
@@ -77,6 +77,50 @@ def test_each_of_several_players_must_fit(tmp_path: Path, giant: str) -> None:
     begin(1, level=level)
     told = complaint(level=level, characters=giant, classes=["base", "giant"], players=2)
     assert "start place 0 at (90, 0) has a body of 100 x 100 px, which overlaps" in told
+
+
+@pytest.mark.parametrize("column", [3, 0])
+def test_a_monster_inside_what_stops_it_is_refused(tmp_path: Path, column: int) -> None:
+    # The tree's or the coast's tile ends 8 px inside the monster's body, which reaches 12 px to either side.
+    trees = [(3, 10)]
+    place = (-640 + 64 * (column + 1) + 4.0, 32.0)
+    level = write_level(tmp_path / "level", [(200.0, 200.0)], [place], trees)
+    told = (
+        f"monster 0 (bamboo) at ({place[0]:g}, 32) has a body of 24 x 50 px, which overlaps the tile in row"
+    )
+    assert told in complaint(level=level)
+    begin(1, level=level, terrain_stops="players")
+
+
+# --- Bodies in each other ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("starts", "monsters", "told"),
+    [
+        ([(0.0, 0.0)], [(200.0, 0.0), (33.0, 0.0)],
+         "monster 1 (bamboo) at (33, 0) begins inside start place 0 at (0, 0)"),
+        ([(0.0, 0.0)], [(200.0, 0.0), (223.0, 49.0)],
+         "monster 1 (bamboo) at (223, 49) begins inside monster 0 (bamboo) at (200, 0)"),
+        ([(0.0, 0.0), (46.0, 47.0)], [(200.0, 0.0)],
+         "start place 1 at (46, 47) begins inside start place 0 at (0, 0)"),
+    ],
+)  # fmt: skip
+def test_bodies_that_begin_inside_each_other_are_refused(
+    tmp_path: Path, starts: list[Place], monsters: list[Place], told: str
+) -> None:
+    """A pixel less and they touch: 34 px to the right of a player, 24 x 50 px for two bamboos, 47 x 48."""
+    level = write_level(tmp_path / "level", starts, monsters)
+    settings: dict[str, Any] = {"level": level, "players": len(starts)}
+    assert complaint(**settings) == f"level {level}: {told}"
+    begin(1, **settings, bodies="pass")
+    last = starts if len(starts) > 1 else monsters
+    last[-1] = (last[-1][0] + 1, last[-1][1])
+    begin(1, **{**settings, "level": write_level(tmp_path / "apart", starts, monsters)})
+
+
+def test_a_lone_player_begins_at_one_of_two_places_that_overlap(tmp_path: Path) -> None:
+    begin(1, level=write_level(tmp_path / "level", [(0.0, 0.0), (10.0, 0.0)], [(-200.0, -200.0)]))
 
 
 # --- Where a body walks --------------------------------------------------------------------------
@@ -98,10 +142,25 @@ def test_a_body_wider_than_the_way_is_refused(tmp_path: Path, giant: str) -> Non
 
 def test_a_way_that_is_let_pass_can_be_walked(tmp_path: Path, giant: str) -> None:
     """The giant walks from one half to the other, in the middle of the two tiles."""
-    worlds = begin(1, level=corridor(tmp_path, 2), characters=giant, classes="giant")
+    level = corridor(tmp_path, 2)
+    worlds = begin(1, level=level, characters=giant, classes="giant", bodies="pass")
     worlds.monster_stats["damage"] = 0.0
     play(worlds, *[RIGHT] * 20)
     assert worlds.players["x"][0, 0] > 300
+
+
+def test_a_body_wider_than_the_way_stops_before_it(tmp_path: Path, giant: str) -> None:
+    """Between two trees 64 px apart, whose left edge is at x = 0, and between two monsters 90 px apart."""
+    trees = [(10, 9), (10, 11)]
+    level = write_level(tmp_path / "trees", [(-300.0, 32.0)], [(-560.0, -500.0)], trees)
+    worlds = begin(1, level=level, characters=giant, classes="giant")
+    play(worlds, *[RIGHT] * 20)
+    assert worlds.players["x"][0, 0] == -50.0
+    level = write_level(tmp_path / "monsters", [(-300.0, 0.0)], [(0.0, -72.0), (0.0, 68.0)])
+    worlds = begin(1, level=level, characters=giant, classes="giant")
+    worlds.monster_stats["speed"] = worlds.monster_stats["damage"] = 0.0
+    play(worlds, *[RIGHT] * 20)
+    assert worlds.players["x"][0, 0] == -12.0 - 50.0
 
 
 def test_a_random_level_stays_as_it_is_for_whom_it_holds(giant: str) -> None:

@@ -59,8 +59,8 @@ def test_player_is_drawn_where_the_state_says(arena: str) -> None:
 @pytest.mark.parametrize(
     ("facing", "way"), [(DOWN, (0, 1)), (LEFT, (-1, 0)), (UP, (0, -1)), (RIGHT, (1, 0))], ids=str
 )
-def test_sword_is_where_the_rules_have_its_box(arena: str, facing: int, way: tuple[int, int]) -> None:
-    """The box ends 69.5 px above, 77.5 px below and 79.5 px beside the player: 17 to 20 art pixels."""
+def test_sword_is_ahead_of_the_player(arena: str, facing: int, way: tuple[int, int]) -> None:
+    """Around the hilt, 44 to 54 px ahead: it ends 15 to 21 art pixels from the player."""
     worlds = stage(arena, facing=facing)
     before = bare(worlds)
     worlds.players["busy"], worlds.players["armed"] = 12, 1
@@ -145,7 +145,7 @@ def test_who_is_further_south_stands_in_front(arena: str) -> None:
     x, y = changed(alone, behind)
     near = abs(x - MIDDLE) <= BODY
     figure = sprites.player_picture(0, "right", "stand")[..., 3] > 0
-    top, left = (640 + 20 + 24) // 4 + 1 - 16, MIDDLE - 8  # its feet are 24 px below its centre
+    top, left = (640 + 20 + 26) // 4 + 1 - 16, MIDDLE - 8  # its feet are 26 px below its place
     for column, row in zip(x[near] - left, y[near] - top, strict=True):
         inside = 0 <= row < 16 and 0 <= column < 16
         assert not (inside and figure[row, column])

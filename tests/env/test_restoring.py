@@ -86,7 +86,7 @@ def test_an_ended_world_of_a_batch_is_brought_back_to_life(mode: AutoresetMode, 
     expected = [single.step(action)[0] for action in plan(2, 8)]
     env.reset(seed=0, options={"start": 1})
     env.state.players["hp"][1, 0] = 0.5
-    env.state.monsters["x"][1, 0], env.state.monsters["y"][1, 0] = 450.0, -450.0
+    env.state.monsters["x"][1, 0], env.state.monsters["y"][1, 0] = 410.0, -450.0
     assert env.step(np.full(3, ATTACK))[2].tolist() == [False, True, False]
     observations, infos = env.restore(1, saved)
     assert np.array_equal(observations[1], saved_seen(single, saved)) and infos["action_mask"].shape == (3, 5)

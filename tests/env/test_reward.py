@@ -65,11 +65,11 @@ def test_xp_and_the_share_of_hp_at_every_step(
     play(worlds, UP)
     assert rewards(worlds) == [quiet]
 
-    worlds = fight(arena, reward, (-30.0, 0.0))
+    worlds = fight(arena, reward, (-40.0, 0.0))
     play(worlds, STAND)  # a bite of 7
     assert rewards(worlds) == [bitten]
 
-    worlds = fight(arena, reward, (54.0, 60.0))
+    worlds = fight(arena, reward, (80.0, 0.0))
     worlds.monsters["hp"][0, 0] = 20
     play(worlds, ATTACK)  # 1 XP and 7 HP
     assert rewards(worlds) == [killing]
@@ -87,7 +87,7 @@ def test_shares_are_of_the_players_own_full_hp(arena: str) -> None:
 
 
 def test_kills_is_xp_gained_less_the_share_of_hp_lost(arena: str) -> None:
-    worlds = fight(arena, "kills", (54.0, 60.0), (-30.0, 0.0))
+    worlds = fight(arena, "kills", (80.0, 0.0), (-40.0, 0.0))
     worlds.monsters["hp"][0, 0] = 20
     play(worlds, ATTACK)  # 1 XP, and 7 HP lost; those gained do not count
     assert rewards(worlds) == [1 - 0.07]
@@ -96,13 +96,13 @@ def test_kills_is_xp_gained_less_the_share_of_hp_lost(arena: str) -> None:
 
 
 def test_kills_counts_what_a_class_has(arena: str) -> None:
-    worlds = fight(arena, "kills", (-30.0, 0.0), classes="mage")
+    worlds = fight(arena, "kills", (-40.0, 0.0), classes="mage")
     play(worlds, STAND)
     assert rewards(worlds) == [-7 / 70]
 
 
 def test_kills_takes_no_more_hp_than_there_were(arena: str) -> None:
-    worlds = fight(arena, "kills", (-30.0, 0.0))
+    worlds = fight(arena, "kills", (-40.0, 0.0))
     worlds.players["hp"] = 5
     play(worlds, STAND)
     assert rewards(worlds) == [-0.05]
@@ -119,7 +119,7 @@ def test_kills_takes_no_more_hp_than_there_were(arena: str) -> None:
     ],
 )
 def test_distance_sigmoid_pays_for_being_near(arena: str, distance: float, closeness: float) -> None:
-    worlds = fight(arena, "distance-sigmoid", (0.0, -distance), (400.0, 400.0))
+    worlds = fight(arena, "distance-sigmoid", (-distance, 0.0), (400.0, 400.0))
     play(worlds, STAND)
     assert rewards(worlds) == [pytest.approx(closeness, abs=1e-12)]
 
@@ -132,7 +132,7 @@ def test_distance_sigmoid_is_by_the_nearest_living_monster_after_the_step(arena:
 
 
 def test_distance_sigmoid_adds_xp_gained_and_is_zero_without_monsters(arena: str) -> None:
-    worlds = fight(arena, "distance-sigmoid", (54.0, 60.0), (0.0, -150.0))
+    worlds = fight(arena, "distance-sigmoid", (80.0, 0.0), (0.0, -150.0))
     worlds.monsters["hp"][0, 0] = 20
     play(worlds, ATTACK)
     assert rewards(worlds) == [pytest.approx(1.5, abs=1e-12)]
@@ -154,7 +154,7 @@ def test_distance_sigmoid_looks_at_monsters_that_are_not_perceived(zoo: str) -> 
 def test_godot_adds_1_for_every_circle_entered(arena: str) -> None:
     # Two notice circles at once, then an attack circle in the same step; staying in them pays nothing.
     worlds = fight(arena, "godot", (-200.0, 0.0))
-    fly(worlds, 1, -73.5, 0.0, 2.0)  # at -63.5, 40 px off the body, in tick 6
+    fly(worlds, 1, -73.5, 0.0, 2.0)  # at -63.5, 38.5 px off the body, in tick 6
     play(worlds, STAND)
     assert (worlds.events["notices"][0, 0], worlds.events["contacts"][0, 0]) == (2, 1)
     assert rewards(worlds) == [3.0]
@@ -173,9 +173,8 @@ def test_godot_pays_a_circle_again_when_it_is_entered_again(arena: str) -> None:
 
 
 def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
-    # Tick 1: both monsters notice, +2. Tick 4: the first has flown from 96.5 to 90.5, 36.5 px from the
-    # sword's centre, within 37.5, and dies: the reward is set to 3 + 1 XP. Tick 6: the other comes
-    # within 40 px, +1.
+    # Tick 1: both monsters notice, +2. Tick 5: the first has flown from 96.5 to 88.5, within the sword's 90,
+    # and dies: the reward is set to 3 + 1 XP. Tick 6: the other comes within 40 px, +1.
     worlds = fight(arena, "godot")
     fly(worlds, 0, 96.5, 0.0, -2.0)
     fly(worlds, 1, -73.5, 0.0, 2.0)
@@ -187,7 +186,7 @@ def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
 
 
 def test_godot_sets_it_anew_at_a_second_kill(arena: str) -> None:
-    worlds = fight(arena, "godot", (54.0, 60.0))
+    worlds = fight(arena, "godot", (80.0, 0.0))
     fly(worlds, 1, 96.5, 0.0, -2.0)
     worlds.monsters["hp"][0, :2] = 20
     play(worlds, ATTACK)  # 4 at once, +1 for the second's notice, then 5
@@ -197,7 +196,7 @@ def test_godot_sets_it_anew_at_a_second_kill(arena: str) -> None:
 @pytest.mark.parametrize(("cost", "paid"), [(0.0, 2.0), (1.0, 2.0), (2.0, 1.0)])
 def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost: float, paid: float) -> None:
     # A notice and a contact, +2, and the death by the bite: the reward is set to 3 XP less the cost.
-    worlds = fight(arena, "godot", (-30.0, 0.0), ending_cost=cost)
+    worlds = fight(arena, "godot", (-40.0, 0.0), ending_cost=cost)
     worlds.players["hp"] = 7
     play(worlds, STAND)
     assert worlds.ending(0) == "killed"
@@ -208,7 +207,7 @@ def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost:
 
 def test_godot_pays_a_kill_by_anybody_to_everybody(arena: str) -> None:
     players = [(0.0, 0.0), (-400.0, 0.0)]
-    worlds = stage(arena, (54.0, 60.0), players=players, still=True, settings={"reward": "godot"})
+    worlds = stage(arena, (80.0, 0.0), players=players, still=True, settings={"reward": "godot"})
     worlds.players["xp"][0] = [3, 10]
     worlds.monsters["hp"][0, 0] = 20
     play(worlds, ATTACK)
@@ -217,8 +216,8 @@ def test_godot_pays_a_kill_by_anybody_to_everybody(arena: str) -> None:
 
 
 def test_the_godot_environment_rewards_by_event() -> None:
-    # At the first start, (204, -105), nobody is within 300 px: (560, -141) is 332.5 px off the body. One
-    # step, 40 px, to the right it is 292.5 px off.
+    # At the first start, (204, -105), nobody is within 300 px: the circle of (560, -141) is 334 px off the
+    # body, whose right edge is at 226. One step, 40 px, to the right it is 294 px off.
     worlds = begin(1, env_id=GODOT)
     worlds.step(np.array([[RIGHT]]))
     assert rewards(worlds) == [1.0]
@@ -244,7 +243,7 @@ def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
 @pytest.mark.parametrize("reward", REWARDS)
 def test_the_dead_are_rewarded_once_more_and_then_no_longer(arena: str, reward: str) -> None:
     players = [(0.0, 0.0), (400.0, -400.0)]
-    worlds = stage(arena, (-30.0, 0.0), players=players, settings={"reward": reward})
+    worlds = stage(arena, (-40.0, 0.0), players=players, settings={"reward": reward})
     worlds.players["hp"][0, 0], worlds.players["xp"] = 7, 3
     play(worlds, STAND)
     last = {"thesis": 3.0, "pygame": 3.0, "godot": 2.0, "kills": -0.07}

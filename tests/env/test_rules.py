@@ -12,15 +12,14 @@ from pneuma.env.worlds import Worlds
 from .arena import (
     ATTACK,
     DOWN,
-    LAND,
+    EAST,
     LEFT,
-    OBSTACLE_BOTTOM,
-    OBSTACLE_LEFT,
-    OBSTACLE_RIGHT,
-    OBSTACLE_TOP,
+    NORTH,
     RIGHT,
+    SOUTH,
     STAND,
     UP,
+    WEST,
     Place,
     monster_at,
     play,
@@ -29,6 +28,7 @@ from .arena import (
 )
 
 HALF_WIDTH, HALF_HEIGHT = 23.5, 24.0  # of a player's body of 47 x 48 px
+AT_X, AT_Y = -1.5, 2.0  # its centre from the player's place
 DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
 
 # --- Random numbers ------------------------------------------------------------------------------
@@ -115,14 +115,14 @@ def test_the_facing_is_kept_while_attacking(arena: str) -> None:
 @pytest.mark.parametrize(
     ("way", "before", "flush"),
     [
-        (LEFT, (-545.0, 100.0), (-LAND + HALF_WIDTH, 100.0)),  # -576 + 23.5 = -552.5
-        (RIGHT, (545.0, 100.0), (LAND - HALF_WIDTH, 100.0)),
-        (UP, (100.0, -545.0), (100.0, -LAND + HALF_HEIGHT)),  # -576 + 24 = -552
-        (DOWN, (100.0, 545.0), (100.0, LAND - HALF_HEIGHT)),
-        (RIGHT, (220.0, 30.0), (OBSTACLE_LEFT - HALF_WIDTH, 30.0)),  # 256 - 23.5 = 232.5
-        (LEFT, (356.0, 30.0), (OBSTACLE_RIGHT + HALF_WIDTH, 30.0)),  # 320 + 23.5 = 343.5
-        (DOWN, (290.0, -41.0), (290.0, OBSTACLE_TOP - HALF_HEIGHT)),  # 0 - 24
-        (UP, (290.0, 101.0), (290.0, OBSTACLE_BOTTOM + HALF_HEIGHT)),  # 64 + 24 = 88
+        (LEFT, (-545.0, 100.0), (WEST, 100.0)),
+        (RIGHT, (545.0, 100.0), (EAST, 100.0)),
+        (UP, (100.0, -545.0), (100.0, NORTH)),
+        (DOWN, (100.0, 545.0), (100.0, SOUTH)),
+        (RIGHT, (220.0, 30.0), (234.0, 30.0)),  # the obstacle's left edge at 256, less 22
+        (LEFT, (356.0, 30.0), (345.0, 30.0)),  # 320 + 25
+        (DOWN, (290.0, -41.0), (290.0, -26.0)),  # 0 - 26
+        (UP, (290.0, 101.0), (290.0, 86.0)),  # 64 + 22
     ],
 )
 def test_coast_and_obstacles_stop_a_player_flush(arena: str, way: int, before: Place, flush: Place) -> None:
@@ -134,72 +134,56 @@ def test_coast_and_obstacles_stop_a_player_flush(arena: str, way: int, before: P
 
 
 @pytest.mark.parametrize("way", DIRECTIONS)
-def test_a_player_flush_against_a_wall_turns_to_it_but_stays(arena: str, way: int) -> None:
-    dx, dy = DIRECTIONS[way]
-    flush = (dx * (LAND - HALF_WIDTH), dy * (LAND - HALF_HEIGHT))
-    worlds = stage(arena, players=[flush], facing=(way + 2) % 4)
-    play(worlds, way)
-    assert player_at(worlds) == flush
-    assert worlds.players["facing"][0, 0] == way
-
-
-@pytest.mark.parametrize("way", DIRECTIONS)
-def test_a_player_flush_against_a_wall_walks_off_and_along_it_freely(arena: str, way: int) -> None:
-    dx, dy = DIRECTIONS[way]
-    flush = (dx * (LAND - HALF_WIDTH), dy * (LAND - HALF_HEIGHT))
+def test_a_player_flush_against_a_wall_turns_to_it_and_walks_off_and_along_it_freely(
+    arena: str, way: int
+) -> None:
+    flush = {LEFT: (WEST, 0.0), RIGHT: (EAST, 0.0), UP: (0.0, NORTH), DOWN: (0.0, SOUTH)}[way]
     for other in DIRECTIONS:
-        worlds = stage(arena, players=[flush])
+        worlds = stage(arena, players=[flush], facing=(way + 2) % 4)
         play(worlds, other)
         ox, oy = DIRECTIONS[other] if other != way else (0, 0)
         assert player_at(worlds) == (flush[0] + 40 * ox, flush[1] + 40 * oy)
+        assert worlds.players["facing"][0, 0] == other
 
 
 @pytest.mark.parametrize(
-    ("y", "x"),
+    ("before", "way", "after"),
     [
-        (-24.0, 300.0),  # the body's lower edge lies on y = 0, the obstacle's upper: they only touch
-        (-23.5, 232.5),  # half a pixel lower they meet
-        (88.0, 300.0),  # the upper edge on y = 64
-        (87.5, 232.5),
+        ((220.0, -26.0), RIGHT, (300.0, -26.0)),  # the lower edge on y = 0, the obstacle's upper: they touch
+        ((220.0, -25.5), RIGHT, (234.0, -25.5)),  # half a pixel lower they meet
+        ((220.0, 86.0), RIGHT, (300.0, 86.0)),  # the upper edge on y = 64
+        ((220.0, 85.5), RIGHT, (234.0, 85.5)),
+        ((234.0, -60.0), DOWN, (234.0, 20.0)),  # the right edge on x = 256
+        ((234.5, -60.0), DOWN, (234.5, -26.0)),
+        ((345.0, -60.0), DOWN, (345.0, 20.0)),  # the left edge on x = 320
+        ((344.5, -60.0), DOWN, (344.5, -26.0)),
     ],
 )
-def test_along_x_a_body_passes_a_corner_that_it_only_touches(arena: str, y: float, x: float) -> None:
-    worlds = stage(arena, players=[(220.0, y)])
-    play(worlds, RIGHT, RIGHT)
-    assert player_at(worlds) == (x, y)
-
-
-@pytest.mark.parametrize(
-    ("x", "y"),
-    [
-        (232.5, 20.0),  # the right edge on x = 256, the obstacle's left
-        (233.0, -24.0),
-        (343.5, 20.0),  # the left edge on x = 320
-        (343.0, -24.0),
-    ],
-)
-def test_along_y_a_body_passes_a_corner_that_it_only_touches(arena: str, x: float, y: float) -> None:
-    worlds = stage(arena, players=[(x, -60.0)])
-    play(worlds, DOWN, DOWN)
-    assert player_at(worlds) == (x, y)
+def test_a_body_passes_a_corner_that_it_only_touches(
+    arena: str, before: Place, way: int, after: Place
+) -> None:
+    worlds = stage(arena, players=[before])
+    play(worlds, way, way)
+    assert player_at(worlds) == after
 
 
 def test_a_monster_slides_over_a_corner_instead_of_cutting_it(arena: str) -> None:
-    # Half a body is 12 x 25. From (243, -26), right edge 255 and lower edge -1, it wants (2.5, 2.5).
-    # x first: the lower edge is still above the obstacle, so 245.5. Then y: the right edge 257.5 is
-    # past 256, so the lower edge stops on 0.
-    worlds = stage(arena, (243.0, -26.0), players=[(400.0, 150.0)], ticks=1)
+    # From (243, -28), right edge 255 and lower edge -1, it wants (2.5, 2.5). x first: the lower edge is
+    # still above the obstacle, so 245.5. Then y: the right edge 257.5 is past 256, so the lower edge
+    # stops on 0.
+    worlds = stage(arena, (243.0, -28.0), players=[(400.0, 150.0)], ticks=1)
     play(worlds, STAND)
-    assert monster_at(worlds) == (245.5, -25.0)
+    assert monster_at(worlds) == (245.5, -27.0)
     play(worlds, STAND)
-    assert monster_at(worlds) == (248.0, -25.0)
+    assert monster_at(worlds) == (248.0, -27.0)
 
 
 def test_a_monster_knocked_into_a_wall_stops_flush(arena: str) -> None:
-    # Struck at the sword's centre (554, 0) it would fly 60 px right; the coast stops it at 576 - 12.
-    worlds = stage(arena, (554.0, 0.0), players=[(500.0, 0.0)], ticks=1)
+    # Struck on the height of the hilt (554, 14), it would fly 60 px right; the coast stops it at
+    # 576 - 12.
+    worlds = stage(arena, (557.0, 14.0), players=[(500.0, 0.0)], ticks=1)
     play(worlds, *[ATTACK] * 10)
-    assert monster_at(worlds) == (564.0, 0.0)
+    assert monster_at(worlds) == (564.0, 14.0)
 
 
 # --- Any place, by geometry ----------------------------------------------------------------------
@@ -213,33 +197,30 @@ def boxes_that_block(worlds: Worlds) -> np.ndarray:
     return np.stack([left, top, left + level.tile, top + level.tile])
 
 
-def overlaps(x: np.ndarray, y: np.ndarray, half: Place, boxes: np.ndarray) -> np.ndarray:
-    """Tell which bodies share area with which boxes, shape (bodies, boxes)."""
-    left, top, right, bottom = boxes
-    across = (x[:, None] - half[0] < right) & (x[:, None] + half[0] > left)
-    return across & (y[:, None] - half[1] < bottom) & (y[:, None] + half[1] > top)
-
-
 def clear_places(worlds: Worlds, count: int) -> np.ndarray:
     """Return random places, on 64ths of a pixel, where a player stands clear of tiles: (count, 2)."""
     left, top, right, bottom = (int(64 * side) for side in worlds.level.land)
     generator = np.random.default_rng(5)
-    x = generator.integers(left, right, 3 * count) / 64
-    y = generator.integers(top, bottom, 3 * count) / 64
-    free = ~overlaps(x, y, (HALF_WIDTH, HALF_HEIGHT), boxes_that_block(worlds)).any(axis=1)
-    return np.stack([x[free], y[free]], axis=-1)[:count]
+    x = generator.integers(left, right, (3 * count, 1)) / 64
+    y = generator.integers(top, bottom, (3 * count, 1)) / 64
+    box_left, box_top, box_right, box_bottom = boxes_that_block(worlds)
+    across = (x + AT_X - HALF_WIDTH < box_right) & (x + AT_X + HALF_WIDTH > box_left)
+    down = (y + AT_Y - HALF_HEIGHT < box_bottom) & (y + AT_Y + HALF_HEIGHT > box_top)
+    free = ~(across & down).any(axis=1)
+    return np.concatenate([x[free], y[free]], axis=-1)[:count]
 
 
 @pytest.mark.parametrize("way", DIRECTIONS)
 def test_anywhere_a_step_goes_as_far_as_the_nearest_tile_allows(way: int) -> None:
     worlds = Worlds(4000)
     worlds.reset()
+    worlds.monsters["hp"] = 0  # or they would be in the way
     places = clear_places(worlds, len(worlds))
     worlds.players["x"], worlds.players["y"] = places[:, :1], places[:, 1:]
     play(worlds, way)
 
     left, top, right, bottom = boxes_that_block(worlds)
-    x, y = places[:, :1], places[:, 1:]
+    x, y = places[:, :1] + AT_X, places[:, 1:] + AT_Y
     beside = (x - HALF_WIDTH < right) & (x + HALF_WIDTH > left)
     level_with = (y - HALF_HEIGHT < bottom) & (y + HALF_HEIGHT > top)
     gaps = {  # to each tile in the way; negative behind
@@ -254,19 +235,3 @@ def test_anywhere_a_step_goes_as_far_as_the_nearest_tile_allows(way: int) -> Non
     assert np.array_equal(worlds.players["x"][:, 0], places[:, 0] + dx * walked)
     assert np.array_equal(worlds.players["y"][:, 0], places[:, 1] + dy * walked)
     assert (walked < 40).sum() > 100  # walls were met
-
-
-def test_no_body_ever_overlaps_a_tile_that_blocks() -> None:
-    worlds = Worlds(40)
-    worlds.seed(range(40))
-    worlds.reset()
-    boxes = boxes_that_block(worlds)
-    generator = np.random.default_rng(6)
-    blows = 0
-    for _ in range(60):  # long walks with blows between them
-        for action in (generator.integers(4, size=(40, 1)),) * 5 + (np.full((40, 1), ATTACK),):
-            worlds.step(action)
-            blows += int(worlds.events["hits"].sum())
-        for bodies, half in ((worlds.players, (HALF_WIDTH, HALF_HEIGHT)), (worlds.monsters, (12.0, 25.0))):
-            assert not overlaps(bodies["x"].ravel(), bodies["y"].ravel(), half, boxes).any()
-    assert blows > 0

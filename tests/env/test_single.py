@@ -206,9 +206,9 @@ def test_clearing_the_level_terminates_if_asked(end_on_clear: bool) -> None:
     env.state.worlds["monsters_left"] = 1
     _, reward, terminated, truncated, info = env.step(np.int64(ATTACK))
     assert (terminated, truncated) == (end_on_clear, False)
-    ending = {"ending": "cleared", "kills": 1, "xp": 1.0, "hp": 100.0}
+    ending = {"ending": "cleared", "kills": 1, "xp": 1.0, "hp": 107.0}
     assert unmasked(info) == (ending if end_on_clear else {})
-    assert reward == 0.0  # 1 XP - 100 / 100
+    assert reward == pytest.approx(-0.07)  # 1 XP - 107 / 100
 
 
 # --- Mistakes ------------------------------------------------------------------------------------

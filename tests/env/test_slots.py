@@ -27,7 +27,7 @@ def endanger(worlds: Worlds, world: int, player: int) -> None:
     """Put a monster beside a player with 7 HP who faces the other way."""
     row, monster = worlds.players[world, player], worlds.monsters[world, 0]
     row["hp"], row["facing"] = 7, RIGHT
-    monster["x"], monster["y"] = row["x"] - 30, row["y"]
+    monster["x"], monster["y"] = row["x"] - 40, row["y"]
 
 
 def two_worlds(mode: AutoresetMode, **settings: Any) -> PneumaVectorEnv:
@@ -192,7 +192,7 @@ def test_slots_live_through_what_agents_do(env_id: str, pit: str) -> None:
     agents = PneumaParallelEnv(env_id, **settings)
     generator = np.random.default_rng(1)
     early = 0
-    for episode in range(6):
+    for episode in range(10):
         first, _ = slots.reset(seed=episode)
         told, _ = agents.reset(seed=episode)
         assert all(np.array_equal(first[i], told[f"player_{i}"]) for i in range(3))
@@ -214,7 +214,7 @@ def test_slots_live_through_what_agents_do(env_id: str, pit: str) -> None:
                     assert infos["ending"][slot] == their_infos[agent]["ending"]
                     assert infos["xp"][slot] == their_infos[agent]["xp"]
             early += sum(ends.values()) * (slots.state.worlds["ending"][0] == 0)
-    assert early > 5
+    assert early > 3
 
 
 # --- Stable-Baselines3 ---------------------------------------------------------------------------

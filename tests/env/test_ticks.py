@@ -1,7 +1,7 @@
 """A step of 8 ticks is 8 steps of one tick: the law that guards every shortcut of the rules.
 
-The rules tell a step in three parts, skip what nobody is near, let monsters that only wait wait, and
-live a step again when somebody dies in it. None of it may show.
+The rules leave out the monsters to which nothing can happen in a step, and look for walls and bodies
+only where there are any near. None of it may show.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def crowd(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a level in which three starts and monsters of all kinds lie close to each other and to rocks."""
     places = [(-120.0 + 80 * column, -150.0 + 100 * row) for column in range(4) for row in range(4)]
     codes = [BAMBOO, SPIRIT, RACCOON, SQUID] * 4
-    starts = [(-160.0, 0.0), (0.0, 160.0), (160.0, -100.0)]
-    rocks = [(8, 8), (12, 9), (9, 13), (11, 6)]
+    starts = [(-200.0, 0.0), (32.0, 210.0), (160.0, -100.0)]
+    rocks = [(8, 6), (13, 9), (9, 13), (11, 6)]
     folder = tmp_path_factory.mktemp("crowd")
     return write_level(folder, starts, places, rocks, codes)
 
@@ -77,7 +77,7 @@ def step_by_ticks(worlds: Worlds, actions: np.ndarray) -> dict[str, np.ndarray]:
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "one player": (THESIS, {}),
-    "waiting": (THESIS, {"classes": "tank", "weapons": "rapier"}),
+    "passing": (THESIS, {"bodies": "pass", "bite_while_knocked": True, "healing_cap": True}),
     "magic": (THESIS, {"classes": "mage", "magic": True}),
     "three players": (
         THESIS,
@@ -88,18 +88,21 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
             "weapons": ["own", "lance", "sai"],
         },
     ),
-    "eight players": (THESIS, {"players": 8, "characters": "pygame"}),
+    "eight players": (THESIS, {"players": 8}),
     "godot": (GODOT, {"start": "random", "ending_cost": 0.0}),
-    "three at a deadly coast": (GODOT, {"start": "random", "ending_cost": 0.0, "players": 3}),
+    "three at a deadly coast": (
+        GODOT,
+        {"start": "random", "ending_cost": 0.0, "players": 3, "coast": "deadly"},
+    ),
 }
 
 
-@pytest.mark.parametrize("where", ["crowd", "pit", "thesis"])
+@pytest.mark.parametrize("where", ["crowd", "thesis"])
 @pytest.mark.parametrize("name", CASES)
-def test_a_step_is_its_ticks(name: str, where: str, crowd: str, pit: str) -> None:
+def test_a_step_is_its_ticks(name: str, where: str, crowd: str) -> None:
     """Compare, wherever the last player lives to the end of the step: with him, the ticks stop."""
     env_id, settings = CASES[name]
-    level = {"crowd": crowd, "pit": pit, "thesis": "thesis"}[where]
+    level = {"crowd": crowd, "thesis": "thesis"}[where]
     settings = {"level": level, "episode_steps": 10_000, "end_on_clear": False, **settings}
     whole, ticks = (begin(16, env_id=env_id, **settings) for _ in range(2))
     ticks.settings["ticks"] = 1
@@ -125,16 +128,18 @@ def test_a_step_is_its_ticks(name: str, where: str, crowd: str, pit: str) -> Non
         copy_state(whole, ticks)
     assert happened["present"] > 10_000
     if where == "crowd":
-        assert min(happened[field] for field in COUNTED) > 0, happened
+        healed = name == "three players"  # in time, by their spells
+        assert min(happened[field] for field in COUNTED if field != "died" or not healed) > 0, happened
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_no_shortcut_changes_a_bit(name: str, crowd: str) -> None:
-    """Play with the room grid and without, and with monsters that rest and without."""
+    """Play so, and looking for walls and bodies everywhere and at all monsters."""
     env_id, settings = CASES[name]
     worlds, others = (begin(12, env_id=env_id, level=crowd, **settings) for _ in range(2))
     others._arrays.room[:] = 0
     others.monster_stats["reach_squared"] = 1e18
+    others.settings["crowd"] = 1e9
     fighter = Fighter(worlds, seed=1)
     for _ in range(250):
         actions = fighter.act(worlds)

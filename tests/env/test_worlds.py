@@ -14,7 +14,6 @@ from pneuma.errors import UserError
 
 from .arena import (
     ATTACK,
-    DOWN,
     LEFT,
     RIGHT,
     STATE_ARRAYS,
@@ -120,21 +119,6 @@ def test_a_copied_state_goes_on_as_the_original(players: int) -> None:
     assert_same_play(worlds, copies, steps=300)
 
 
-@pytest.mark.parametrize("players", [1, 2])
-def test_the_room_grid_changes_no_bit(players: int) -> None:
-    worlds, others = begin(16, players=players), begin(16, players=players)
-    others._arrays.room[:] = 0  # now every move is checked tile by tile
-    assert worlds._arrays.room.any()
-    assert_same_play(worlds, others, steps=1500)
-
-
-@pytest.mark.parametrize("players", [1, 2])
-def test_leaving_out_monsters_that_nobody_is_near_changes_no_bit(players: int) -> None:
-    worlds, others = begin(16, players=players), begin(16, players=players)
-    others.monster_stats["reach_squared"] = 1e18  # now every monster gets its ticks
-    assert_same_play(worlds, others, steps=1500)
-
-
 def test_what_a_mask_leaves_out_is_not_reset() -> None:
     worlds = begin(6)
     play(worlds, RIGHT, RIGHT)
@@ -196,7 +180,7 @@ def test_a_monster_chases_the_nearer_player(arena: str, other: float, moved: flo
 
 
 def test_a_monster_bites_every_player_within_reach(arena: str) -> None:
-    worlds = stage(arena, (0.0, 0.0), players=[(-30.0, 0.0), (30.0, 0.0)], facing=DOWN, ticks=1)
+    worlds = stage(arena, (0.0, 0.0), players=[(-40.0, 0.0), (40.0, 0.0)], facing=UP, ticks=1)
     play(worlds, ATTACK)
     assert (player_hp(worlds, 0), player_hp(worlds, 1)) == (93, 93)
 
@@ -204,7 +188,7 @@ def test_a_monster_bites_every_player_within_reach(arena: str) -> None:
 def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str) -> None:
     worlds = stage(arena, (-300.0, 0.0), players=[(-300.0, -60.0), (-80.0, 0.0)], facing=UP)
     worlds.players["hp"][0] = [7, 7]
-    play(worlds, ATTACK)  # the first is 60 - 24 = 36 px off: bitten at once
+    play(worlds, ATTACK)  # the first is 60 + 5 - 26 = 39 px off: bitten at once
     assert worlds.ending(0) == "running"
     assert (player_hp(worlds, 0), player_hp(worlds, 1)) == (0, 7)
     assert worlds.worlds["players_left"][0] == 1
@@ -212,10 +196,10 @@ def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str
     while worlds.ending(0) == "running":
         play(worlds, ATTACK)
         steps += 1
-    # The monster went for the first in tick 1, upwards only. In tick 2 it turns to the second, 220 px
-    # to the right, and bites from 63.5 px: after (220 - 63.5) / 2.5 = 62.6, that is 63 ticks, so in
-    # tick 65, in the 9th step, the 8th of this loop.
-    assert steps == 8
+    # The monster went for the first in tick 1, upwards only. From tick 2 on it goes for the second, whose
+    # body begins at x = -105, and bites from 40 px: after (300 - 145) / 2.5 = 62 ticks, so in tick 64, the
+    # last of the 8th step, the 7th of this loop.
+    assert steps == 7
     assert worlds.ending(0) == "killed"
     assert worlds.events["reward"][0].tolist() == [0, 0]
 
@@ -232,7 +216,8 @@ def test_the_dead_neither_act_nor_are_seen(arena: str) -> None:
 
 
 def test_a_monster_flies_on_though_nobody_near_it_lives(arena: str) -> None:
-    worlds = stage(arena, (-300.0, 0.0), players=[(-300.0, -60.0), (400.0, -300.0)], facing=UP)
+    places, settings = [(-300.0, -60.0), (400.0, -300.0)], {"bite_while_knocked": True}
+    worlds = stage(arena, (-300.0, 0.0), players=places, facing=UP, settings=settings)
     worlds.players["hp"][0, 0] = 7
     worlds.monsters["knocked"][0, 0], worlds.monsters["knock_y"][0, 0] = 30, 2.0
     play(worlds, ATTACK, ATTACK)
