@@ -43,13 +43,11 @@ RESULTS ?= $(or $(PNEUMA_RESULTS),results)
 PNEUMA = $(BIN)/pneuma study $(DO)
 BEGUN := $(shell date +%s)
 
-SETTINGS = text godot
-SETTINGS_tabular = text
-SETTINGS_magic = text
-SETTINGS_classes = text
-SETTINGS_independent = text
-SETTINGS_tuned-optimizers = text
-SETTINGS_tuned-algorithms = text
+WORLDS = text godot arena
+WORLDS_tabular = text
+WORLDS_magic = text
+WORLDS_classes = text
+WORLDS_independent = text
 
 PRESET = paper+claims
 PRESET_perception = paper
@@ -57,8 +55,6 @@ PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
 PRESET_actor-size-big = paper
-PRESET_tuned-optimizers = paper
-PRESET_tuned-algorithms = paper
 
 # What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
 CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
@@ -67,10 +63,10 @@ CURVES_collapse = entropy,dead_units,actions
 CURVES_robustness = none
 SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
 
-# A study in a setting; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
+# A study in a world; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
 # stop all.
 define one
-$(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --setting $(2) $(CONDITIONS_$(1)) \
+$(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --world $(2) $(CONDITIONS_$(1)) \
   $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
   $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \
@@ -82,7 +78,7 @@ Runs failed of:$$failed. RETRY=1 beside the same words tries those again that cr
 
 define each
 @failed=; $(foreach study,$(or $(STUDIES),$(1)),\
-$(foreach setting,$(or $(SETTINGS_$(study)),$(SETTINGS)),$(call one,$(study),$(setting)))) \
+$(foreach world,$(or $(WORLDS_$(study)),$(WORLDS)),$(call one,$(study),$(world)))) \
 took=$$(( $$(date +%s) - $(BEGUN) )); \
 echo "$@: $$(( took / 3600 )) h $$(( took / 60 % 60 )) min $$(( took % 60 )) s."; \
 [ -z "$$failed" ] || { echo "$(FAILED)"; exit 1; }
@@ -90,17 +86,17 @@ endef
 
 reproduction: PRESET = $(if $(filter publish,$(DO)),paper+claims,paper)
 reproduction: CONDITIONS_actor-size = --condition smallest --condition small --condition small-critic
-reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, both settings
+reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, in all worlds
 	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)
 
-reproduction-rest: install  ## Train chapters 3 to 5, the 50 seeds of claims on spread and incidence, and tuned optimizers
-	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer tuned-optimizers)
+reproduction-rest: install  ## Train chapters 3 to 5, and the 50 seeds of claims on spread and incidence
+	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)
 
 reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
-	$(call each,architecture actor-size-big algorithms tuned-algorithms)
+	$(call each,architecture actor-size-big algorithms)
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\
@@ -111,18 +107,17 @@ trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --
 trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
 	$(call takes_results_alone)
 	$(call trajectories,sigmoid)
-	$(call trajectories,sigmoid --setting godot)
+	$(call trajectories,sigmoid --world godot)
 	$(call trajectories,algorithms --condition a2c --condition a2c-no-baseline)
-	$(call trajectories,algorithms --setting godot --condition ppo --condition trpo --condition a2c --condition dqn)
-	$(call trajectories,activation --setting godot)
-	$(call trajectories,perception --setting godot)
-	$(call trajectories,optimizer --setting godot --condition stationary --condition non-stationary --condition sgd)
+	$(call trajectories,algorithms --world godot --condition ppo --condition trpo --condition a2c --condition dqn)
+	$(call trajectories,activation --world godot)
+	$(call trajectories,perception --world godot)
+	$(call trajectories,optimizer --world godot --condition stationary --condition non-stationary --condition sgd)
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
 RIVALS ?= optimizers algorithms
-# Whatever the searches find here stands in RESULTS/winners-*.toml, each winner beside its search's base. What they found
-# for the tables that are published stands in studies/tuned-*.toml, which `reproduction-rest` and `reproduction-slow` train.
+# What the searches find stands in RESULTS/winners-*.toml, each winner beside its search's base.
 tuned = $(foreach name,$(2),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" &&) \
 rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
   --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)" && \

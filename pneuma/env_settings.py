@@ -105,7 +105,8 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
     },
     "pneuma/PneumaArena-v0": {"reward": "kills", "observe_facing": True},
 }
-"""What each environment sets other than the defaults: the published code's quirks for Godot's."""
+"""What each environment sets other than the defaults: the published code's quirks for Godot's, another reward
+for the arena."""
 
 ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
 

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
-from pneuma.study.definition import check_setting
 from pneuma.study.executors.base import HERE, Supervision, load_executor
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
 from pneuma.study.trust import own_things
+from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
@@ -45,7 +45,7 @@ def run_study(
     steps: int | None = None,
     conditions: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
-    setting: str | None = None,
+    world: str | None = None,
     workers: int | None = None,
     on_progress: Callable[[execute.Progress], None] = lambda progress: None,
 ) -> StudyData:
@@ -59,12 +59,12 @@ def run_study(
         steps: agent steps of each run, instead of the preset's.
         conditions: names; all when left out.
         settings: fields of the run that every condition gets.
-        setting: 'text' or 'godot'; the study's usual one when left out.
+        world: of `pneuma.worlds.WORLDS`; the study's usual one when left out.
         workers: how many runs train at once, each in a process of one thread; a core each when left out.
         on_progress: told of each run's steps.
 
     Raises:
-        UserError: for a study, selection or setting that there is not, or when a run crashed or was killed.
+        UserError: for a study, selection or world that there is not, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call goes on where runs were stopped.
     """
     selection = plan.Selection(
@@ -79,7 +79,7 @@ def run_study(
     if workers is not None and workers < 1:
         raise UserError(f"workers = {workers} is not allowed: at least 1")
     planned, store = (
-        plan.make_plan(spec.load_study(os.fspath(study), setting), selection),
+        plan.make_plan(spec.load_study(os.fspath(study), world), selection),
         Store(results),
     )
     how = Supervision(
@@ -102,13 +102,13 @@ def run_study(
     return open_study(store, execute.selection_record(planned))
 
 
-def open_data(study: Where, results: Where = RESULTS, *, setting: str | None = None) -> StudyData:
+def open_data(study: Where, results: Where = RESULTS, *, world: str | None = None) -> StudyData:
     """Open the latest selection of a study that was run, imported or forked, or else what is published of it.
 
     Args:
         study: its name, or the path of its file.
         results: the results folder.
-        setting: 'text' or 'godot'; the usual one when left out.
+        world: of `pneuma.worlds.WORLDS`; the usual one when left out.
 
     Raises:
         UserError: when the folder has nothing of it, or no run has finished.
@@ -116,10 +116,10 @@ def open_data(study: Where, results: Where = RESULTS, *, setting: str | None = N
     from pneuma.analysis.published import published_path, published_studies, read_published
     from pneuma.analysis.sources import open_study
 
-    check_setting(setting)
+    check_world(world)
     store, told = Store(results), os.fspath(study)
     own = Path(told).stem if told.endswith(".toml") else told
-    name = spec.in_setting(own, setting or spec.TEXT)
+    name = in_world(own, world or TEXT)
     record = store.selection(name)
     if record is not None and own != told:
         execute.check_same_file(record, Path(told), store)
@@ -196,7 +196,7 @@ def evaluate(
         begin with `argmax` where best actions were played.
 
     Raises:
-        UserError: for an environment or setting that there is not, or actions that are none.
+        UserError: for an environment or world that there is not, or actions that are none.
     """
     from pneuma.engines.evaluation import Evaluation
     from pneuma.engines.own_agent import OwnAgent

@@ -16,7 +16,10 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
 }
 
-BASE = ("pneuma.config", "pneuma.env_settings", "pneuma.algorithms", "pneuma.errors", "pneuma.values")
+BASE = (
+    "pneuma.config", "pneuma.env_settings", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
+    "pneuma.worlds",
+)  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -27,6 +30,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.env_settings": ("pneuma.errors", "pneuma.values"),
     "pneuma.errors": (),
     "pneuma.values": (),
+    "pneuma.worlds": ("pneuma.errors",),
     "pneuma.env": (),
     "pneuma.engines": ("pneuma.env",),
     "pneuma.study": (),
@@ -34,6 +38,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.team"),
     "pneuma.study.resume": ("pneuma.engines.base", "pneuma.engines.checkpoint"),
     "pneuma.study.kept": ("pneuma.engines.base",),
+    # what keeps two of them from compiling the same:
+    "pneuma.study.compiling": ("pneuma.env.compiled",),
     # what measures how fast they train:
     "pneuma.study.calibration": ("pneuma.engines.base",),
     "pneuma.study.checkpoints": ("pneuma.engines.checkpoint", "pneuma.engines.records"),

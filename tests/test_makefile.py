@@ -16,10 +16,11 @@ from pneuma.search.spec import list_searches, load_search
 from pneuma.study.claimed import fixed_amounts
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
+from pneuma.worlds import WORLDS
 
 ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
-COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --setting (\S+) (.*?)--results \"results\"")
+COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --world (\S+) (.*?)--results \"results\"")
 
 MAKE = shutil.which("make")
 pytestmark = pytest.mark.skipif(MAKE is None, reason="there is no make here")
@@ -35,10 +36,10 @@ def _told(target: str, *words: str) -> str:
 
 
 def _commands(target: str) -> list[tuple[str, str, Selection]]:
-    """Return what a target would run: study, setting and selection."""
+    """Return what a target would run: study, world and selection."""
     return [
-        (study, setting, Selection(preset, conditions=tuple(re.findall(r"--condition (\S+)", options))))
-        for study, preset, setting, options in COMMAND.findall(_told(target))
+        (study, world, Selection(preset, conditions=tuple(re.findall(r"--condition (\S+)", options))))
+        for study, preset, world, options in COMMAND.findall(_told(target))
     ]
 
 
@@ -46,8 +47,8 @@ def _trained(target: str) -> set[str]:
     """Return the ids of the runs that a target trains, for whichever study; all commands are sound."""
     return {
         cell.run_id
-        for study, setting, selection in _commands(target)
-        for cell in make_plan(load_study(study, setting), selection).cells
+        for study, world, selection in _commands(target)
+        for cell in make_plan(load_study(study, world), selection).cells
     }
 
 
@@ -57,15 +58,15 @@ def _small(run: Run) -> bool:
 
 def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
     commands = _commands("reproduction")
-    assert {(study, setting) for study, setting, _ in commands} == {
-        (study, setting)
+    assert {(study, world) for study, world, _ in commands} == {
+        (study, world)
         for study in (
             "activation", "actor-size", "clip-range", "gradient-limits", "hyperparameters", "optimizer",
         )
-        for setting in ("text", "godot")
+        for world in WORLDS
     }  # fmt: skip
-    for study, setting, selection in commands:
-        plan = make_plan(load_study(study, setting), selection)
+    for study, world, selection in commands:
+        plan = make_plan(load_study(study, world), selection)
         assert plan.seeds == tuple(range(10))
         assert all(_small(cell.run) and cell.run.steps >= 1_000_000 for cell in plan.cells)
 
@@ -74,8 +75,8 @@ def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
 def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
     trained = set().union(*map(_trained, TARGETS))
     for name in list_studies():
-        for setting in load_study(name).settings_known:
-            study = load_study(name, setting)
+        for world in load_study(name).worlds:
+            study = load_study(name, world)
             for preset in ("paper", *(["claims"] if fixed_amounts(study) else [])):
                 plan = make_plan(study, Selection(preset))
                 assert {cell.run_id for cell in plan.cells} <= trained
@@ -109,7 +110,7 @@ def test_a_target_that_has_no_plan_refuses_to_be_asked_for_one(target: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("do", "status", "reached"), [("publish", 2, 4), ("run", 1, 4), ("run", 2, 1), ("publish", 130, 1)]
+    ("do", "status", "reached"), [("publish", 2, 6), ("run", 1, 6), ("run", 2, 1), ("publish", 130, 1)]
 )
 def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
     do: str, status: int, reached: int, tmp_path: Path
@@ -124,11 +125,11 @@ def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
         cwd=ROOT, capture_output=True, text=True, check=False, env={"PATH": os.environ["PATH"]},
     )  # fmt: skip
     assert told.returncode and len(asked.read_text().split()) == reached
-    failed = "activation (text) activation (godot)"
+    failed = "activation (text) activation (godot) activation (arena)"
     assert (f"Not published (why stands above): {failed}." in told.stdout) == (
-        do == "publish" and reached == 4
+        do == "publish" and reached == 6
     )
-    assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 4)
+    assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 6)
 
 
 def test_whoever_names_a_results_folder_for_all_commands_names_it_for_make(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.analysis.published import published_path
+from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.sources import open_study
 from pneuma.config import as_settings, make_env_config, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
@@ -20,6 +24,7 @@ from pneuma.errors import UserError
 from pneuma.notebook import evaluate, load_policy, open_data, run_study
 from pneuma.study.store import Status, Store
 
+from .analysis.published_runs import CELLS, RECORD, save_run
 from .pages import BLOCK
 
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
@@ -51,7 +56,7 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
         ({"steps": 0}, "steps = 0 is not allowed: at least 1"),
         ({"workers": 0}, "workers = 0 is not allowed: at least 1"),
         ({"conditions": "tnh"}, "did you mean tanh?"),
-        ({"setting": "godto"}, "did you mean godot?"),
+        ({"world": "godto"}, "did you mean godot?"),
     ],
 )
 def test_what_cannot_be_run_is_refused_and_nothing_is_written(
@@ -114,13 +119,18 @@ def test_a_file_of_the_name_of_another_is_not_taken_for_it(tmp_path: Path) -> No
 
 
 def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
-    (tmp_path / "published").symlink_to(Path(__file__).parents[1] / "results" / "published")
-    data = open_data("activation", tmp_path, setting="godot")
-    assert data.study == "activation-godot" and "relu" in data.conditions
-    one = data.of_conditions("leaky-relu")
-    assert one.conditions == ["leaky-relu"]
-    with pytest.raises(UserError, match="did you mean leaky-relu"):
-        data.of_conditions(["leaky-rely"])
+    store = Store(tmp_path)
+    for (_, seed), run_id in CELLS.items():
+        save_run(store, run_id, seed)
+    path = published_path(store, "mine-godot")
+    store.write(path, encode_study(open_study(store, {**RECORD, "study": "mine-godot"})))
+    shutil.rmtree(tmp_path / "runs")
+    data = open_data("mine", tmp_path, world="godot")
+    assert data.study == "mine-godot" and data.conditions == ["a", "b"]
+    one = data.of_conditions("b")
+    assert one.conditions == ["b"]
+    with pytest.raises(UserError, match="known are a, b"):
+        data.of_conditions(["c"])
     run, kept = one.runs[0], one.run_table(one.runs[0], "evaluations").copy()
     written = one.run_table(run, "evaluations")
     written["share_killed"] = 9.0

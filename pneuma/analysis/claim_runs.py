@@ -61,73 +61,73 @@ class ClaimRuns:
         self._unread: list[str] = []
         self._arms: dict[tuple[str, str, str], Arm] = {}
 
-    def hindrance(self, claim: Claim, setting: str, a: str, b: str | None) -> str:
+    def hindrance(self, claim: Claim, world: str, a: str, b: str | None) -> str:
         """Say why arms cannot be compared, before any value is looked at; empty where they can."""
         names = [name for name in (a, b) if name is not None]
-        runs = [self._cells(claim, setting, name)[0].run for name in names]
+        runs = [self._cells(claim, world, name)[0].run for name in names]
         if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
         if len({run.engine for run in runs}) > 1:
             told = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
             return f"engines are mixed: {told}"
-        missing = [*filter(None, (self._missing(claim, setting, name) for name in names))]
+        missing = [*filter(None, (self._missing(claim, world, name) for name in names))]
         if not missing:
-            return self._machines(claim, setting, names)
-        command = training_command(self.study(claim.study, setting), self._claims.path)
+            return self._machines(claim, world, names)
+        command = training_command(self.study(claim.study, world), self._claims.path)
         rest = " --unpublished" if published_studies(self._store) else ""
         return "; ".join([*missing, *([f"{MEND} {command}{rest}"] if command else [])])
 
-    def undefined(self, claim: Claim, setting: str) -> str:
-        """Say why a claim is not judged in a setting at all."""
-        if setting in self.study(claim.study, "").settings_known:
-            return f"setting not defined: the claim is not about {setting}"
-        return f"setting not defined: the study {claim.study} is not run in {setting}"
+    def undefined(self, claim: Claim, world: str) -> str:
+        """Say why a claim is not judged in a world at all."""
+        if world in self.study(claim.study, "").worlds:
+            return f"world not defined: the claim is not about {world}"
+        return f"world not defined: the study {claim.study} is not run in {world}"
 
-    def arm(self, claim: Claim, setting: str, condition: str) -> Arm:
+    def arm(self, claim: Claim, world: str, condition: str) -> Arm:
         """Return an arm whose runs have all finished."""
-        key = claim.name, setting, condition
+        key = claim.name, world, condition
         if key not in self._arms:
-            self._arms[key] = self._measure(claim, setting, condition)
+            self._arms[key] = self._measure(claim, world, condition)
         return self._arms[key]
 
-    def known_ids(self, claim: Claim, setting: str, a: str, b: str | None) -> tuple[str, ...]:
+    def known_ids(self, claim: Claim, world: str, a: str, b: str | None) -> tuple[str, ...]:
         """Return the ids of what runs there are."""
         names = [name for name in (a, b) if name is not None]
-        found = [self._finished(claim, setting, name).values() for name in names]
+        found = [self._finished(claim, world, name).values() for name in names]
         return tuple(run.run_id for runs in found for run in runs)
 
     # --- Which runs ------------------------------------------------------------------------------
 
-    def _study(self, name: str, setting: str) -> Study:
+    def _study(self, name: str, world: str) -> Study:
         path = str(self._claims.path.parent / name) if name.endswith(".toml") else name
-        return load_study(path, setting) if setting else load_study(path)
+        return load_study(path, world) if world else load_study(path)
 
-    def _cells(self, claim: Claim, setting: str, condition: str) -> tuple[Cell, ...]:
+    def _cells(self, claim: Claim, world: str, condition: str) -> tuple[Cell, ...]:
         """Return the cells that a claim fixed for one of its conditions."""
-        return self._cells_of(claim.study, setting, condition, claim.seeds[condition], claim.steps[condition])
+        return self._cells_of(claim.study, world, condition, claim.seeds[condition], claim.steps[condition])
 
     def _plan_cells(
-        self, study: str, setting: str, condition: str, seeds: tuple[int, ...], steps: int
+        self, study: str, world: str, condition: str, seeds: tuple[int, ...], steps: int
     ) -> tuple[Cell, ...]:
-        known = self.study(study, setting)
+        known = self.study(study, world)
         preset = next(iter(known.presets))
         return make_plan(known, Selection(preset, seeds, steps, conditions=(condition,))).cells
 
-    def _group(self, claim: Claim, setting: str) -> tuple[str, str, tuple[int, ...]]:
+    def _group(self, claim: Claim, world: str) -> tuple[str, str, tuple[int, ...]]:
         """Return what claims share whose runs lie on one grid of steps."""
-        return claim.study, setting, tuple(sorted({*claim.steps.values()}))
+        return claim.study, world, tuple(sorted({*claim.steps.values()}))
 
-    def _open(self, study: str, setting: str, steps: tuple[int, ...]) -> StudyData | None:
+    def _open(self, study: str, world: str, steps: tuple[int, ...]) -> StudyData | None:
         """Return the finished runs of all claims on a study with such budgets; None where there is none."""
-        group = study, setting, steps
+        group = study, world, steps
         cells = {
             cell.run_id: cell
             for claim in self._claims.claims.values()
-            if setting in claim.settings and self._group(claim, setting) == group
+            if world in claim.worlds and self._group(claim, world) == group
             for condition in dict.fromkeys((*claim.a, *claim.b))
-            for cell in self._cells(claim, setting, condition)
+            for cell in self._cells(claim, world, condition)
         }
-        record = _record(self.study(study, setting), [*cells.values()])
+        record = _record(self.study(study, world), [*cells.values()])
         own = self._of_study(record)
         return own if own and not own.left_out else self._elsewhere(record, own)
 
@@ -163,32 +163,32 @@ class ClaimRuns:
                 self._unread.append(str(error))
         return tables
 
-    def _finished(self, claim: Claim, setting: str, condition: str) -> dict[int, FinishedRun]:
+    def _finished(self, claim: Claim, world: str, condition: str) -> dict[int, FinishedRun]:
         """Return the finished ones of a condition's runs, by seed."""
-        data = self._data(*self._group(claim, setting))
-        wanted = {cell.run_id for cell in self._cells(claim, setting, condition)}
+        data = self._data(*self._group(claim, world))
+        wanted = {cell.run_id for cell in self._cells(claim, world, condition)}
         runs = data.runs if data else []
         return {run.seed: run for run in runs if run.run_id in wanted}
 
     # --- What hinders ----------------------------------------------------------------------------
 
-    def _missing(self, claim: Claim, setting: str, condition: str) -> str:
+    def _missing(self, claim: Claim, world: str, condition: str) -> str:
         """Say which of a condition's fixed runs are not there."""
-        cells, found = self._cells(claim, setting, condition), self._finished(claim, setting, condition)
+        cells, found = self._cells(claim, world, condition), self._finished(claim, world, condition)
         if len(found) == len(cells):
             return ""
         steps = f"{cells[0].run.steps:,} steps"
         steps += "".join(f" ({told})" for told in self._unread)
         if found:
             return f"too few seeds: {condition} has {len(found)} of the {len(cells)} fixed ones with {steps}"
-        reached = self._reached(claim, setting, condition, cells[0].run)
+        reached = self._reached(claim, world, condition, cells[0].run)
         if reached:
             return f"budget not reached: {condition} has runs of {reached:,} steps, not of {steps}"
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
 
-    def _reached(self, claim: Claim, setting: str, condition: str, run: Run) -> int:
+    def _reached(self, claim: Claim, world: str, condition: str, run: Run) -> int:
         """Return the largest budget below the claim's of a run that is finished here; 0 where none is."""
-        name = self.study(claim.study, setting).name
+        name = self.study(claim.study, world).name
         record: Mapping[str, Any] | None = self._store.selection(name)
         status = self._store.status
         if record is None and published_path(self._store, name).exists():
@@ -201,12 +201,12 @@ class ClaimRuns:
         }
         return max((steps for name, steps in lower.items() if status(name).finished), default=0)
 
-    def _machines(self, claim: Claim, setting: str, names: list[str]) -> str:
+    def _machines(self, claim: Claim, world: str, names: list[str]) -> str:
         """Refuse to compare times of different machines, or of one that had other work beside."""
         if find_outcome(claim.outcome).source != "times":
             return ""
-        data = self._data(*self._group(claim, setting))
-        runs = [run for name in names for run in self._finished(claim, setting, name).values()]
+        data = self._data(*self._group(claim, world))
+        runs = [run for name in names for run in self._finished(claim, world, name).values()]
         found = [data.source.provenance(run) for run in runs] if data else []
         machines = {(on, str(own.get("threads"))) for own in found for on in processors(own)}
         if len(machines) > 1:
@@ -217,11 +217,11 @@ class ClaimRuns:
 
     # --- Values ----------------------------------------------------------------------------------
 
-    def _measure(self, claim: Claim, setting: str, condition: str) -> Arm:
-        data = self._data(*self._group(claim, setting))
+    def _measure(self, claim: Claim, world: str, condition: str) -> Arm:
+        data = self._data(*self._group(claim, world))
         if data is None:
             raise ValueError(f"claim {claim.name}: no runs of {condition}")
-        found = self._finished(claim, setting, condition)
+        found = self._finished(claim, world, condition)
         steps = {*claim.steps.values()}
         at_step = float(min(steps)) if len(steps) > 1 else None
         runs = [found[seed] for seed in claim.seeds[condition]]

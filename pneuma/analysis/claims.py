@@ -34,7 +34,7 @@ FIGURES = ("start", "best", "end", "length", "hours", "steps_per_second")
 
 _KEYS = (
     "quote", "section", "study", "a", "b", "value", "outcome", "above", "below", "kind", "direction",
-    "only", "margin", "need", "untestable", "seeds", "steps", "settings", "logs", "note",
+    "only", "margin", "need", "untestable", "seeds", "steps", "worlds", "logs", "note",
 )  # fmt: skip
 _NEEDED = ("quote", "section", "study", "a", "outcome", "kind", "direction")
 
@@ -81,7 +81,7 @@ class Claim:
         need: of `NEEDS`: whether all contrasts must be as claimed, or any.
         untestable: why no runs of ours can tell; empty where they can.
         seeds, steps: of each condition, fixed beforehand.
-        settings: those of `SETTINGS` that it is about.
+        worlds: those of `WORLDS` that it is about.
         logs: what the published logs have on it.
         note: why it is tested so.
     """
@@ -103,7 +103,7 @@ class Claim:
     untestable: str
     seeds: Mapping[str, tuple[int, ...]]
     steps: Mapping[str, int]
-    settings: tuple[str, ...]
+    worlds: tuple[str, ...]
     logs: tuple[LogContrast, ...]
     note: str
 
@@ -192,7 +192,7 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
         need=_choice(file, where, {"need": "all", **table}, "need", NEEDS),
         seeds=fixed.seeds,
         steps=fixed.steps,
-        settings=fixed.settings,
+        worlds=fixed.worlds,
         logs=_log_contrasts(file, where, table, logs),
     )
 

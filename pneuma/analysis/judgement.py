@@ -1,10 +1,10 @@
-"""Judgement: claims and runs → a verdict on every claim in every setting.
+"""Judgement: claims and runs → a verdict on every claim in every world.
 
     ClaimList and Store → [Judged]
 
-Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in the text's
-setting, in godot's, and by the published logs where they bear on it, side by side and never pooled. All
-contrasts of all claims in all settings, also of those without runs, are one family for the correction:
+Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in each
+world, and by the published logs where they bear on it, side by side and never pooled. All contrasts of all
+claims in all worlds, also of those without runs, are one family for the correction:
 whatever is asked for and whatever has been run, the chance of any false verdict stays at most `ALPHA`.
 """
 
@@ -33,8 +33,8 @@ from pneuma.analysis.verdicts import (
 )
 from pneuma.config import stream_seed
 from pneuma.errors import counted
-from pneuma.study.spec import SETTINGS
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
 
 ALPHA = 0.05
 """The chance of any false verdict in the whole list."""
@@ -42,7 +42,7 @@ ALPHA = 0.05
 LOGS = "logs"
 """The third place where a claim is judged: the author's published logs."""
 
-PLACES = (*SETTINGS, LOGS)
+PLACES = (*WORLDS, LOGS)
 UNTESTABLE = "untestable"
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
@@ -78,7 +78,7 @@ class Judged:
         verdict: of `VERDICTS`.
         reason: in words, why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain
             result.
-        pairs: its contrasts; none where its study is not run in the setting.
+        pairs: its contrasts; none where its study is not run in the world.
     """
 
     claim: Claim
@@ -131,7 +131,7 @@ def judge(claims: ClaimList, store: Store) -> list[Judged]:
     judged = []
     for claim, place, pairs in open_cases:
         decided = tuple(_decided(pair, next(verdicts), claim, len(family)) for pair in pairs)
-        if place in (*claim.settings, LOGS) and (decided or place != LOGS):
+        if place in (*claim.worlds, LOGS) and (decided or place != LOGS):
             judged.append(_judged(claim, place, _planned(claim, place, runs, decided, len(family))))
         elif place != LOGS:
             reason = runs.undefined(claim, place)
@@ -145,24 +145,24 @@ def judge(claims: ClaimList, store: Store) -> list[Judged]:
 def _contrasts(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> list[Pair]:
     if place == LOGS:
         return [Pair(own.a, own.b, compare_logs(claims.logs, claim, own)) for own in claim.logs]
-    if place not in claim.settings:
+    if place not in claim.worlds:
         return []
     return [_pair(claim, place, runs, a, b) for a, b in claim.pairs]
 
 
-def _pair(claim: Claim, setting: str, runs: ClaimRuns, a: str, b: str | None) -> Pair:
+def _pair(claim: Claim, world: str, runs: ClaimRuns, a: str, b: str | None) -> Pair:
     """Return a claim's contrast of two arms, or of one with a number."""
     told = f"{claim.value:g}" if b is None else b
-    reason = claim.untestable or runs.hindrance(claim, setting, a, b)
+    reason = claim.untestable or runs.hindrance(claim, world, a, b)
     if reason:
-        return Pair(a, told, undecided(claim.kind, reason), runs.known_ids(claim, setting, a, b))
-    arms = [runs.arm(claim, setting, name) for name in (a, b) if name is not None]
+        return Pair(a, told, undecided(claim.kind, reason), runs.known_ids(claim, world, a, b))
+    arms = [runs.arm(claim, world, name) for name in (a, b) if name is not None]
     run_ids = tuple(run_id for arm in arms for run_id in arm.run_ids)
     reason = _first(arm.blank or arm.idle for arm in arms) or _at_an_end(claim, arms)
     if reason:
         seeds = arms[0].values.size, arms[1].values.size if len(arms) > 1 else 0
         return Pair(a, told, undecided(claim.kind, reason, seeds), run_ids)
-    generator = np.random.default_rng(stream_seed(f"{claim.name}/{setting}", f"{a}/{told}"))
+    generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", f"{a}/{told}"))
     first = _counted(claim, arms[0].values)
     if b is None:
         contrast = compare_with(claim.kind, first, float(claim.value or 0.0), claim.margin, generator)

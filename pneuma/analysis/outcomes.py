@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from pneuma.analysis.collapse import Diagnosis, diagnose
-from pneuma.analysis.run_view import RunView, Series, mean_height, view
+from pneuma.analysis.run_view import RunView, Series, ends_before, mean_height, view
 from pneuma.analysis.signs import SIGNS
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import ACTION_NAMES
@@ -79,6 +79,8 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
         UserError: for a name that is no outcome's.
     """
     found = find_outcome(name)
+    if ends_before(run, at_step):
+        return NAN
     kept = None if at_step is not None and at_step < run.budget else data.source.kept_outcome(run, name)
     return found.measure(view(data, run, at_step)) if kept is None else kept
 
@@ -121,6 +123,8 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
     found = find_outcome(name)
     if not np.isnan(outcome(data, run, name, at_step)):
         return ""
+    if ends_before(run, at_step):
+        return f"the run ends at step {run.end:,}, before the others are compared"
     if found.source == "times":
         return f"{data.source.what} does not tell how long the run took"
     if found.source == "signs":

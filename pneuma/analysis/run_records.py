@@ -29,9 +29,9 @@ class RunRecords:
     """The records of a results folder's runs, read when asked for and then kept while there is room."""
 
     what = "the results folder"
-    tables = RECORD_TABLES
-    windows = WINDOWS
-    averaged_over = None
+    tables: tuple[str, ...] = RECORD_TABLES
+    windows: tuple[str, ...] = WINDOWS
+    averaged_over: int | None = None
 
     def __init__(self, store: Store) -> None:
         self._store = store

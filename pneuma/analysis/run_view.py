@@ -8,6 +8,7 @@ hold alike, so that both give the same numbers. A run that diverged has its last
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +81,27 @@ def common_step(data: StudyData) -> int | None:
     """Return the largest step count that every run was to reach; None where all budgets are the same.
 
     Budgets that whole horizons put apart, by less than half the way to an evaluation, are the same. A run
-    that diverged was to reach its budget, and has its last values there.
+    that diverged was to reach its budget, and has its last values there. Imported logs do not tell what
+    their runs were to reach: of these it is what two thirds of them did reach.
     """
-    budgets = [run.budget for run in data.runs]
-    least = min(budgets)
-    return None if max(budgets) <= least * (1 + SLACK) else least
+    budgets = sorted((run.budget for run in data.runs), reverse=True)
+    if budgets[0] <= budgets[-1] * (1 + SLACK):
+        return None
+    return budgets[math.ceil(len(budgets) * 2 / 3) - 1 if data.averaged_over else -1]
+
+
+def ends_before(run: FinishedRun, step: float | None) -> bool:
+    """Tell whether a run was not to reach a step, so that it has no value there."""
+    return step is not None and run.budget * (1 + SLACK) < step
+
+
+def step_words(data: StudyData) -> str:
+    """Say what the common step is, and which runs end before it."""
+    if not data.averaged_over:
+        return "the most that all runs were to reach"
+    short = [f"{run.condition} {run.seed}" for run in data.runs if ends_before(run, common_step(data))]
+    left_out = f" (left out, as they end before: {', '.join(short)})" if short else ""
+    return f"the most that two thirds of the logs reached{left_out}"
 
 
 def mean_height(series: Series, until: float) -> float:

@@ -22,8 +22,9 @@ from pneuma.analysis.adaptive import looks_that_count
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.spec import in_setting, list_studies, run_command, split_setting
+from pneuma.study.spec import list_studies, run_command
 from pneuma.study.store import Status
+from pneuma.worlds import in_world, split_world
 
 
 @dataclass(frozen=True)
@@ -155,8 +156,8 @@ class StudyData:
                 raise UserError(
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
-        self.own_name, self.setting = split_setting(self.study)
-        self.figure = in_setting(self.figure, self.setting)  # both have figures
+        self.own_name, self.world = split_world(self.study)
+        self.figure = in_world(self.figure, self.world)  # each has figures
         self.same: list[list[str]] = record["same"]
         self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in record["runs"]))
         self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in record["runs"]))

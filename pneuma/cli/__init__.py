@@ -36,6 +36,10 @@ app.command("report", short_help="Write all evidence as one HTML page.")(report.
 app.command("doctor", short_help="Say what is installed here, and whether it works.")(doctor.doctor)
 
 
+RENAMED = {"--setting": "--world"}
+"""Options of earlier versions, and what they are called now."""
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"pneuma {__version__}")
@@ -58,7 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         return _refuse(str(error))
     except typer.TyperException as error:
-        return _refuse(error.format_message())
+        option = str(getattr(error, "option_name", ""))
+        return _refuse(
+            f"{option} is called {RENAMED[option]} now" if option in RENAMED else error.format_message()
+        )
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
         return 130

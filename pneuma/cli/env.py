@@ -22,8 +22,10 @@ PLAYERS = ("random", "hunter")
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, coast a wall, 1,000 steps",
     "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, deadly coast, XP kept for ever",
+    "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost",
     "pneuma/mo-Pneuma-v0": "Pneuma-v0 with its reward as a vector of six parts",
     "pneuma/mo-PneumaGodot-v0": "PneumaGodot-v0 with its reward as a vector of six parts",
+    "pneuma/mo-PneumaArena-v0": "PneumaArena-v0 with its reward as a vector of six parts",
     "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
 }
 """What each environment is, in a line."""

@@ -21,10 +21,11 @@ def _group() -> None:
     """Make a study of old logs."""
 
 
-@app.command(short_help="Import Stable-Baselines3's TensorBoard logs.")
+@app.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Holds NAME_1/, NAME_2/, … with event files, or is one.")
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR…", help="Hold NAME_1/, NAME_2/, … with event files, or are one."),
     ],
     name: Annotated[
         str | None, typer.Option("--name", metavar="NAME", help="The study's name (default: the folder's).")
@@ -32,18 +33,12 @@ def tensorboard(
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
-    """Import Stable-Baselines3's TensorBoard logs: NAME is the condition, the number the seed."""
+    """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
     from pneuma.study.imported import import_tensorboard
 
-    done = import_tensorboard(folder, Store(results), name)
+    done = import_tensorboard(folders, Store(results), name)
     for note in done.notes:
         say(plain(f"Note: {note}."), aside=True)
-    for run in done.runs:
-        for words in run.damage:
-            say(plain(f"Note: {run.shown}: {words}."), aside=True)
-        if run.superseded:
-            replaced = f"{run.superseded:,} of {run.points:,} points were written again after a restart"
-            say(plain(f"Note: {run.shown}: {replaced}; the later ones count."), aside=True)
     if json:
         rows = [
             {
@@ -53,17 +48,16 @@ def tensorboard(
                 "status": "done",
                 "imported": run.new,
                 "steps": run.steps,
-                "points": run.points,
-                "superseded": run.superseded,
-                "damage": list(run.damage),
+                "points": len(run.points),
+                "superseded": int(run.points["superseded"].sum()),
+                "damage": run.provenance["damage"],
             }
             for run in done.runs
         ]
-        return print_json({"schema": 1, "study": done.study, "runs": rows, "notes": list(done.notes)})
-    new = sum(run.new for run in done.runs)
-    points = sum(run.points for run in done.runs)
+        return print_json({"schema": 1, "study": done.study, "runs": rows, "notes": done.notes})
+    new, points = sum(run.new for run in done.runs), sum(len(run.points) for run in done.runs)
     kept = len(done.runs) - new
     print(f"{done.study}: {len(done.runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
-    print("Returns are means of 100 episodes, as Stable-Baselines3 logs them.")
+    print("Returns are means of 100 episodes.")
     print(f"Draw it with: {command('study', 'plot', done.study, '--results', results)}")
     return None

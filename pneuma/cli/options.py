@@ -19,7 +19,8 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
 from pneuma.study.plan import Selection
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, SETTINGS, read_seeds
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.worlds import TEXT, WORLDS
 
 
 def read_path(text: str) -> Path:
@@ -118,21 +119,22 @@ Settings = Annotated[
 ]
 
 
-def _setting_option(told: str) -> Any:
-    return typer.Option("--setting", metavar="|".join(SETTINGS), help=told)
+def _world_option(told: str) -> Any:
+    return typer.Option("--world", metavar="|".join(WORLDS), help=told)
 
 
-SettingName = Annotated[
-    str | None, _setting_option("The thesis's text (default), or godot: the published code, literally.")
-]
-NamedSetting = Annotated[
+WorldName = Annotated[
     str | None,
-    _setting_option("The thesis's text (default with NAME; without, both), or godot: the published code's."),
+    _world_option(f"Where: {', '.join(world.title for world in WORLDS.values())} (default: {TEXT})."),
+]
+NamedWorld = Annotated[
+    str | None,
+    _world_option(f"One world alone (default with NAME: {TEXT}; without: all)."),
 ]
 """Of commands that take all studies where none is named."""
-OnlySetting = Annotated[
+OnlyWorld = Annotated[
     str | None,
-    _setting_option("The thesis's text alone, or godot: the published code's (default: both, and the logs)."),
+    _world_option("One world alone (default: all, and the logs)."),
 ]
 """Of a command that judges all there is, the logs among it."""
 

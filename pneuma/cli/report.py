@@ -12,6 +12,7 @@ from pneuma.cli.options import Json, Quiet, Results, print_json, read_path, say
 from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import plain
 from pneuma.cli.report_contents import anywhere, studies_to_report, study_section
+from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import UserError, counted
 from pneuma.study.store import Store
 
@@ -35,6 +36,8 @@ def report(
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, ENDINGS)
     store = Store(results)
+    if lacking := nothing_yet(store):
+        say(f"Note: {lacking}.", aside=True, quiet=quiet)
     studies = studies_to_report(store, names or [])
     from pneuma.figures.judged import judged_claims
     from pneuma.figures.report import Report, report_page

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 from pneuma.cli.options import selecting_words
 from pneuma.cli.plain_text import command
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
-from pneuma.config import BASES, ENVIRONMENTS, as_settings, make_run
+from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError, counted
 from pneuma.study import execute, plan, spec
-from pneuma.study.definition import in_setting
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
 from pneuma.values import shown_setting
+from pneuma.worlds import TEXT, WORLDS, in_world, split_world, world_option
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
     from pneuma.analysis.trajectories import StudyTrajectories
     from pneuma.figures.report_studies import Conditions, Origin, Part, StudySection
-
-SETTING_TITLES = {spec.TEXT: "In the text's environment", spec.GODOT: "In the published code's environment"}
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """What is told of a run's provenance: without times, in which equal runs differ."""
@@ -57,11 +55,11 @@ def studies_to_report(store: Store, names: Sequence[str]) -> list[str]:
 
 
 def study_section(store: Store, study: str) -> StudySection:
-    """Return a study as the report shows it, in each of its settings."""
+    """Return a study as the report shows it, in each of its worlds."""
     from pneuma.figures.report_studies import StudySection
 
     shipped = spec.load_study(study) if study in spec.list_studies() else None
-    parts = tuple(_part(store, study, setting) for setting in _settings(store, study, shipped))
+    parts = tuple(_part(store, study, world) for world in _worlds(store, study, shipped))
     if shipped:
         return StudySection(study, shipped.title, shipped.section, shipped.about, parts)
     return StudySection(study, _recorded_title(store, study), "", "", parts)
@@ -71,15 +69,15 @@ def study_section(store: Store, study: str) -> StudySection:
 
 
 def _own_name(name: str) -> str:
-    """Return a study's own name, without its file's ending and its setting's."""
-    return spec.split_setting(Path(name).stem if name.endswith(".toml") else name)[0]
+    """Return a study's own name, without its file's ending and its world's."""
+    return split_world(Path(name).stem if name.endswith(".toml") else name)[0]
 
 
-def _settings(store: Store, study: str, shipped: spec.Study | None) -> list[str]:
-    """Return the settings that a study has a part for: those it is meant for, and those it was run in."""
+def _worlds(store: Store, study: str, shipped: spec.Study | None) -> list[str]:
+    """Return the worlds that a study has a part for: those it is meant for, and those it was run in."""
     known = known_studies(store)
-    meant = shipped.settings_known if shipped else ()
-    return [name for name in SETTING_TITLES if name in meant or in_setting(study, name) in known]
+    meant = shipped.worlds if shipped else ()
+    return [name for name in WORLDS if name in meant or in_world(study, name) in known]
 
 
 def _place(study: str) -> tuple[bool, list[int], str]:
@@ -91,8 +89,8 @@ def _place(study: str) -> tuple[bool, list[int], str]:
 
 
 def _recorded_title(store: Store, study: str) -> str:
-    for setting in SETTING_TITLES:
-        if (name := in_setting(study, setting)) in known_studies(store):
+    for world in WORLDS:
+        if (name := in_world(study, world)) in known_studies(store):
             try:
                 return str(study_record(store, name, None)["title"])
             except UserError:  # which its part tells of
@@ -100,16 +98,16 @@ def _recorded_title(store: Store, study: str) -> str:
     return study
 
 
-# --- One study in one setting ----------------------------------------------------------------------
+# --- One study in one world ----------------------------------------------------------------------
 
 
-def _part(store: Store, study: str, setting: str) -> Part:
+def _part(store: Store, study: str, world: str) -> Part:
     from pneuma.figures.report_studies import Part
 
-    name, title = in_setting(study, setting), SETTING_TITLES[setting]
-    mend = _command(study, setting)
+    name, title = in_world(study, world), f"In {WORLDS[world].title}"
+    mend = _command(study, world)
     if name not in known_studies(store):
-        record = execute.selection_record(plan.make_plan(spec.load_study(study, setting), plan.Selection()))
+        record = execute.selection_record(plan.make_plan(spec.load_study(study, world), plan.Selection()))
         conditions = _conditions(study, record)
         return Part(name, _where(record, title), ("No runs yet.",), mend, conditions=conditions)
     try:
@@ -123,14 +121,14 @@ def _part(store: Store, study: str, setting: str) -> Part:
 
 
 def _where(record: Mapping[str, Any], usual: str) -> str:
-    """Return a part's heading: where its runs are played; that of its setting where it has none."""
+    """Return a part's heading: where its runs are played; that of its world where it has none."""
     if record.get("source") == "tensorboard":
         return "Imported logs"
     names = list(dict.fromkeys(str(run["run"].get("env")) for run in record["runs"]))
     if not names:
         return usual
-    titles = dict(zip(ENVIRONMENTS, SETTING_TITLES.values(), strict=True))
-    return titles.get(names[0] if len(names) == 1 else "", f"In {', '.join(names)}")
+    titles = {world.env: world.title for world in WORLDS.values()}
+    return f"In {titles.get(names[0] if len(names) == 1 else '', ', '.join(names))}"
 
 
 def _recorded_part(
@@ -145,7 +143,7 @@ def _recorded_part(
     whole = all(state.status in FINISHED for state in states)
     part = replace(
         part,
-        setting=_where(record, part.setting),
+        world=_where(record, part.world),
         notes=tuple(_notes(record, [state.status for state in states])),
         mend="" if whole else _same_again(study, record, states),
         extent=_extent(record),
@@ -256,10 +254,10 @@ def _extent(record: Mapping[str, Any]) -> str:
     return f"{counted(len(each), 'condition')}, {seeds} each, {amounts} agent steps a run"
 
 
-def _command(study: str, setting: str) -> str:
+def _command(study: str, world: str) -> str:
     """Return the command that makes a study's runs."""
     name = study if study in spec.list_studies() else f"{study}.toml"
-    return command("study", "run", name, *([] if setting == spec.TEXT else ["--setting", setting]))
+    return command("study", "run", name, *world_option(world))
 
 
 def _same_again(study: str, record: Mapping[str, Any], states: Sequence[RunState]) -> str:
@@ -271,8 +269,8 @@ def _same_again(study: str, record: Mapping[str, Any], states: Sequence[RunState
         options = selecting_words(made_by)
     except (KeyError, UserError):  # a stranger's
         return ""
-    setting = spec.GODOT if record.get("setting") == spec.GODOT else spec.TEXT
-    return " ".join([_command(study, setting), shlex.join(options)]).strip()
+    world = str(record.get("world"))
+    return " ".join([_command(study, world if world in WORLDS else TEXT), shlex.join(options)]).strip()
 
 
 def _lacking(study: str, record: Mapping[str, Any], states: Sequence[RunState]) -> plan.Selection:
@@ -287,7 +285,7 @@ def _lacking(study: str, record: Mapping[str, Any], states: Sequence[RunState]) 
         steps=min(run["run"]["steps"] for run in lacking),  # before they were rounded up to whole horizons
         conditions=tuple(dict.fromkeys(run["condition"] for run in lacking)),
     )
-    planned = plan.make_plan(spec.load_study(study, record.get("setting")), selection)
+    planned = plan.make_plan(spec.load_study(study, record.get("world")), selection)
     if {cell.run_id for cell in planned.cells} != {run["run_id"] for run in lacking}:
         raise KeyError("selection")
     return selection

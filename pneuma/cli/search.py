@@ -11,7 +11,7 @@ import typer
 
 from pneuma.cli import search_promote, search_run
 from pneuma.cli.figure_files import Formats, draw_files, read_formats
-from pneuma.cli.options import Json, Results, SettingName, print_json, read_path
+from pneuma.cli.options import Json, Results, WorldName, print_json, read_path
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.study_output import check_choice
 from pneuma.cli.study_records import study_record
@@ -54,11 +54,11 @@ def list_(json: Json = False) -> None:
 
 
 @app.command()
-def show(name: search_run.SearchName, setting: SettingName = None, json: Json = False) -> None:
+def show(name: search_run.SearchName, world: WorldName = None, json: Json = False) -> None:
     """Show what a search varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
-    search = load_search(name, setting)
+    search = load_search(name, world)
     if json:
         return print_json({"schema": 1, **_as_document(search)})
     print(search.title + (f" (thesis section {search.section})" if search.section else ""))
@@ -85,7 +85,7 @@ def show(name: search_run.SearchName, setting: SettingName = None, json: Json = 
 
 @app.command()
 def status(
-    name: search_run.SearchName, setting: SettingName = None, results: Results = RESULTS, json: Json = False
+    name: search_run.SearchName, world: WorldName = None, results: Results = RESULTS, json: Json = False
 ) -> None:
     """Show how far a search is, and the best that it has found."""
     from dataclasses import asdict
@@ -94,7 +94,7 @@ def status(
     from pneuma.search.recorded import begun_runs
 
     store = Store(results)
-    record = search_run.recorded(store, name, setting)
+    record = search_run.recorded(store, name, world)
     begun = begun_runs(store, record)
     if json:
         kept = ("search", "trials", "best", "storage", "optuna_study", "seeds", "steps", "trials_asked")
@@ -105,7 +105,7 @@ def status(
     for trial in trials:
         print(f"  {_told_trial(trial, record['best'])}")
     _tell_begun(begun)
-    _tell_best(record, name, setting, store.root)
+    _tell_best(record, name, world, store.root)
     if is_published(record):
         print("This is the published record: the search was not run in this folder.")
     else:
@@ -135,7 +135,7 @@ def plot(
             help="Draw each hyperparameter alone, as trained by `run --sensitivity`.",
         ),
     ] = False,
-    setting: SettingName = None,
+    world: WorldName = None,
     format: Formats = None,
     results: Results = RESULTS,
     json: Json = False,
@@ -144,18 +144,18 @@ def plot(
     formats = read_formats(format)
     for value in what or ():
         check_choice("--what", value, PLOTS)
-    store, stem = Store(results), search_run.record_name(name, setting)
+    store, stem = Store(results), search_run.record_name(name, world)
     if sensitivity:
         from pneuma.figures.sensitivity import draw_sensitivity
 
         if what:
             raise UserError(f"--what {what[0]}: does not go with --sensitivity, which is one figure")
-        data, document = _sensitivity(store, stem, search_run.called_by_file(name, setting))
+        data, document = _sensitivity(store, stem, search_run.called_by_file(name, world))
         paths = draw_files(store, out, lambda folder: draw_sensitivity(data, document, folder, formats))
     else:
         from pneuma.figures.search import draw_search
 
-        record = search_run.recorded(store, name, setting)
+        record = search_run.recorded(store, name, world)
         wanted = tuple(what or PLOTS)
         paths = draw_files(store, out, lambda folder: draw_search(record, folder, wanted, formats))
         drawn = {path.stem.rpartition(f"search-{record['search']}-")[2] for path in paths}
@@ -255,16 +255,16 @@ def _tell_begun(begun: Begun) -> None:
         print("A process is searching now.")
 
 
-def _tell_best(record: Mapping[str, Any], name: str, setting: str | None, root: Path) -> None:
+def _tell_best(record: Mapping[str, Any], name: str, world: str | None, root: Path) -> None:
     from pneuma.search.spec import list_searches
-    from pneuma.study.definition import split_setting
+    from pneuma.worlds import TEXT, split_world, world_option
 
     if record["best"] in (None, []):
         print("No trial is complete yet.")
     elif isinstance(record["best"], list):
         print(f"Pareto front (*): trials {', '.join(map(str, record['best']))}.")
     else:
-        there = ["--setting", setting] if setting else []
-        own = name if split_setting(name)[0] in list_searches() else record.get("path") or name
+        there = world_option(world or TEXT)
+        own = name if split_world(name)[0] in list_searches() else record.get("path") or name
         told = command("search", "promote", own, *there, "--results", root)
         print(f"Best (*): trial {record['best']}. Confirm it with: {told}")

@@ -15,9 +15,9 @@ from pneuma.cli.options import (
     OwnSeeds,
     Quiet,
     Results,
-    SettingName,
     Steps,
     Workers,
+    WorldName,
     print_json,
     read_count,
     read_path,
@@ -47,7 +47,7 @@ def promote(
     trial: Annotated[
         str | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
     ] = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     workers: Workers = None,
     results: Results = Path("results"),
     json: Json = False,
@@ -57,7 +57,7 @@ def promote(
     from pneuma.search import promote as promoting
 
     store = Store(results)
-    search, record = _recorded(store, name, setting)
+    search, record = _recorded(store, name, world)
     chosen = promoting.winner(record, None if trial is None else _number(trial))
     fresh = read_seeds_option(seeds)
     promoting.refuse_seen_seeds(fresh, record)
@@ -95,7 +95,7 @@ def winners(
             "--out", metavar="FILE", parser=read_path, help="The study file to write, ending in .toml."
         ),
     ],
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = Path("results"),
     json: Json = False,
 ) -> None:
@@ -108,7 +108,7 @@ def winners(
     if out.exists():
         raise UserError(f"--out {out}: is there already; name another, or remove it first")
     store = Store(results)
-    found = [find_winner(*_recorded(store, name, setting)) for name in names]
+    found = [find_winner(*_recorded(store, name, world)) for name in names]
     write_file(out, winners_study(found).encode())
     if json:
         trials = {winner.search.name: winner.trial["number"] for winner in found}
@@ -125,7 +125,7 @@ def publish(
     replace: Annotated[
         bool, typer.Option("--replace", help="Put them in the place of other trials of the same name.")
     ] = False,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = Path("results"),
     json: Json = False,
 ) -> None:
@@ -134,8 +134,8 @@ def publish(
 
     store, paths = Store(results), []
     for name in names:
-        called = called_by_file(name, setting)
-        paths.append(publish_record(store, record_name(name, setting), called=called, replace=replace))
+        called = called_by_file(name, world)
+        paths.append(publish_record(store, record_name(name, world), called=called, replace=replace))
     if json:
         return print_json({"schema": 1, "published": [str(path) for path in paths]})
     for path in paths:
@@ -162,14 +162,14 @@ def run_sensitivity(
     return code
 
 
-def _recorded(store: Store, name: str, setting: str | None) -> tuple[Search, dict[str, Any]]:
+def _recorded(store: Store, name: str, world: str | None) -> tuple[Search, dict[str, Any]]:
     """Return a search as it was recorded, and its record."""
     from pneuma.search.recorded import recorded_search
     from pneuma.search.spec import load_search
 
-    record = recorded(store, name, setting)
+    record = recorded(store, name, world)
     source = name if name.endswith(".toml") else _source(record, name)
-    return recorded_search(load_search(source, setting), record), record
+    return recorded_search(load_search(source, world), record), record
 
 
 def _source(record: Mapping[str, Any], name: str) -> str:
@@ -178,19 +178,19 @@ def _source(record: Mapping[str, Any], name: str) -> str:
     A file that only a record names may be a stranger's; the person is to name it.
     """
     from pneuma.search.spec import list_searches
-    from pneuma.study.definition import split_setting
+    from pneuma.worlds import split_world
 
-    if split_setting(name)[0] in list_searches():
+    if split_world(name)[0] in list_searches():
         return name
     raise UserError(f"search {name} is no shipped one: name its file, {plain(str(record.get('path')))}")
 
 
 def _promoted_name(search: Search) -> str:
-    """Return what the study of a search's winner is called; the end of a name tells a study's setting."""
-    from pneuma.study.definition import TEXT, split_setting
+    """Return what the study of a search's winner is called; the end of a name tells a study's world."""
+    from pneuma.worlds import TEXT, split_world
 
-    own, setting = split_setting(search.name)
-    return f"promoted-{own}" if setting == TEXT else f"promoted-{setting}-{own}"
+    own, world = split_world(search.name)
+    return f"promoted-{own}" if world == TEXT else f"promoted-{world}-{own}"
 
 
 def _number(text: str) -> int:

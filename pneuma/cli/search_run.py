@@ -15,10 +15,10 @@ from pneuma.cli.options import (
     Preset,
     Quiet,
     Results,
-    SettingName,
     Settings,
     Steps,
     Workers,
+    WorldName,
     places,
     print_json,
     read_count,
@@ -31,10 +31,10 @@ from pneuma.cli.progress import ProgressDisplay
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute
 from pneuma.study.conditions import does_nothing, unread_settings
-from pneuma.study.definition import TEXT, check_setting, in_setting
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
+from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
     from pneuma.search.spec import Budget, Search
@@ -65,7 +65,7 @@ def run(
     steps: Steps = None,
     engine: EngineName = None,
     set_: Settings = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     sensitivity: Annotated[
         bool,
         typer.Option(
@@ -99,7 +99,7 @@ def run(
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Task
 
-    search = load_search(name, setting)
+    search = load_search(name, world)
     over = {**read_settings_options(set_), **({"engine": engine} if engine else {})}
     if over:
         search = search.with_settings(_checked(over))
@@ -138,22 +138,22 @@ def read_budget(
     )
 
 
-def record_name(name: str, setting: str | None) -> str:
+def record_name(name: str, world: str | None) -> str:
     """Return what the record of a search is called."""
-    check_setting(setting)
-    return in_setting(Path(name).stem if name.endswith(".toml") else name, setting or TEXT)
+    check_world(world)
+    return in_world(Path(name).stem if name.endswith(".toml") else name, world or TEXT)
 
 
-def recorded(store: Store, name: str, setting: str | None) -> dict[str, Any]:
+def recorded(store: Store, name: str, world: str | None) -> dict[str, Any]:
     """Return the record of the search that a person names."""
     from pneuma.search.record import read_record
 
-    return read_record(store, record_name(name, setting), called_by_file(name, setting))
+    return read_record(store, record_name(name, world), called_by_file(name, world))
 
 
-def called_by_file(name: str, setting: str | None) -> str:
+def called_by_file(name: str, world: str | None) -> str:
     """Return how a command names a search that is a person's own file; empty for a shipped one."""
-    own_file = f"{name} --setting {setting}" if setting else name
+    own_file = f"{name} --world {world}" if world else name
     return own_file if name.endswith(".toml") else ""
 
 

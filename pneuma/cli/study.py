@@ -18,7 +18,7 @@ from pneuma.cli import (
     study_trajectories,
     study_verify,
 )
-from pneuma.cli.options import Json, Results, SettingName, StudyName, print_json
+from pneuma.cli.options import Json, Results, StudyName, WorldName, print_json
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, study_record
 from pneuma.cli.study_run import by_value
@@ -59,13 +59,11 @@ def list_(json: Json = False) -> None:
 
 
 @app.command(short_help="Show what a study compares, and its presets.")
-def show(
-    name: StudyName, setting: SettingName = None, results: Results = RESULTS, json: Json = False
-) -> None:
+def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, json: Json = False) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
     if not is_shipped(name) and name in known_studies(Store(results)):
-        return _show_record(study_record(Store(results), name, None, setting), json)
-    study = spec.load_study(name, setting)
+        return _show_record(study_record(Store(results), name, None, world), json)
+    study = spec.load_study(name, world)
     selection = plan.Selection(preset=next(iter(study.presets), "quick"))
     differing = plan.differing_settings(plan.make_plan(study, selection))
     if json:
@@ -76,8 +74,8 @@ def show(
                 "title": study.title,
                 "section": study.section,
                 "about": study.about,
-                "setting": study.setting,
-                "settings": list(study.settings_known),
+                "world": study.world,
+                "worlds": list(study.worlds),
                 "baseline": study.baseline,
                 "conditions": {c: study.settings(c) for c in study.conditions},
                 "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
@@ -90,7 +88,7 @@ def show(
     for key, values in differing.items():
         print(f"  {key}: {by_value(values)}")
     print(f"Compared with: {study.baseline}")
-    print(f"Runs in: {', '.join(study.settings_known)} (here {study.setting})")
+    print(f"Runs in: {', '.join(study.worlds)} (here {study.world})")
     print("\nAll conditions share:")
     for key, value in as_settings(make_run(study.settings(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):

@@ -11,8 +11,8 @@ from pneuma.cli.options import (
     Json,
     Results,
     Selected,
-    SettingName,
     StudyName,
+    WorldName,
     print_json,
     selects,
 )
@@ -32,12 +32,12 @@ def effects(
     name: StudyName,
     outcome: Annotated[str, typer.Option("--outcome", metavar="NAME", help="What to look at.")] = PRIMARY,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
-    data = open_data(Store(results), name, selection, setting)
+    data = open_data(Store(results), name, selection, world)
     from pneuma.analysis.effects import study_effects
     from pneuma.analysis.run_view import common_step
 

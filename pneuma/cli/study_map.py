@@ -13,8 +13,8 @@ from pneuma.cli.options import (
     Json,
     Results,
     Selected,
-    SettingName,
     StudyName,
+    WorldName,
     print_json,
     read_path,
     read_settings_options,
@@ -59,14 +59,14 @@ def robustness(
     ] = None,
     format: Formats = None,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Compare two values of a setting in every combination of a study's other factors."""
     formats = read_figures_asked(out, format)
     readings = _read_contrast(contrast)
-    data = open_data(Store(results), name, selection, setting)
+    data = open_data(Store(results), name, selection, world)
     key, better, worse = _meant(readings, data)
     from pneuma.analysis.robustness import robustness_map
     from pneuma.analysis.run_view import common_step

@@ -25,8 +25,8 @@ from pneuma.cli.options import (
     Json,
     Results,
     Selected,
-    SettingName,
     StudyName,
+    WorldName,
     print_json,
     read_path,
     say,
@@ -78,7 +78,7 @@ def export(
         ),
     ] = None,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -93,7 +93,7 @@ def export(
     if json and str(out) == "-":
         raise UserError("--json: standard output is for the table; name a file by --out")
     store = Store(results)
-    record = study_record(store, name, selection, setting)
+    record = study_record(store, name, selection, world)
     from pneuma.analysis.export import encode_table, lacks_window
     from pneuma.analysis.sources import open_study
 
@@ -129,7 +129,7 @@ def _check_curve_options(table: str, band: str | None, window: str | None) -> No
 def publish(
     name: StudyName,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     curves: Annotated[
         str | None,
         typer.Option(metavar="NAME,…|none", help="Keep curves of these quantities alone; left out: of all."),
@@ -155,7 +155,7 @@ def publish(
     """
     kept = _read_curves(curves)
     store = Store(results)
-    record = study_record(store, name, selection, setting)
+    record = study_record(store, name, selection, world)
     from pneuma.analysis.published import PublishedRuns, published_path
     from pneuma.analysis.published_times import encode_times, times_path
     from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying

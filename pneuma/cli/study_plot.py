@@ -16,7 +16,7 @@ from pneuma.cli.options import (
     Conditions,
     EngineName,
     Json,
-    NamedSetting,
+    NamedWorld,
     Results,
     Seeds,
     Settings,
@@ -28,7 +28,7 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_output import check_choice, tell_left_out
-from pneuma.cli.study_records import each_study, known_studies, study_record
+from pneuma.cli.study_records import each_study, known_studies, nothing_yet, study_record
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_KINDS, FIGURE_LAYOUTS, FIGURE_SIZES
 from pneuma.study.plan import Selection
@@ -126,7 +126,7 @@ def plot(
     engine: EngineName = None,
     condition: Conditions = None,
     set_: Settings = None,
-    setting: NamedSetting = None,
+    world: NamedWorld = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -135,11 +135,11 @@ def plot(
     looks.check()
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     chosen = _chosen(
-        {"--preset": preset, "--seeds": seeds, "--steps": steps, "--engine": engine, "--setting": setting},
+        {"--preset": preset, "--seeds": seeds, "--steps": steps, "--engine": engine, "--world": world},
         {"--condition": condition or [], "--set": set_ or []},
     )
     store = Store(results)
-    studies = _studies_to_draw(store, names, selection, window, setting)
+    studies = _studies_to_draw(store, names, selection, window, world)
     for _, data in studies:
         tell_left_out(data)
     draw_each = _draw if names else _draw_what_can_be
@@ -169,22 +169,22 @@ def _studies_to_draw(
     names: Sequence[str] | None,
     selection: Selection | None,
     window: str | None,
-    setting: str | None,
+    world: str | None,
 ) -> list[tuple[str, StudyData]]:
     """Return studies by the names that a person gave, or all."""
     from pneuma.analysis.sources import open_study
 
     def opened(name: str) -> StudyData:
-        data = open_study(store, study_record(store, name, selection, setting))
+        data = open_study(store, study_record(store, name, selection, world))
         data.checked_window(window)
         return data
 
     if names:
         studies = [(name, opened(name)) for name in names]
     else:
-        studies = each_study(known_studies(store, setting), opened)
-    if not studies:
-        raise UserError(f"no study was run in {store.root} yet: run `pneuma study run activation` first")
+        if lacking := nothing_yet(store, world):
+            raise UserError(lacking)
+        studies = each_study(known_studies(store, world), opened)
     return studies
 
 

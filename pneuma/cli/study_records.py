@@ -9,47 +9,47 @@ from typing import Any, NamedTuple, TypeVar
 from pneuma.cli.options import say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
-from pneuma.study.definition import check_setting
 from pneuma.study.store import FINISHED, Status, Store
 from pneuma.study.trust import own_things
+from pneuma.worlds import TEXT, check_world, in_world, split_world
 
 Read = TypeVar("Read")
 
 
 def study_record(
-    store: Store, name: str, selection: plan.Selection | None, setting: str | None = None
+    store: Store, name: str, selection: plan.Selection | None, world: str | None = None
 ) -> dict[str, Any]:
     """Return a study's latest record, or the one of a selection; what that leaves open is the latest's.
 
-    A study that was never run here is the published one, where there is one. A setting has records and
+    A study that was never run here is the published one, where there is one. A world has records and
     published tables of its own.
 
     Raises:
-        UserError: for a study that is nowhere, or a selection or setting that it does not have.
+        UserError: for a study that is nowhere, or a selection or world that it does not have.
     """
-    stem = _record_name(name, setting)
+    stem = _record_name(name, world)
     record = _own_record(store, name, stem) or _published_record(store, stem)
     if record is None and selection is None:
-        raise _unknown(store, name, stem, setting)
+        raise _unknown(store, name, stem, world)
     if selection is None:
         return record or {}
     if record is not None and _only_picks(record, selection, _is_asked_for(name)):
         return _pick(record, selection)
-    study = spec.load_study(name, setting)
+    study = spec.load_study(name, world)
     latest = recorded_selection(record) if record and "selection" in record else plan.Selection()
     planned = plan.make_plan(study, selection.over(latest))
     return {**execute.selection_record(planned), **execute.looked_at(record)}
 
 
 def is_shipped(name: str) -> bool:
-    """Tell whether a name stands for a shipped study, in either setting."""
-    return spec.split_setting(name)[0] in spec.list_studies()
+    """Tell whether a name stands for a shipped study, in any world."""
+    return split_world(name)[0] in spec.list_studies()
 
 
-def known_studies(store: Store, setting: str | None = None) -> list[str]:
+def known_studies(store: Store, world: str | None = None) -> list[str]:
     """Return the names of the studies that were run, imported or published here, sorted.
 
-    Only those of a setting, where one is named.
+    Only those of a world, where one is named.
 
     What looks like a study's file is none of them: such a name is for a person to give.
     """
@@ -58,12 +58,17 @@ def known_studies(store: Store, setting: str | None = None) -> list[str]:
         from pneuma.analysis.published import published_studies
 
         names |= {*published_studies(store)}
-    check_setting(setting)
+    check_world(world)
     return sorted(
-        name
-        for name in names
-        if not name.endswith(".toml") and setting in (None, spec.split_setting(name)[1])
+        name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
     )
+
+
+def nothing_yet(store: Store, world: str | None = None) -> str:
+    """Return what to say where no study was run, imported or published here; '' where one was."""
+    if known_studies(store, world):
+        return ""
+    return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
 
 
 def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[tuple[str, Read]]:
@@ -142,17 +147,17 @@ def _taken(store: Store, record: Mapping[str, Any], here: Mapping[str, Status]) 
     return {run_id: found[0].status(run_id) for run_id in found[1]} if found else {}
 
 
-def _record_name(name: str, setting: str | None) -> str:
+def _record_name(name: str, world: str | None) -> str:
     """Return what the record of a study is called.
 
     Raises:
-        UserError: for a setting that there is not, or that a shipped study is not run in.
+        UserError: for a world that there is not, or that a shipped study is not run in.
     """
-    check_setting(setting)
+    check_world(world)
     if is_shipped(name):
-        return spec.load_study(name, setting).name
+        return spec.load_study(name, world).name
     stem = Path(name).stem if name.endswith(".toml") else name
-    return spec.in_setting(stem, setting or spec.TEXT)
+    return in_world(stem, world or TEXT)
 
 
 def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
@@ -280,9 +285,9 @@ def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any
     return {**record, "runs": runs, "same": [names for names in same if len(names) > 1]}
 
 
-def _unknown(store: Store, name: str, stem: str, setting: str | None) -> UserError:
+def _unknown(store: Store, name: str, stem: str, world: str | None) -> UserError:
     path = store.selection_path(stem)
-    told = f"{name} --setting {setting}" if setting else name
+    told = f"{name} --world {world}" if world else name
     if path.exists():
         anew = f"`pneuma study run {told}` writes it" if _is_asked_for(name) else "import or fork its runs"
         return UserError(f"{path}: damaged; {anew} anew")

@@ -15,9 +15,9 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     Selected,
-    SettingName,
     StudyName,
     Workers,
+    WorldName,
     places,
     print_json,
     read_seconds,
@@ -57,7 +57,7 @@ _STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed
 def plan_(
     name: StudyName,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     workers: Workers = None,
     place: Place = HERE,
     calibrate: Annotated[
@@ -72,7 +72,7 @@ def plan_(
     from pneuma.study import foresight
 
     selection = selection or plan.Selection()
-    planned = plan.make_plan(spec.load_study(name, setting), selection)
+    planned = plan.make_plan(spec.load_study(name, world), selection)
     at_once = read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
@@ -140,7 +140,7 @@ def _tell_cost(planned: plan.Plan, todo: Mapping[str, Run], known: Sequence[floa
 def run(
     name: StudyName,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     workers: Workers = None,
     place: Place = HERE,
     checkpoint_seconds: Annotated[
@@ -179,7 +179,7 @@ def run(
         raise UserError("--detach: --until-decided waits for what runs come to; leave it by Ctrl-C")
     if most_seeds and unpublished:
         raise UserError("--unpublished: --until-decided trains what it judges; leave one of them out")
-    planned = plan.make_plan(spec.load_study(name, setting), selection)
+    planned = plan.make_plan(spec.load_study(name, world), selection)
     supervision = Supervision(
         workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, NamedSetting, Results, Selected, print_json, say, selects
+from pneuma.cli.options import Json, NamedWorld, Results, Selected, print_json, say, selects
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import RunState, each_study, known_studies, run_states, study_record
 from pneuma.errors import UserError
@@ -80,7 +80,7 @@ def status(
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
     selection: Selected = None,
-    setting: NamedSetting = None,
+    world: NamedWorld = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -89,7 +89,7 @@ def status(
     jobs = _queued(store)
 
     def standing(study: str) -> _Standing:
-        record = study_record(store, study, selection, setting)
+        record = study_record(store, study, selection, world)
         states = run_states(store, record)
         ids = [state.run["run_id"] for state in states]
         own = {run_id: jobs[run_id] for run_id in ids if run_id in jobs}
@@ -98,7 +98,7 @@ def status(
     if name:
         found = [standing(name)]
     else:
-        found = [own for _, own in each_study(known_studies(store, setting), standing)]
+        found = [own for _, own in each_study(known_studies(store, world), standing)]
         if not found and not json:
             print(f"No study was run in {results} yet.")
     if json:

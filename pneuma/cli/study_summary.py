@@ -15,10 +15,10 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     Selected,
-    SettingName,
     StudyName,
     Trust,
     Workers,
+    WorldName,
     print_json,
     read_path,
     read_seeds_option,
@@ -56,18 +56,20 @@ def summary(
         ),
     ] = None,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
-    data = open_data(Store(results), name, selection, setting)
-    from pneuma.analysis.run_view import common_step
+    data = open_data(Store(results), name, selection, world)
+    from pneuma.analysis.run_view import common_step, ends_before
     from pneuma.analysis.summaries import summary_table
 
     table = summary_table(data, outcome) if outcome else summary_table(data)
     if json:
-        document = {"schema": 1, "study": data.study, "at_step": common_step(data)}
+        step = common_step(data)
+        left_out = [run.run_id for run in data.runs if ends_before(run, step)]
+        document = {"schema": 1, "study": data.study, "at_step": step, "left_out": left_out}
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
     tell_step(data)
@@ -97,7 +99,7 @@ def collapse(
     workers: Workers = None,
     trust: Trust = False,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
@@ -109,7 +111,7 @@ def collapse(
     if not fork and (idle := _idle(run, fork_seeds, workers, trust)):
         raise UserError(f"--{idle}: goes with --fork alone")
     store = Store(results)
-    data = open_data(store, name, selection, setting, mixed=not fork)
+    data = open_data(store, name, selection, world, mixed=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found = diagnoses(data)
@@ -135,10 +137,10 @@ def collapse(
 
 def tell_step(data: StudyData) -> None:
     """Say at what step runs of unlike budgets are compared."""
-    from pneuma.analysis.run_view import common_step
+    from pneuma.analysis.run_view import common_step, step_words
 
     if step := common_step(data):
-        print(f"Budgets are unlike: all as they stood at {step:,} steps.")
+        print(f"Budgets are unlike: all as they stood at {step:,} steps, {plain(step_words(data))}.")
 
 
 def _idle(run: list[str] | None, fork_seeds: str, workers: str | None, trust: bool) -> str:
@@ -153,11 +155,9 @@ def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> li
     return draw_collapse(data, out, f"{data.figure}-collapse", formats)
 
 
-def open_data(
-    store: Store, name: str, selection: Any, setting: str | None, *, mixed: bool = True
-) -> StudyData:
+def open_data(store: Store, name: str, selection: Any, world: str | None, *, mixed: bool = True) -> StudyData:
     """Open a study's data, as `open_study` does, saying how many runs of the selection are left out."""
-    record = study_record(store, name, selection, setting)
+    record = study_record(store, name, selection, world)
     from pneuma.analysis.sources import open_study
 
     data = open_study(store, record, mixed=mixed)

@@ -14,9 +14,9 @@ from pneuma.cli.options import (
     Quiet,
     Results,
     Selected,
-    SettingName,
     StudyName,
     Trust,
+    WorldName,
     print_json,
     read_path,
     say,
@@ -26,9 +26,9 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_summary import open_data, records
 from pneuma.env_settings import is_own_level, is_random_level
 from pneuma.errors import UserError
-from pneuma.study.spec import TEXT, split_setting
 from pneuma.study.store import Store
 from pneuma.study.trust import REWARD, own_things
+from pneuma.worlds import split_world, world_option
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,7 +70,7 @@ def trajectories(
     format: Formats = None,
     trust: Trust = False,
     selection: Selected = None,
-    setting: SettingName = None,
+    world: WorldName = None,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
@@ -78,7 +78,7 @@ def trajectories(
     """Let every run's final policy play, and say where that leads: killed, drowned, cleared, out of time."""
     formats = read_figures_asked(out, format)
     store = Store(results)
-    data = open_data(store, name, selection, setting, mixed=False)
+    data = open_data(store, name, selection, world, mixed=False)
     from pneuma.analysis.trajectories import (
         beside,
         encode_trajectories,
@@ -140,13 +140,9 @@ def _told_elsewhere(data: StudyData, found: StudyTrajectories | None, results: P
         of = f"seeds {seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"seed {seeds[0]}"
         whose = f"{', '.join(found.conditions)}, {of}, but not of these runs"
         return f"trajectories are published of {whose}; pick those, or {train}"
-    studies = [split_setting(name) for name in studies_with_trajectories(results)]
-    known = ", ".join(f"{name}{_option(setting)}" for name, setting in studies)
+    studies = [split_world(name) for name in studies_with_trajectories(results)]
+    known = ", ".join(" ".join([name, *world_option(world)]) for name, world in studies)
     return f"trajectories are published of {known}; or {train}" if known else train
-
-
-def _option(setting: str) -> str:
-    return "" if setting == TEXT else f" --setting {setting}"
 
 
 def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool) -> StudyTrajectories:

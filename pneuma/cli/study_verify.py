@@ -10,25 +10,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, OnlySetting, Results, print_json, read_path
+from pneuma.cli.options import Json, OnlyWorld, Results, print_json, read_path
 from pneuma.cli.plain_text import plain
+from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import unknown_name
-from pneuma.study.definition import SETTINGS, check_setting
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS, check_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.judgement import Judged, Pair
 
 RESULTS = Path("results")
 
-_HEAD = ("claim", "section", "text", "godot", "logs", "numbers of", "effect", "95 % interval", "seeds")
+_HEAD = ("claim", "section", *WORLDS, "logs", "numbers of", "effect", "95 % interval", "seeds")
 
 
 def verify(
     claims: Annotated[
         list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
     ] = None,
-    setting: OnlySetting = None,
+    world: OnlyWorld = None,
     file: Annotated[
         Path | None,
         typer.Option("--claims", metavar="FILE", parser=read_path, help="Other claims than the thesis's."),
@@ -37,7 +38,7 @@ def verify(
     json: Json = False,
 ) -> None:
     """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
-    check_setting(setting)
+    check_world(world)
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import ALPHA, judge
 
@@ -46,13 +47,13 @@ def verify(
         if name not in known.claims:
             raise unknown_name("claim", name, known.claims)
     every = judge(known, Store(results))
-    shown = [
-        one for one in every if (not claims or one.claim.name in claims) and setting in (None, one.place)
-    ]
+    shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
     if json:
         contrasts = sum(len(one.pairs) for one in every)
         head = {"schema": 1, "claims_hash": known.digest, "alpha": ALPHA, "contrasts": contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
+    if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
+        print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
     _print_table(shown)
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""
@@ -70,7 +71,7 @@ def _document(one: Judged) -> dict[str, Any]:
     return {
         "claim": claim.name,
         "section": claim.section,
-        "setting": one.place,
+        "world": one.place,
         "verdict": one.verdict,
         "effect": contrast.effect if contrast else None,
         "interval": _interval(pair) if pair else None,
@@ -148,7 +149,7 @@ def _row(places: dict[str, Judged]) -> tuple[str, ...]:
         for place, one in places.items()
         if one.told and not one.told.contrast.reason
     ]
-    verdicts = [_verdict(places.get(place)) for place in (*SETTINGS, LOGS)]
+    verdicts = [_verdict(places.get(place)) for place in (*WORLDS, LOGS)]
     return (
         plain(some.claim.name),
         some.claim.section,

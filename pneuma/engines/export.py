@@ -27,7 +27,8 @@ from pneuma.config import (
     env_config,
     settings_read,
 )
-from pneuma.engines.policy import LEAKY_SLOPE, Policy
+from pneuma.engines.mlp import LEAKY_SLOPE
+from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env import mailman
 from pneuma.env.worlds import Worlds

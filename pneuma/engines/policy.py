@@ -18,9 +18,6 @@ from pneuma.errors import UserError
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
 
-LEAKY_SLOPE = 0.01
-"""Slope of LeakyReLU below zero (thesis section 6.2)."""
-
 
 @dataclass(frozen=True)
 class Policy:
@@ -167,6 +164,8 @@ def activate(activation: str, x: np.ndarray) -> np.ndarray:
         return np.tanh(x)
     if activation == "relu":
         return np.maximum(x, 0)
+    from pneuma.engines.mlp import LEAKY_SLOPE  # numba: not for whoever only reads policies
+
     return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
 
 

@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.config import OPTIMIZER_SETTINGS, Run, stream_seed
-from pneuma.engines.policy import LEAKY_SLOPE
+from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.upgd import UPGD
 
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {

@@ -51,7 +51,8 @@ _FORM: dict[str, dict[str, Any]] = {
     "monsters": {
         "code": Number(0, 2**28 - 1, whole=True), "hp": Number(0, 1e6, above=True),
         "speed": Number(0, 3000), "body": _BOX, "body_at": _OFFSET, "notice": _POINTS,
-        "notice_at": _OFFSET, "attack": _POINTS, "attack_at": _OFFSET, "stand_off": _POINTS, "damage": _POINTS, "bite_time": Number(1 / TICKS_PER_SECOND, 500),
+        "notice_at": _OFFSET, "attack": _POINTS, "attack_at": _OFFSET, "stand_off": _POINTS,
+        "damage": _POINTS, "bite_time": Number(1 / TICKS_PER_SECOND, 500),
         "invulnerable": _SECONDS, "xp": _POINTS, "heal": _POINTS, "knock_back": Number(0, 3000),
         "knock_back_time": _SECONDS,
     },

@@ -1,11 +1,27 @@
-"""Functions that numba compiles, kept on disk where there is a folder for it."""
+"""Functions that numba compiles, kept on disk where there is a folder for it.
+
+The cache on disk looks at the types of arguments and at the file that a kernel is in, and at no other. So
+the handle of a world's state (`pneuma.env.state.HANDLE`) has a field that nobody reads, named by a digest
+of all files with kernels: where one has changed, every kernel that takes a handle is compiled anew. A
+kernel that takes none may use nothing of another file.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from numba import njit
+
+PACKAGE = Path(__file__).parents[1]
+KERNEL_SOURCES = (
+    "env/compiled.py", "env/rules.py", "env/state.py",
+    "engines/acting.py", "engines/batched/rollout.py", "engines/mlp.py",
+)  # fmt: skip
+"""Files whose code, or whose constants, are compiled into kernels."""
+DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
 
 
 def cached(**options: Any) -> Callable[[Any], Any]:

@@ -149,7 +149,11 @@ def observation_space(
     }
     seen = {name: (0.0, highest[name]) for name in highest}
     seen |= {"direction_x": (-1.0, 1.0), "direction_y": (-1.0, 1.0)}
-    seen |= {axis: (min(bounds[axis][0], 0.0), max(bounds[axis][1], 0.0)) for axis in ("x", "y")}
+    seen |= {axis: bounds[axis] for axis in ("x", "y")}
+    if config.terrain_stops == "players":  # monsters follow out over the sea
+        for axis, low, high in (("x", edges[0], edges[2]), ("y", edges[1], edges[3])):
+            middle, scale = settings[f"middle_{axis}"], settings[f"scale_{axis}"]
+            seen[axis] = (low - middle) * scale, (high - middle) * scale
     row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
     limits = np.array([bounds[name] for name in player_features(config)] + row * int(settings["perceived"]))
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros

@@ -448,18 +448,17 @@ def _live(s: State, w: int, m: int, crowded: int) -> None:
     if monster.safe > 0:
         monster.safe -= 1
     for p in range(s.players.shape[1]):
-        if s.tick[p].strikes and _is_struck(s.tick[p], monster, kind):
+        if not s.tick[p].there:
+            monster.noticed &= ~np.uint8(1 << p)
+            monster.bite[p] = 0
+        elif s.tick[p].strikes and _is_struck(s.tick[p], monster, kind):
             _suffer(s, w, m, p)
     if monster.hp <= 0.0:
         return
     target = -1
     nearest = math.inf
     for p in range(s.players.shape[1]):
-        if not s.tick[p].there:
-            monster.noticed &= ~np.uint8(1 << p)
-            monster.bite[p] = 0
-            continue
-        gap = _sense(s, w, m, p)
+        gap = _sense(s, w, m, p) if s.tick[p].there else math.inf
         if gap <= kind.notice_squared and gap < nearest:
             nearest = gap
             target = p
@@ -524,10 +523,9 @@ def _pay(s: State, w: int, m: int, striker: int) -> None:
     s.events[w, striker].kills += 1
     for p in range(s.players.shape[1]):
         tick = s.tick[p]
-        if not tick.there:
-            continue
-        tick.paid = 1
-        if (s.monsters[w, m].bite[p] > 0) if s.settings[0].credit_near else (p == striker):
+        earns = s.monsters[w, m].bite[p] > 0 if s.settings[0].credit_near else p == striker
+        if tick.there and earns:
+            tick.paid = 1
             tick.xp += kind.xp
             tick.healed += kind.heal
 
@@ -631,7 +629,8 @@ def _closeness(distance: float) -> float:
 
 @part
 def _moved(
-    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int, crowded: int
+    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int,
+    crowded: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Return where a body gets by moving, x first, among terrain and other bodies.
 
@@ -864,26 +863,31 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
 def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int:
     """Write the `i`-th monster of `scratch` from place `at` on; return where the next one begins.
 
-    All of a dead one is zero: its HP as they are, the rest because it is infinitely far off.
+    All of a dead one is zero: its HP as they are, the rest because it is infinitely far off. In the published
+    code's layout it lies where it died.
     """
     settings = s.settings[0]
     player = s.players[w, p]
     monster = s.monsters[w, s.scratch[i].order]
     kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
-    length = s.scratch[i].distance
-    inverse = 1.0 / length if length > 0.0 else 0.0
-    alive = length < math.inf
     hp = monster.hp * kind.hp_scale
+    x = monster.x - player.x
+    y = monster.y - player.y
     if settings.layout == LAYOUT_GODOT:
-        out[at] = (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0
-        out[at + 1] = (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0
+        length = math.sqrt(x * x + y * y)
+        inverse = 1.0 / length if length > 0.0 else 0.0
+        out[at] = (monster.x - settings.middle_x) * settings.scale_x
+        out[at + 1] = (monster.y - settings.middle_y) * settings.scale_y
         out[at + 2] = hp
         out[at + 3] = (player.x - monster.x) * inverse
         out[at + 4] = (player.y - monster.y) * inverse
         return at + 5
+    length = s.scratch[i].distance
+    inverse = 1.0 / length if length > 0.0 else 0.0
+    alive = length < math.inf
     out[at] = length * kind.distance_scale if alive else 0.0
-    out[at + 1] = (monster.x - player.x) * inverse
-    out[at + 2] = (monster.y - player.y) * inverse
+    out[at + 1] = x * inverse
+    out[at + 2] = y * inverse
     out[at + 3] = hp
     if settings.layout == LAYOUT_THESIS:
         return at + 4

@@ -25,7 +25,8 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
     ## Description
     A top-down island of snow, field and desert. Monsters notice a player within 300 pixels, chase
     and bite; the player kills them with a sword for experience points (XP). `pneuma/Pneuma-v0` is the
-    thesis's text, well posed; `pneuma/PneumaGodot-v0` its published code, with its quirks.
+    thesis's text, well posed; `pneuma/PneumaGodot-v0` its published code, with its quirks;
+    `pneuma/PneumaArena-v0` is the text's with another reward.
 
     ## Action space
     `Discrete(5)`: 0 walk down, 1 left, 2 up, 3 right, 4 attack towards the last direction walked.

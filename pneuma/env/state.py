@@ -7,10 +7,11 @@ and M monsters in each, L levels, K monsters perceived.
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from pneuma.env.compiled import DIGEST
 
 MAX_PLAYERS = 8
 
@@ -228,15 +229,8 @@ DTYPES = State(
 DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 1, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES]).encode()).hexdigest()[:16]
-_SOURCES = [Path(__file__).with_name(name).read_bytes() for name in ("rules.py", "state.py")]
-_CODE_DIGEST = hashlib.sha256(b"".join(_SOURCES)).hexdigest()[:16]
-HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{_CODE_DIGEST}", "i8"))
-"""A row for each array of a `State`.
-
-The compile cache looks at the types of arguments and at the file that a kernel is in, and at no other.
-So the name of a field that nobody reads tells what is written here and in the rules: where that has
-changed, they are compiled anew, and so is whatever elsewhere calls them.
-"""
+HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i8"))
+"""A row for each array of a `State`; nobody reads the last field, see `pneuma.env.compiled`."""
 
 
 def make_handle(state: State) -> np.ndarray:

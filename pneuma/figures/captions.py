@@ -13,18 +13,16 @@ from pneuma.analysis.bands import BANDS
 from pneuma.analysis.coverage import coverage
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import have_one_return, reference_levels, shared_levels
-from pneuma.analysis.run_view import common_step
+from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
 from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.errors import UserError
 from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import ABOVE_ALL, far_references, highest_point, is_log, shows_runs
 from pneuma.figures.quantities import look_of
+from pneuma.worlds import WORLDS
 
-_WORLDS = {
-    "pneuma/Pneuma-v0": "in the text's world",
-    "pneuma/PneumaGodot-v0": "in the published code's world",
-}
+_WORLDS = {world.env: f"in {world.title}" for world in WORLDS.values()}
 
 _, _TRAILING_WINDOW = WINDOWS
 MOST_ABSENT = 6
@@ -60,7 +58,7 @@ def _refuse_unwritable(data: StudyData) -> None:
 
 def title_of(data: StudyData) -> str:
     """Return a study's title and where it is played; a level or characters of one's own are no such place."""
-    plain = data.title.removesuffix(f" ({data.setting})")
+    plain = data.title.removesuffix(f" ({data.world})")
     played = [_WORLDS.get(name, "") for name in data.environments]
     one = len(played) == 1 and all(_is_shipped(data.settings(run)) for run in data.runs)
     return " ".join(filter(None, [plain, played[0] if one else ""]))
@@ -124,7 +122,7 @@ def looks_told(data: StudyData) -> list[str]:
 def step_told(data: StudyData) -> list[str]:
     """Say at what step runs of unlike budgets are compared."""
     step = common_step(data)
-    return [f"All as they stood at {step:,} steps, the most that all runs were to reach."] if step else []
+    return [f"All as they stood at {step:,} steps, {step_words(data)}."] if step else []
 
 
 def absent_told(data: StudyData) -> list[str]:
@@ -170,8 +168,8 @@ def _averages(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: st
     )
     if episodes and data.averaged_over:
         of = " of episodes" if updates else ""
-        logger = f"averaged over its last {data.averaged_over} episodes by Stable-Baselines3"
-        words.append(f"Values{of} are as they were logged: each run's is already {logger}.")
+        logged = f"over its last {data.averaged_over} episodes, as Stable-Baselines3 logs them"
+        words.append(f"Values{of} are each run's mean {logged}.")
     elif episodes and window == _TRAILING_WINDOW:
         averaged.append("each run's last 100 episodes")
     over_budget = ["episodes"] * (episodes and not words and not averaged) + ["updates"] * updates
@@ -196,7 +194,7 @@ def _marks(
         words.append("×: a run diverged, and its curve ends there.")
     step = common_step(data)
     if step is not None:
-        words.append(f"Upright line: {step:,} steps, the most that all runs were to reach: compare there.")
+        words.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
     words += [_above(data, name, group) for name, group in curves.items()]
     unlike = any(reference_levels(data, name) and not shared_levels(data, name) for name in curves)
     if unlike and len(data.conditions) <= MOST_IN_A_PANEL:  # of more, each panel has its own

@@ -24,7 +24,7 @@ from pneuma.analysis.claim_runs import MEND
 from pneuma.analysis.published import PUBLISHED
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures.judged import judged_claims
-from pneuma.figures.report_verdicts import MEANINGS, SETTINGS, Claim, Effect, Verdict
+from pneuma.figures.report_verdicts import MEANINGS, PLACES, Claim, Effect, Verdict
 from pneuma.study.store import Store, write_whole
 
 Claims = Mapping[str, Claim]
@@ -93,7 +93,7 @@ def _paragraph(claim: Claim) -> str:
     note = f" {claim.note}" if claim.note else ""
     head = f"**{claim.claim}**: “{claim.quote}” ({claim.section}). "
     head += f"Claimed: {claim.tested}, in {claim.measure}.{note}"
-    told = [f"- *{SETTINGS[place]}*: {_verdict(verdict)}" for place, verdict in claim.verdicts.items()]
+    told = [f"- *{PLACES[place]}*: {_verdict(verdict)}" for place, verdict in claim.verdicts.items()]
     return "\n".join([head, "", *told])
 
 
@@ -123,10 +123,10 @@ def _effect(effect: Effect) -> str:
 
 
 def _table(claims: Sequence[Claim]) -> str:
-    """Return a row for each claim, setting beside setting."""
-    rows = [["Claim", "Thesis", *SETTINGS.values()], ["---"] * (2 + len(SETTINGS))]
+    """Return a row for each claim, place beside place."""
+    rows = [["Claim", "Thesis", *PLACES.values()], ["---"] * (2 + len(PLACES))]
     for claim in claims:
-        cells = [_cell(claim.verdicts.get(place)) for place in SETTINGS]
+        cells = [_cell(claim.verdicts.get(place)) for place in PLACES]
         rows.append([f"{claim.tested}: {claim.compared}", f"{claim.section}: “{claim.quote}”", *cells])
     return _markdown(rows)
 
@@ -142,9 +142,9 @@ def _cell(verdict: Verdict | None) -> str:
 
 
 def _counts(claims: Sequence[Claim]) -> str:
-    """Return how many claims have each verdict, setting by setting."""
+    """Return how many claims have each verdict, place by place."""
     rows = [["Judged in", *MEANINGS, NOT_RUN], ["---"] * (2 + len(MEANINGS))]
-    for place, label in SETTINGS.items():
+    for place, label in PLACES.items():
         found = [claim.verdicts[place] for claim in claims if place in claim.verdicts]
         counted = Counter(NOT_RUN if _is_not_run(one) else one.verdict for one in found)
         rows.append([label, *(str(counted[word]) for word in (*MEANINGS, NOT_RUN))])
@@ -163,13 +163,16 @@ _WRITERS: dict[str, Callable[[Sequence[Claim]], str]] = {
 
 
 def main(pages: Sequence[Path], results: Path) -> None:
-    """Write every page anew, or none, and say so.
+    """Write every page anew, or none, and say so; leave all as they are where nothing is published.
 
     Raises:
-        UserError: for a page that cannot be read, or has a wrong mark, or without published tables.
+        UserError: for a page that cannot be read, or has a wrong mark, or without a results folder.
     """
+    if not results.is_dir():
+        raise UserError(f"{results}: is no folder, so no verdict is written")
     if not (results / PUBLISHED).is_dir():
-        raise UserError(f"{results / PUBLISHED}: is no folder, so no verdict is written")
+        print(f"no study is published in {results / PUBLISHED} yet: the pages stay as they are")
+        return
     claims = published_claims(results)
     written = {page: with_verdicts(_read(page), claims) for page in pages}
     for page, text in written.items():

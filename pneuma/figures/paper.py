@@ -116,15 +116,16 @@ def main(folder: Path, results: Path = RESULTS) -> None:
     """Draw all and say so.
 
     Raises:
-        UserError: where the results folder has no published tables: what was drawn of them would be removed.
+        UserError: where there is no results folder: what was drawn of another would be removed.
     """
-    if not (results / "published").is_dir():
-        raise UserError(f"{results / 'published'}: is no folder, so nothing is drawn, and nothing removed")
+    if not results.is_dir():
+        raise UserError(f"{results}: is no folder, so nothing is drawn, and nothing removed")
     written = draw_all(folder, results)
     for path in written:
         print(f"wrote {path}")
     if {path.stem for path in written if path.parent.name == TABLES} <= {SETTINGS_STEM}:
-        print(f"no study is published in {results / 'published'}: its figures and tables are still to come")
+        mend = "run `make reproduction`, then `make reproduction DO=publish`"
+        print(f"no study is published in {results / 'published'} yet: {mend}")
 
 
 if __name__ == "__main__":

@@ -79,11 +79,11 @@ class Origin:
 
 @dataclass(frozen=True)
 class Part:
-    """A study in one setting.
+    """A study in one world.
 
     Attributes:
         record: the name that its runs are recorded under.
-        setting: which environment it is judged in, for people.
+        world: which environment it is judged in, for people.
         notes: what a person should know, in sentences; the first thing said.
         mend: the command that would make what is missing; empty when nothing is.
         extent: how much it is, for people.
@@ -96,7 +96,7 @@ class Part:
     """
 
     record: str
-    setting: str
+    world: str
     notes: tuple[str, ...] = ()
     mend: str = ""
     extent: str = ""
@@ -110,7 +110,7 @@ class Part:
 
 @dataclass(frozen=True)
 class StudySection:
-    """A study, in every setting that it has."""
+    """A study, in every world that it has."""
 
     study: str
     title: str
@@ -154,7 +154,7 @@ def study_html(study: StudySection, claims: Sequence[Claim], places: RunPlaces) 
 
 
 def _part(part: Part, places: RunPlaces) -> Html:
-    inner = [element("h3", text(part.setting), "", anchor_name("record", part.record))]
+    inner = [element("h3", text(part.world), "", anchor_name("record", part.record))]
     if part.extent:
         inner.append(paragraph(text(part.extent), "note"))
     notes = [text(note) for note in part.notes]

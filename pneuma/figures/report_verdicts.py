@@ -1,4 +1,4 @@
-"""The report's first table: every claim with its verdicts, setting beside setting, never pooled."""
+"""The report's first table: every claim with its verdicts, place beside place, never pooled."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from pneuma.figures.report_html import (
     terms,
     text,
 )
+from pneuma.worlds import WORLDS
 
 MEANINGS = {
     "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction; "
@@ -37,7 +38,10 @@ MEANINGS = {
 
 SIGNS = {"supported": "✔", "refuted": "✘", "inconclusive": "?", "untestable": "–"}
 
-SETTINGS = {"text": "The text's environment", "godot": "The published code's", "logs": "Published logs"}
+PLACES = {
+    **{name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()},
+    "logs": "Published logs",
+}
 """Where a claim is judged, each for itself."""
 
 
@@ -84,7 +88,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim's verdict in one setting.
+    """A claim's verdict in one place.
 
     Attributes:
         verdict: of `MEANINGS`.
@@ -111,7 +115,7 @@ class Claim:
         section: of the thesis.
         study: what tests it.
         measure: what is compared, with the outcome's name.
-        verdicts: by setting, of `SETTINGS`.
+        verdicts: by place, of `PLACES`.
         tested: what is claimed of which arms.
         compared: the measure in plain words.
         note: why it is tested so.
@@ -157,7 +161,7 @@ def claim_list(claims: Sequence[Claim]) -> Html:
     """Return the claims that a study tests, each with its verdicts and a link to its row."""
     lines = [
         join(
-            [link(claim.anchor, name(claim.claim)), *(_told(claim, setting) for setting in claim.verdicts)],
+            [link(claim.anchor, name(claim.claim)), *(_told(claim, place) for place in claim.verdicts)],
             " ",
         )
         for claim in claims
@@ -165,29 +169,27 @@ def claim_list(claims: Sequence[Claim]) -> Html:
     return items(lines, "claims")
 
 
-def _told(claim: Claim, setting: str) -> Html:
-    """Return a setting with its verdict, on one line."""
-    return element("span", join([text(f"{SETTINGS[setting]}: "), _badge(claim.verdicts[setting].verdict)]))
+def _told(claim: Claim, place: str) -> Html:
+    """Return a place with its verdict, on one line."""
+    return element("span", join([text(f"{PLACES[place]}: "), _badge(claim.verdicts[place].verdict)]))
 
 
 def _counts(claims: Sequence[Claim]) -> Html:
-    """Return how many claims have each verdict, setting by setting."""
+    """Return how many claims have each verdict, place by place."""
     columns = [Column(text("Judged in")), *(Column(_badge(word), numbers=True) for word in MEANINGS)]
     rows = []
-    for setting, label in SETTINGS.items():
-        counted = Counter(c.verdicts[setting].verdict for c in claims if setting in c.verdicts)
+    for place, label in PLACES.items():
+        counted = Counter(c.verdicts[place].verdict for c in claims if place in c.verdicts)
         if counted:
             rows.append([text(label), *(text(counted[word]) for word in MEANINGS)])
     return table(text(f"Verdicts on {len(claims)} claims, counted"), columns, rows)
 
 
 def _table(claims: Sequence[Claim], studies: Collection[str], runs: Collection[str]) -> Html:
-    settings = [setting for setting in SETTINGS if any(setting in claim.verdicts for claim in claims)]
-    columns = [Column(text("Claim")), *(Column(text(SETTINGS[setting])) for setting in settings)]
-    rows = [
-        [_claim(claim, studies), *(_cell(claim, setting, runs) for setting in settings)] for claim in claims
-    ]
-    caption = text("Every claim, judged in each setting by itself")
+    places = [place for place in PLACES if any(place in claim.verdicts for claim in claims)]
+    columns = [Column(text("Claim")), *(Column(text(PLACES[place])) for place in places)]
+    rows = [[_claim(claim, studies), *(_cell(claim, place, runs) for place in places)] for claim in claims]
+    caption = text("Every claim, judged in each place by itself")
     return element("div", table(caption, columns, rows, [claim.anchor for claim in claims]), "verdicts")
 
 
@@ -210,12 +212,12 @@ def _claim(claim: Claim, studies: Collection[str]) -> Html:
     return join(lines)
 
 
-def _cell(claim: Claim, setting: str, runs: Collection[str]) -> Html:
-    """Return a claim's cell of a setting; on a narrow page, where cells stand below each other, named."""
-    where = element("span", text(f"{SETTINGS[setting]}: "), "where")
-    if setting not in claim.verdicts:
+def _cell(claim: Claim, place: str, runs: Collection[str]) -> Html:
+    """Return a claim's cell of a place; on a narrow page, where cells stand below each other, named."""
+    where = element("span", text(f"{PLACES[place]}: "), "where")
+    if place not in claim.verdicts:
         return join([where, element("span", text("not judged here"), "note")])
-    return join([where, _verdict(claim.verdicts[setting], runs)])
+    return join([where, _verdict(claim.verdicts[place], runs)])
 
 
 def _verdict(verdict: Verdict, runs: Collection[str]) -> Html:

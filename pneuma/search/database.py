@@ -1,15 +1,14 @@
 """The search's Optuna storage: what optuna-dashboard opens.
 
 It is written, never read back as truth: only trials that have ended are in it, in order, so none is ever
-left running. What is missing is added; a lost file is written anew from the stored runs.
+left running. What is missing is added; the search's own file is written anew from the stored runs.
 """
 
 from __future__ import annotations
 
-import sqlite3
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ class Database:
 
     Args:
         task: the search.
-        url: of the storage; None for an SQLite file beside the search's record.
+        url: of the storage; None for an SQLite file beside the search's record, which begins empty.
         store: the results folder.
 
     Raises:
@@ -41,8 +40,8 @@ class Database:
 
     def __init__(self, task: Task, url: str | None, store: Store) -> None:
         self._task = task
-        self._own = None if url else _own_file(store, task.search.name)
-        self.url = url or f"sqlite:///{self._own}"
+        self.url = url or f"sqlite:///{_new_file(store, task.search.name)}"
+        self._where = f"--storage {self.shown_url}" if url else self.shown_url
         self.name = f"{task.search.name}-{task.digest}"
         with self._told():
             self._storage = open_storage(self.url)
@@ -62,8 +61,7 @@ class Database:
             raise
         except Exception as error:  # each driver has kinds of its own
             told = _first_line(error).replace(self.url, self.shown_url)
-            where = f"--storage {self.shown_url}" if self._own is None else self._own
-            raise UserError(f"{where}: {told}") from None
+            raise UserError(f"{self._where}: {told}") from None
 
     def _load(self) -> optuna.Study:
         study = optuna.create_study(
@@ -75,10 +73,10 @@ class Database:
             load_if_exists=True,
         )
         if study.user_attrs.get(OWNER, self._task.digest) != self._task.digest:
-            return self._make_anew()
+            raise self._foreign()
         if OWNER not in study.user_attrs:
             if study.get_trials(deepcopy=False):
-                return self._make_anew()
+                raise self._foreign()
             study.set_user_attr(OWNER, self._task.digest)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -98,15 +96,8 @@ class Database:
             held = self._study.get_trials(deepcopy=False)
             pairs = zip(held, told, strict=False)
             if any(_essence(trial) != _essence(self._frozen(own)) for trial, own in pairs):
-                self._study, held = self._make_anew(), []
+                raise self._foreign()
             self._study.add_trials([self._frozen(own) for own in told[len(held) :]])
-
-    def _make_anew(self) -> optuna.Study:
-        """Drop what the search's own file holds under its name; refuse to in anybody else's."""
-        if self._own is None:
-            raise self._foreign()
-        optuna.delete_study(study_name=self.name, storage=self._storage)
-        return self._load()
 
     def _frozen(self, told: Told) -> FrozenTrial:
         state = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
@@ -122,7 +113,7 @@ class Database:
 
     def _foreign(self) -> UserError:
         return UserError(
-            f"--storage {self.shown_url}: its study {self.name} holds another search; "
+            f"{self._where}: its study {self.name} holds another search; "
             "name another storage with --storage, or another folder with --results"
         )
 
@@ -136,35 +127,26 @@ def _essence(trial: FrozenTrial) -> tuple[Any, ...]:
     return trial.state, trial.params, trial.values
 
 
-def _own_file(store: Store, search: str) -> Path:
-    """Return the search's own SQLite file, a damaged one removed: all that was in it is in the runs.
+def _new_file(store: Store, search: str) -> Path:
+    """Return the path of the search's own SQLite file, and remove what is there: its trials are in the runs.
+
+    SQLite obeys what lies beside a file: a stranger's journal there could have it delete any other.
 
     Raises:
-        UserError: where something else is in its place.
+        UserError: where something is no file, and nothing is removed then; or cannot be removed.
     """
     path = store.root / "searches" / f"{search}.db"
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.is_symlink():
-        raise UserError(f"{path}: is a link; remove it, the search makes a file in its place")
-    if path.exists() and not path.is_file():
-        raise UserError(f"{path}: is no file; remove it, the search makes one in its place")
-    if path.exists() and _is_damaged(path):
+    there = [Path(f"{path}{ending}") for ending in ("", "-journal", "-wal", "-shm")]
+    for file in there:
+        if file.is_symlink() or (file.exists() and not file.is_file()):
+            raise UserError(f"{file}: is no file; remove it, the search makes its own")
+    for file in there:
         try:
-            path.unlink()
+            file.unlink(missing_ok=True)
         except OSError as error:
-            raise UserError(f"{path}: damaged, and cannot be removed ({error.strerror})") from None
+            raise UserError(f"{file}: cannot be removed ({error.strerror})") from None
     return path.resolve()
-
-
-def _is_damaged(path: Path) -> bool:
-    """Tell whether a file is no whole SQLite database; not so one that is in use, or may not be read."""
-    try:
-        with closing(sqlite3.connect(path, timeout=1)) as connection:
-            return bool(connection.execute("PRAGMA quick_check").fetchone() != ("ok",))
-    except sqlite3.OperationalError:
-        return False
-    except sqlite3.DatabaseError:
-        return True
 
 
 def _without_password(url: str) -> str:

@@ -112,7 +112,7 @@ def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str
         f"section = {toml_value(search.section)}",
         f"base = {toml_value(search.space.base)}",
         f'baseline = "{BASELINE}"',
-        'settings = ["text"]',  # its environment stands in [run]
+        'worlds = ["text"]',  # its environment stands in [run]
         "",
         "[run]",
         *settings_lines(without(fixed, unread_settings(arms, fixed))),

@@ -16,9 +16,9 @@ from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search.record_shape import is_record
 from pneuma.search.spec import Search, list_searches
 from pneuma.search.trials import Task, Told
-from pneuma.study.definition import split_setting
 from pneuma.study.files import read_sealed, seal, to_json
 from pneuma.study.store import Store
+from pneuma.worlds import split_world
 
 PUBLISHED = Path("published", "searches")
 """Where published records are, in a results folder."""
@@ -120,7 +120,7 @@ def read_record(store: Store, name: str, called: str = "") -> dict[str, Any]:
         )
     if published.exists():
         raise UserError(f"{published}: damaged; take it from version control again")
-    if not called and split_setting(name)[0] not in list_searches():
+    if not called and split_world(name)[0] not in list_searches():
         raise unknown_name("search", name, sorted({*list_searches(), *known_searches(store)}))
     raise UserError(
         f"search {name} was not run in {store.root}: run `pneuma search run {called or name}` first, "

@@ -19,19 +19,15 @@ from pneuma.search import FIRST_SEED
 from pneuma.search.options import PRUNERS, SAMPLERS, read_options
 from pneuma.search.space import Space, usual_settings
 from pneuma.search.space_file import read_by, read_space, read_value
-from pneuma.study.definition import PUBLISHED_CODE, check_setting
 from pneuma.study.spec import (
-    GODOT,
     PRESETS,
     SEEDS_ALLOWED,
-    TEXT,
-    in_setting,
     read_seeds,
-    split_setting,
     studies_folder,
 )
 from pneuma.study.toml_file import TomlFile, read_toml, shown
 from pneuma.values import Choice, Number
+from pneuma.worlds import TEXT, check_world, chosen_world, in_world, split_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
 """How the outcomes of a trial's seeds become one value."""
@@ -68,7 +64,7 @@ class Search:
     """A search as its file has it.
 
     Attributes:
-        name, path: of the file; in godot's setting the name ends so.
+        name, path: of the file; in another world than the text's the name ends so.
         title, section, about: for people.
         space: what is searched, and what is fixed.
         objectives: one; several for a search of the Pareto front.
@@ -77,7 +73,7 @@ class Search:
         generation: trials that are asked for before any of them is told.
         sampler, pruner: their names and options, all of these given; the pruner's name may be empty.
         presets: by name.
-        setting: of `pneuma.study.spec.SETTINGS`: the text's environment, or the published code's.
+        world: of `pneuma.worlds.WORLDS`.
     """
 
     name: str
@@ -93,7 +89,7 @@ class Search:
     sampler: Mapping[str, Any]
     pruner: Mapping[str, Any]
     presets: Mapping[str, Budget]
-    setting: str = TEXT
+    world: str = TEXT
 
     def with_settings(self, over: Mapping[str, Any]) -> Search:
         """Return the search with more that all trials share, over what its file fixes.
@@ -112,20 +108,19 @@ class Search:
             raise UserError(f"search {self.name} with {told}: {error}") from None
         return replace(self, space=space, start=_start_params(self.start_names, space))
 
-    def in_setting(self, setting: str) -> Search:
-        """Return the search in one of `SETTINGS`, with a name of its own there.
+    def in_world(self, world: str) -> Search:
+        """Return the search in one of `WORLDS`, with a name of its own there.
 
-        In godot's, all trials share the published code's environment, and its clip range and small actor
-        where the search sets none itself.
+        There all trials share the world's environment, and its other fields where the search sets none
+        itself.
         """
-        check_setting(setting)
-        if setting == self.setting:
+        check_world(world)
+        if world == self.world:
             return self
         own = {key for parameter in self.space.parameters for key in parameter.keys}
-        own |= {*self.space.fixed} - {"env"}
-        told = self.with_settings({key: value for key, value in PUBLISHED_CODE.items() if key not in own})
-        name = in_setting(self.name, setting)
-        return replace(told, name=name, title=f"{self.title} ({setting})", setting=setting)
+        told = self.with_settings(world_fields(world, own | {*self.space.fixed}))
+        name = in_world(self.name, world)
+        return replace(told, name=name, title=f"{self.title} ({world})", world=world)
 
 
 def searches_folder() -> Path:
@@ -138,12 +133,12 @@ def list_searches() -> list[str]:
     return sorted(path.stem for path in searches_folder().glob("*.toml"))
 
 
-def load_search(name: str, setting: str | None = None) -> Search:
+def load_search(name: str, world: str | None = None) -> Search:
     """Load a shipped search by its name, or any by the path of its file.
 
     Args:
-        name: of the search; one that ends in -godot stands for the search in that setting.
-        setting: of `pneuma.study.spec.SETTINGS`; the text's when neither this nor the name says so.
+        name: of the search; one that ends in -WORLD stands for the search in that world.
+        world: of `pneuma.worlds.WORLDS`; the text's when neither this nor the name says so.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
@@ -152,15 +147,13 @@ def load_search(name: str, setting: str | None = None) -> Search:
         path = Path(name)
         if path.stem in list_searches() and path.resolve() != (searches_folder() / path.name).resolve():
             raise UserError(f"{path}: a shipped search is called {path.stem}; give yours another file name")
-        if split_setting(path.stem)[1] != TEXT:
-            raise UserError(f"{path}: -{GODOT} ends the names of searches in that setting; give another")
-        return read_search(read_toml(path)).in_setting(setting or TEXT)
-    own, told = split_setting(name)
+        if (told := split_world(path.stem)[1]) != TEXT:
+            raise UserError(f"{path}: -{told} ends the names of searches in that world; give another")
+        return read_search(read_toml(path)).in_world(world or TEXT)
+    own, world = chosen_world(name, world)
     if own not in list_searches():
         raise unknown_name("search", name, list_searches())
-    if told != TEXT and setting not in (None, told):
-        raise UserError(f"--setting {setting}: the name {name} stands for the setting {told}")
-    return read_search(read_toml(searches_folder() / f"{own}.toml")).in_setting(setting or told)
+    return read_search(read_toml(searches_folder() / f"{own}.toml")).in_world(world)
 
 
 def read_search(file: TomlFile) -> Search:

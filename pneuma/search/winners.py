@@ -26,7 +26,8 @@ from pneuma.search.promote import (
 )
 from pneuma.search.record import refuse_unfinished
 from pneuma.search.spec import Search
-from pneuma.study.definition import join_settings, split_setting
+from pneuma.study.definition import join_settings
+from pneuma.worlds import split_world
 
 TUNED = "tuned"
 SEEDS = 10
@@ -65,7 +66,7 @@ def winners_study(winners: Sequence[Winner]) -> str:
         UserError: where searches start from different bases, seek different things, or had different trials,
             seeds or steps.
     """
-    names = _short_names([split_setting(winner.search.name)[0] for winner in winners])
+    names = _short_names([split_world(winner.search.name)[0] for winner in winners])
     _check_alike(winners, names)
     tables: dict[str, dict[str, Any]] = {}
     for name, winner in zip(names, winners, strict=True):
@@ -82,7 +83,7 @@ def winners_study(winners: Sequence[Winner]) -> str:
         f"title = {toml_value('Winners of ' + ', '.join(names))}",
         f"base = {toml_value(winners[0].search.space.base)}",
         f"baseline = {toml_value(names[0])}",
-        'settings = ["text"]',  # its environment stands in the tables below
+        'worlds = ["text"]',  # its environment stands in the tables below
         "",
         "[run]",
         *settings_lines(shared),
@@ -115,7 +116,7 @@ def _check_alike(winners: Sequence[Winner], names: Sequence[str]) -> None:
             ("seeds", first.record["seeds"], winner.record["seeds"]),
             ("steps", first.record["steps"], winner.record["steps"]),
             ("objectives", _sought(first), _sought(winner)),
-            ("settings", first.search.setting, winner.search.setting),
+            ("worlds", first.search.world, winner.search.world),
             ("environments", _start(first).env, _start(winner).env),
             ("engines", _start(first).engine, _start(winner).engine),
         ):

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.definition import GODOT, SETTINGS, Preset, Study, split_setting
+from pneuma.study.definition import Preset, Study
 from pneuma.study.spec import read_seeds
 from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.worlds import WORLDS, split_world, world_option
 
 CLAIMS = "claims"
 """The preset that no study's file sets: what claims fix of it."""
@@ -31,18 +32,18 @@ class FixedRuns:
     Attributes:
         a, b: conditions; b may be none.
         seeds, steps: of each condition.
-        settings: those of `SETTINGS` that the claim is about.
+        worlds: those of `WORLDS` that the claim is about.
     """
 
     a: tuple[str, ...]
     b: tuple[str, ...]
     seeds: Mapping[str, tuple[int, ...]]
     steps: Mapping[str, int]
-    settings: tuple[str, ...]
+    worlds: tuple[str, ...]
 
 
 def claims_preset(study: Study) -> dict[str, Preset]:
-    """Return the seeds and steps that claims fix of a study in its setting, by condition.
+    """Return the seeds and steps that claims fix of a study in its world, by condition.
 
     Conditions that no claim is about are left out; one that several are about has the seeds of all.
 
@@ -68,7 +69,7 @@ def fixed_amounts(study: Study) -> dict[str, Preset]:
         if not _is_about(file, where, study):
             continue
         fixed = read_fixed_runs(file, where, study)
-        if study.setting in fixed.settings:
+        if study.world in fixed.worlds:
             for condition, seeds in fixed.seeds.items():
                 own = Preset(seeds, fixed.steps[condition])
                 found[condition] = join_presets(CLAIMS, condition, found.get(condition), own)
@@ -93,9 +94,9 @@ def training_command(study: Study, claims: Path) -> str:
     """Return the command that trains what claims fix of a study; empty where the file is not its own."""
     if study.path is None or claims.resolve() != _file_beside(study).resolve():
         return ""
-    name = study.own_path or split_setting(study.name)[0]
-    setting = f" --setting {GODOT}" if study.setting == GODOT else ""
-    return f"pneuma study run {shlex.quote(name)} --preset {CLAIMS}{setting}"
+    name = study.own_path or split_world(study.name)[0]
+    words = ["pneuma study run", shlex.quote(name), "--preset", CLAIMS, *world_option(study.world)]
+    return " ".join(words)
 
 
 def _file_beside(study: Study) -> Path:
@@ -111,7 +112,7 @@ def _is_about(file: TomlFile, where: Where, study: Study) -> bool:
         return False
     if name.endswith(".toml"):
         return (file.path.parent / name).resolve() == study.path.resolve()
-    return study.own_path is None and split_setting(name)[0] == study.path.stem
+    return study.own_path is None and split_world(name)[0] == study.path.stem
 
 
 # --- One claim -----------------------------------------------------------------------------------
@@ -131,7 +132,7 @@ def read_fixed_runs(file: TomlFile, where: Where, study: Study) -> FixedRuns:
         b,
         _by_condition(file, where, "seeds", conditions, read_seeds),
         _by_condition(file, where, "steps", conditions, _read_steps),
-        _settings(file, where, table, study),
+        _worlds(file, where, table, study),
     )
 
 
@@ -151,19 +152,17 @@ def _conditions(
     return tuple(names)
 
 
-def _settings(file: TomlFile, where: Where, table: Mapping[str, Any], study: Study) -> tuple[str, ...]:
-    """Return the settings that a claim is about: those of its study, unless it says fewer."""
-    value = table.get("settings", [*study.settings_known])
-    if not isinstance(value, list) or not value or any(name not in SETTINGS for name in value):
-        allowed = f"a list of {', '.join(SETTINGS)}"
-        raise file.mistake(where, f"settings = {shown(value)} is not allowed: {allowed}", "settings")
+def _worlds(file: TomlFile, where: Where, table: Mapping[str, Any], study: Study) -> tuple[str, ...]:
+    """Return the worlds that a claim is about: those of its study, unless it says fewer."""
+    value = table.get("worlds", [*study.worlds])
+    if not isinstance(value, list) or not value or not {*map(str, value)} <= {*WORLDS}:
+        allowed = f"a list of {', '.join(WORLDS)}"
+        raise file.mistake(where, f"worlds = {shown(value)} is not allowed: {allowed}", "worlds")
     for name in value:
-        if name not in study.settings_known:
-            known = ", ".join(study.settings_known)
-            raise file.mistake(
-                where, f"settings: study {study.name} is run in {known}, not {name}", "settings"
-            )
-    return tuple(name for name in SETTINGS if name in value)
+        if name not in study.worlds:
+            known = ", ".join(study.worlds)
+            raise file.mistake(where, f"worlds: study {study.name} is run in {known}, not {name}", "worlds")
+    return tuple(name for name in WORLDS if name in value)
 
 
 def _by_condition(

@@ -25,7 +25,6 @@ from pneuma.config import Run
 COMPILES = "compiling for the first time (up to a minute; kept for later runs)"
 WAITS = "waiting while another run compiles for the first time"
 WAIT_SECONDS = 0.2
-SOURCES = ("env/rules.py", "engines/batched/rollout.py", "engines/batched/update.py")
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
     "optimizer", "env", "players", "observation", "perceive", "magic",
@@ -104,8 +103,10 @@ def _digest(run: Run) -> str:
 
     Where it takes two for one, the second is compiled without a word; nothing depends on it.
     """
-    package = Path(__file__).parents[1]
-    stamps = [(package / name).stat().st_mtime_ns for name in SOURCES]
+    from pneuma.env.compiled import KERNEL_SOURCES, PACKAGE  # numba: not for whoever only reads runs
+
+    sources = (*KERNEL_SOURCES, "engines/batched/update.py")
+    stamps = [(PACKAGE / name).stat().st_mtime_ns for name in sources]
     shapes = [getattr(run, name) for name in SHAPED_BY]
     versions = [platform.python_version(), *(version(name) for name in ("numba", "jax", "jaxlib"))]
     told = json.dumps([stamps, shapes, run.weight_decay != 0, versions, platform.machine()])

@@ -1,7 +1,7 @@
 """What a study's file sets: its shared settings, its conditions, and the factors that these are crossed with.
 
     [run]                        what all conditions share
-    [settings.godot]             what they share besides in godot's setting
+    [worlds.godot]               what they share besides in that world
     [factors]                    what every condition is crossed with
     reward = ["thesis", "kills"]
     [conditions.tanh]            what one condition changes

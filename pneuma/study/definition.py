@@ -1,4 +1,4 @@
-"""What a study is: named conditions that differ in what they set, and the two settings that it runs in.
+"""What a study is: named conditions that differ in what they set, and the worlds that it runs in.
 
 file → Study (`spec.py`), here → Plan (`plan.py`). A study owns no results.
 """
@@ -14,19 +14,9 @@ from typing import Any
 
 from pneuma.config import BASES, ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
+from pneuma.worlds import TEXT, WORLDS, check_world, in_world, split_world, world_fields, world_option
 
 PRESETS = ("quick", "standard", "paper")
-
-TEXT, GODOT = "text", "godot"
-SETTINGS = (TEXT, GODOT)
-"""What a study can be run in: as its file says, which is as the thesis's text, or as the published code."""
-
-PUBLISHED_CODE: dict[str, Any] = {
-    "env": "pneuma/PneumaGodot-v0",
-    "clip_range": 0.2,
-    "actor": (256,),
-}
-"""What the published code sets other than the thesis's tables (facts 3); its four slots come with `env`."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +42,7 @@ class Study:
     """A comparison: named conditions that differ in what they set.
 
     Attributes:
-        name: the file's name, or what its owner calls it; in godot's setting it ends so.
+        name: the file's name, or what its owner calls it; in another world than the text's it ends so.
         path: the file; None for a study that is none, such as a fork.
         title, section, about: for people.
         figure: file stem of its figure.
@@ -64,9 +54,9 @@ class Study:
         keep_checkpoints: of each run, evenly spread, beside that of its first update, for `pneuma run fork`.
         gpu: conditions whose runs are to have a GPU each, where the executor hands them out.
         levels: of each condition of a crossed study, the value's name of every factor.
-        setting: one of `SETTINGS`.
-        settings_known: those of `SETTINGS` that it can be run in.
-        godot: what all conditions share in godot's setting, over everything that they share in the text's.
+        world: one of `WORLDS`.
+        worlds: those of `WORLDS` that it can be run in.
+        by_world: what all conditions share in a world, over everything that they share in the text's.
     """
 
     name: str
@@ -83,38 +73,38 @@ class Study:
     keep_checkpoints: int = 0
     gpu: frozenset[str] = frozenset()
     levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    setting: str = TEXT
-    settings_known: tuple[str, ...] = SETTINGS
-    godot: Mapping[str, Any] = field(default_factory=dict)
+    world: str = TEXT
+    worlds: tuple[str, ...] = tuple(WORLDS)
+    by_world: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def settings(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return what a condition sets, base and shared settings included, `over` on top of all."""
         return join_settings(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
 
-    def in_setting(self, setting: str) -> Study:
-        """Return the study as it is run in one of `SETTINGS`, with a name and a figure of its own there.
+    def in_world(self, world: str) -> Study:
+        """Return the study as it is run in one of `WORLDS`, with a name and a figure of its own there.
 
-        In godot's, all conditions share the published code's environment, and its clip range and small
-        actor where the study sets none itself.
+        There all conditions share the world's environment, and its other fields where the study sets none
+        itself.
 
         Raises:
-            UserError: for a setting that there is not, or that the study is not run in.
+            UserError: for a world that there is not, or that the study is not run in.
         """
-        check_setting(setting)
-        if setting not in self.settings_known:
-            known = ", ".join(self.settings_known)
-            raise UserError(f"study {self.name} is not run in the setting {setting}; it is in {known}")
-        if setting == TEXT or setting == self.setting:
+        check_world(world)
+        if world not in self.worlds:
+            known = ", ".join(self.worlds)
+            raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
+        if world == TEXT or world == self.world:
             return self
-        set_by_itself = {*self.shared, *(key for own in self.conditions.values() for key in own)} - {"env"}
-        usual = {key: value for key, value in PUBLISHED_CODE.items() if key not in set_by_itself}
+        set_by_itself = {*self.shared, *(key for own in self.conditions.values() for key in own)}
+        usual = world_fields(world, set_by_itself)
         return replace(
             self,
-            name=in_setting(self.name, setting),
-            title=f"{self.title} (godot)",
-            figure=in_setting(self.figure, setting),
-            shared={**self.shared, **usual, **self.godot},
-            setting=setting,
+            name=in_world(self.name, world),
+            title=f"{self.title} ({world})",
+            figure=in_world(self.figure, world),
+            shared={**self.shared, **usual, **self.by_world.get(world, {})},
+            world=world,
         )
 
     @property
@@ -142,27 +132,6 @@ def join_settings(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
     return {**BASES[base], **slots, **own}
 
 
-def check_setting(setting: str | None) -> None:
-    """Refuse a setting that there is not; None is whichever is usual.
-
-    Raises:
-        UserError: naming the nearest.
-    """
-    if setting not in (None, *SETTINGS):
-        raise UserError(f"--setting {setting}: {unknown_name('setting', setting or '', SETTINGS)}")
-
-
-def in_setting(name: str, setting: str) -> str:
-    """Return what a study, a record or a figure is called in a setting."""
-    return name if setting == TEXT or name.endswith(f"-{setting}") else f"{name}-{setting}"
-
-
-def split_setting(name: str) -> tuple[str, str]:
-    """Return the study's own name and the setting that a name stands for."""
-    own = name.removesuffix(f"-{GODOT}")
-    return (own, GODOT) if own != name else (name, TEXT)
-
-
 def run_command(name: str, path: object = None) -> str:
     """Return the command that trains a study.
 
@@ -170,9 +139,9 @@ def run_command(name: str, path: object = None) -> str:
         name: of its record.
         path: of its file, as a record, maybe a stranger's, tells; of a shipped study none, or no string.
     """
-    own, setting = split_setting(name)
+    own, world = split_world(name)
     asked = shlex.quote(path if isinstance(path, str) else own)
-    return f"pneuma study run {asked}" + ("" if setting == TEXT else f" --setting {setting}")
+    return " ".join(["pneuma study run", asked, *world_option(world)])
 
 
 def is_shipped_file(path: Path) -> bool:

@@ -240,7 +240,7 @@ def selection_record(plan: Plan) -> dict[str, Any]:
     return {
         "study": plan.study.name,
         "path": plan.study.own_path,
-        "setting": plan.study.setting,
+        "world": plan.study.world,
         "title": plan.study.title,
         "figure": plan.study.figure,
         "baseline": plan.study.baseline,

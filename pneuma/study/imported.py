@@ -1,6 +1,6 @@
-"""Old logs as a study: Stable-Baselines3's TensorBoard logs, every point of them, in the store.
+"""Old logs as a study: TensorBoard logs of Stable-Baselines3 or CleanRL, every point of them, in the store.
 
-folder of logs → runs that were not trained here → store and selection, as `pneuma study run` leaves
+folders of logs → runs that were not trained here → store and selection, as `pneuma study run` leaves
 
 An imported run holds `scalars.parquet` (tag, step, value, superseded) in place of an engine's
 records. Its id is a hash of its event files, so importing twice changes nothing.
@@ -8,35 +8,44 @@ records. Its id is a hash of its event files, so importing twice changes nothing
 
 from __future__ import annotations
 
-import hashlib
 import io
+import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+import numpy as np
+import pandas as pd
 
-from pneuma.errors import UserError
-from pneuma.study.event_files import EventFile, Scalar, read_event_file
-from pneuma.study.log_folders import LogFolder, find_logs
+from pneuma.errors import UserError, install_extra
+from pneuma.study.files import checksum
 from pneuma.study.plan import Selection
-from pneuma.study.spec import list_studies, split_setting
+from pneuma.study.spec import list_studies
 from pneuma.study.store import SCALARS_FILE, Status, Store, to_json
+from pneuma.worlds import split_world
 
 SOURCE = "tensorboard"
 """What a selection's record calls the source of an imported study."""
 
 SCHEMA = 1
-IMPORT_VERSION = 1
+IMPORT_VERSION = 2
 """Raised by hand when the same logs are read to other points; part of every imported run's id."""
 
-STEP_GROUPS = ("rollout/", "train/", "time/", "eval/")
-"""Tags that Stable-Baselines3 writes, whose steps are agent steps."""
-DAMAGE_TOLD = 3
+AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
+"""Tags that Stable-Baselines3 and CleanRL write, whose steps are agent steps."""
+
+LARGEST_BYTES = 10**9
+FRAME_BYTES = 16
+"""Length and checksums around each event of a file."""
+
+Log = tuple[str, str, int, list[Path]]
+"""A run's folder for people, its condition and seed, and its event files, oldest first."""
+Scalar = tuple[str, int, float, float]
+"""Tag, step, value, and the second since 1970 at which it was written."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +55,9 @@ class ImportedRun:
     Attributes:
         shown: its folder, for people.
         steps: the last agent step that was logged.
-        points: how many scalars it holds, `superseded` of them by a restart.
+        points: tag, step, value and superseded (by a restart) of every scalar, in the order of writing.
+        provenance: when it was logged, and its files; under `damage`, what could not be read of them.
         new: whether this call stored it.
-        damage: what of its files could not be read, in words.
     """
 
     shown: str
@@ -56,10 +65,9 @@ class ImportedRun:
     seed: int
     run_id: str
     steps: int
-    points: int
-    superseded: int
+    points: pd.DataFrame
+    provenance: dict[str, Any]
     new: bool
-    damage: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -67,194 +75,115 @@ class Import:
     """What an import did: the study's name, its runs, and notes for people."""
 
     study: str
-    runs: tuple[ImportedRun, ...]
-    notes: tuple[str, ...]
+    runs: list[ImportedRun]
+    notes: list[str]
 
 
-def import_tensorboard(folder: Path, store: Store, name: str | None = None) -> Import:
-    """Import every run below a folder as one study.
+def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None = None) -> Import:
+    """Import every run below some folders as one study.
 
     Args:
-        folder: holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself.
+        folders: each holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself.
         store: where to.
-        name: the study's name; the folder's when left out.
+        name: the study's name; when left out, that of the folder which holds all that are given.
 
     Raises:
-        UserError: before anything is written, where no log is found, the name is taken or unfit, or
-            the `tensorboard` package is not there.
+        UserError: before anything is written, where no log is found, the name is taken or unfit, a file
+            cannot be read or is too large, or the `tensorboard` package is not there.
     """
-    study = _study_name(folder, name, store)
-    folders, notes = find_logs(folder)
-    logs = [_read_log(log) for log in folders]
+    study = _study_name(folders, name, store)
+    logs, notes = find_logs(folders)
+    runs: dict[str, ImportedRun] = {}
     for log in logs:
-        if not log.steps:
-            notes.append(f"{log.folder.shown}: holds no scalars of Stable-Baselines3 and is left out")
-    logs = [log for log in logs if log.steps]
-    if not logs:
-        raise UserError(f"{folder}: its event files hold no scalars of Stable-Baselines3 (rollout/…)")
+        run = _read_log(log, store)
+        if not run.steps:
+            notes.append(f"{run.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
+        elif run.run_id in runs:
+            notes.append(f"{run.shown}: holds the same log as {runs[run.run_id].shown} and is left out")
+        else:
+            runs[run.run_id] = run
+            notes += _notes(run)
+    if not runs:
+        raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
     store.check_writable()
-    runs = tuple(_store_log(log, store) for log in logs)
-    notes += _copies(runs)
-    record = _record(study, runs)
-    if {**record, "schema": None} != {**(store.selection(study) or {}), "schema": None}:
-        store.save_selection(study, record)
-    return Import(study, runs, tuple(notes))
+    for run in runs.values():
+        if run.new:
+            store.save_run(run.run_id, Status("done", run.steps), _files(run))
+    store.save_selection(study, _record(study, [*runs.values()]))
+    return Import(study, [*runs.values()], notes)
 
 
-# --- One log --------------------------------------------------------------------------------------
+def _notes(run: ImportedRun) -> list[str]:
+    """Say what could not be read of a run, and what was written again."""
+    notes = [f"{run.shown}/{words}" for words in run.provenance["damage"]]
+    if again := run.points["superseded"].sum():
+        written = f"{again:,} of {len(run.points):,} points were written again after a restart"
+        notes.append(f"{run.shown}: {written}; the later ones count")
+    return notes
 
 
-@dataclass(frozen=True)
-class _Log:
-    """What a folder's event files hold, read in order."""
-
-    folder: LogFolder
-    run_id: str
-    files: list[dict[str, Any]]
-    events: list[EventFile]
-    scalars: list[Scalar]
-    superseded: list[bool]
-    steps: int
+# --- Which runs there are -------------------------------------------------------------------------
 
 
-def _read_log(folder: LogFolder) -> _Log:
-    digest = hashlib.sha256(f"{SOURCE} {IMPORT_VERSION}\0".encode())
-    files, events = [], []
-    for path in folder.files:
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise UserError(f"{path}: cannot be read ({error.strerror})") from None
-        checksum = hashlib.sha256(data).hexdigest()
-        digest.update(checksum.encode())
-        files.append({"bytes": len(data), "sha256": checksum})
-        events.append(read_event_file(data))
-    scalars = [scalar for file in events for scalar in file.scalars]
-    superseded = find_superseded([file.scalars for file in events])
-    steps = [
-        scalar.step
-        for scalar, gone in zip(scalars, superseded, strict=True)
-        if not gone and scalar.tag.startswith(STEP_GROUPS)
-    ]
-    return _Log(
-        folder,
-        digest.hexdigest()[:16],
-        files,
-        events,
-        scalars,
-        superseded,
-        max(max(steps, default=0), 0),
-    )
+def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
+    """Find every folder, of those given and all below, that holds event files.
 
+    The condition is the folder's path below what all runs share, without the seed: Stable-Baselines3
+    calls folders NAME_SEED, CleanRL NAME__SEED__TIME. A folder without a number is seed 0. Where two
+    would be the same seed of a condition, one takes the next free number.
 
-def find_superseded(files: Sequence[Sequence[Scalar]]) -> list[bool]:
-    """Tell which scalars of a log a later one stands in for, in the order of all files' scalars.
+    Returns:
+        The logs by condition and seed, and notes on seeds that were not as the name says.
 
-    A logger that was restarted goes back in steps and writes anew. Of a tag, a value replaces those
-    written before it at its own or a later step. A file that begins before the end of the files
-    before it replaces, of all of Stable-Baselines3's tags, what they hold from there on.
+    Raises:
+        UserError: where a folder is none, or holds no event files.
     """
-    kept: dict[str, list[tuple[int, int]]] = {}  # by tag: (step, place), steps rising
-    gone = [False] * sum(len(file) for file in files)
-    place = 0
-
-    def drop_from(tag: str, step: int) -> None:
-        points = kept.get(tag, [])
-        while points and points[-1][0] >= step:
-            gone[points.pop()[1]] = True
-
-    for file in files:
-        first = next((scalar.step for scalar in file if scalar.tag.startswith(STEP_GROUPS)), None)
-        if first is not None:
-            for tag in kept:
-                if tag.startswith(STEP_GROUPS):
-                    drop_from(tag, first)
-        for scalar in file:
-            drop_from(scalar.tag, scalar.step)
-            kept.setdefault(scalar.tag, []).append((scalar.step, place))
-            place += 1
-    return gone
-
-
-# --- Into the store -------------------------------------------------------------------------------
-
-
-def _store_log(log: _Log, store: Store) -> ImportedRun:
-    new = not store.status(log.run_id).finished
-    damage = [words for file in log.events for words in file.damage]
-    if new:
-        files = {
-            "run.json": to_json(
-                {"schema": SCHEMA, "run_id": log.run_id, "source": SOURCE, "run": _settings(log.steps)}
-            ),
-            "provenance.json": to_json(_provenance(log, damage)),
-            SCALARS_FILE: _scalars_table(log.scalars, log.superseded),
-        }
-        store.save_run(log.run_id, Status("done", log.steps), files)
-    return ImportedRun(
-        log.folder.shown,
-        log.folder.condition,
-        log.folder.seed,
-        log.run_id,
-        log.steps,
-        len(log.scalars),
-        sum(log.superseded),
-        new,
-        (*damage[:DAMAGE_TOLD], *([f"and {len(damage) - DAMAGE_TOLD} more"] * (len(damage) > DAMAGE_TOLD))),
-    )
+    files: set[Path] = set()
+    for folder in folders:
+        if not folder.is_dir():
+            raise UserError(f"{folder}: is no folder; name the folder that holds NAME_1/, NAME_2/, …")
+        found = {path for path in folder.resolve().rglob("*tfevents*") if path.is_file()}
+        if not found:
+            raise UserError(f"{folder}: no TensorBoard event files (events.out.tfevents…) in it or below")
+        files |= found
+    shared = os.path.commonpath([path.parents[1] for path in files])
+    logs: dict[tuple[str, int], Log] = {}
+    notes = []
+    for folder in sorted({path.parent for path in files}):
+        shown = folder.relative_to(shared)
+        condition, number = _condition_and_seed(shown.parts)
+        seed = number
+        while (condition, seed) in logs:
+            seed += 1
+        if seed > number:
+            notes.append(f"{shown}: seed {number} of {condition} is taken, so it is seed {seed}")
+        own = sorted(path for path in files if path.parent == folder)
+        logs[condition, seed] = (str(shown), condition, seed, own)
+    return [logs[key] for key in sorted(logs)], notes
 
 
-def _settings(steps: int) -> dict[str, Any]:
-    """Return what is known of the settings of an imported run."""
-    return {"env": "Imported TensorBoard logs", "slots": None, "steps": steps}
+def _condition_and_seed(parts: tuple[str, ...]) -> tuple[str, int]:
+    """Return a condition's name, and the seed that the last folder with a number tells."""
+    name, seed = "/".join(parts), 0
+    for place in reversed(range(len(parts))):
+        cleanrl = re.fullmatch(r"(.+)__([0-9]{1,9})__[0-9]{9,}", parts[place])
+        match = cleanrl or re.fullmatch(r"(.+)_([0-9]{1,18})", parts[place])
+        if match:
+            name, seed = "/".join((*parts[:place], match[1], *parts[place + 1 :])), int(match[2])
+            break
+    return name.lstrip("_/ ") or "run", seed  # legends leave out what begins with _
 
 
-def _provenance(log: _Log, damage: list[str]) -> dict[str, Any]:
-    """Tell when the log was written, and from what it was read; not from where, which may change."""
-    seconds = [second for file in log.events for second in (file.first_second, file.last_second) if second]
-    return {
-        "imported": SOURCE,
-        "import_version": IMPORT_VERSION,
-        "started": _moment(min(seconds)) if seconds else None,
-        "wall_seconds": round(max(seconds) - min(seconds), 3) if seconds else 0.0,
-        "files": log.files,
-        "damage": damage,
-    }
-
-
-def _moment(second: float) -> str | None:
-    try:
-        return datetime.fromtimestamp(second, UTC).isoformat(timespec="seconds")
-    except (OverflowError, OSError, ValueError):  # no time that a clock ever showed
-        return None
-
-
-def _scalars_table(scalars: Iterable[Scalar], superseded: list[bool]) -> bytes:
-    scalars = list(scalars)
-    table = pa.table(
-        {
-            "tag": pa.array([scalar.tag for scalar in scalars], pa.string()),
-            "step": pa.array([scalar.step for scalar in scalars], pa.int64()),
-            "value": pa.array([scalar.value for scalar in scalars], pa.float64()),
-            "superseded": pa.array(superseded, pa.bool_()),
-        }
-    )
-    sink = io.BytesIO()
-    pq.write_table(table, sink, compression="zstd")
-    return sink.getvalue()
-
-
-# --- The study ------------------------------------------------------------------------------------
-
-
-def _study_name(folder: Path, name: str | None, store: Store) -> str:
-    asked = folder.resolve().name if name is None else name
-    study = asked if name is not None else re.sub(r"[^A-Za-z0-9._-]+", "-", asked).strip("-.")
+def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
+    study = name
+    if study is None:
+        shared = Path(os.path.commonpath([folder.resolve() for folder in folders]))
+        study = re.sub(r"[^A-Za-z0-9._-]+", "-", shared.name).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study) or study.endswith(".toml"):
         raise UserError(
-            f"--name {asked}: a study's name is letters, digits, dots, - and _, and not a file's (….toml)"
+            f"--name {study}: a study's name is letters, digits, dots, - and _, and not a file's (….toml)"
         )
-    if split_setting(study)[0] in list_studies():
+    if split_world(study)[0] in list_studies():
         raise UserError(f"--name {study}: a shipped study is called that; give another")
     record = store.selection(study)
     if record and record.get("source") != SOURCE:
@@ -262,45 +191,159 @@ def _study_name(folder: Path, name: str | None, store: Store) -> str:
     return study
 
 
-def _copies(runs: Sequence[ImportedRun]) -> list[str]:
-    first: dict[str, str] = {}
-    notes = []
-    for run in runs:
-        if run.run_id in first:
-            notes.append(f"{run.shown} holds the same log as {first[run.run_id]}: it is no run of its own")
-        first.setdefault(run.run_id, run.shown)
-    return notes
+# --- One log --------------------------------------------------------------------------------------
+
+
+def _read_log(log: Log, store: Store) -> ImportedRun:
+    shown, condition, seed, paths = log
+    files: list[dict[str, Any]] = []
+    damage: list[str] = []
+    rows: list[tuple[int, *Scalar]] = []
+    for place, path in enumerate(paths):
+        try:
+            size = path.stat().st_size
+            if size > LARGEST_BYTES:
+                raise UserError(f"{path}: is larger than {LARGEST_BYTES / 1e9:g} GB, the most that is read")
+            files.append({"bytes": size, "sha256": checksum(path.read_bytes())})
+        except OSError as error:
+            raise UserError(f"{path}: cannot be read ({error.strerror})") from None
+        scalars, words = read_event_file(path)
+        rows += [(place, *scalar) for scalar in scalars]
+        damage += [f"{path.name}: {word}" for word in words]
+    points = pd.DataFrame(rows, columns=["file", "tag", "step", "value", "second"])
+    points["superseded"] = find_superseded(points)
+    steps = points["step"][points["tag"].str.startswith(AGENT_STEPS) & ~points["superseded"]]
+    seconds = points["second"][points["second"].between(0, 1e11)]  # later is no clock's: the year 5138
+    first, last = (seconds.min(), seconds.max()) if len(seconds) else (0.0, 0.0)
+    provenance = {
+        "imported": SOURCE,
+        "import_version": IMPORT_VERSION,
+        "started": datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds") if first else None,
+        "wall_seconds": round(float(last - first), 3),
+        "files": files,
+        "damage": damage,
+    }
+    contents = "".join(file["sha256"] for file in files)
+    run_id = checksum(f"{SOURCE} {IMPORT_VERSION}\0{contents}".encode())[:16]
+    reached, new = int(max(steps, default=0)), not store.status(run_id).finished
+    return ImportedRun(shown, condition, seed, run_id, max(reached, 0), points, provenance, new)
+
+
+def read_event_file(path: Path) -> tuple[list[Scalar], list[str]]:
+    """Read every scalar of an event file, in the order of writing.
+
+    With the reader of TensorBoard's own EventAccumulator, which stops where a file is damaged. The
+    accumulator itself does not say so, and forgets the order of tags, by which restarts are known.
+
+    Returns:
+        The scalars, and what could not be read, in words.
+
+    Raises:
+        UserError: without the `tensorboard` package.
+    """
+    try:
+        from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
+        from tensorboard.compat.proto.event_pb2 import Event
+    except ImportError:
+        raise UserError(
+            f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
+        ) from None
+    scalars: list[Scalar] = []
+    plugins: dict[str, str] = {}
+    odd: dict[str, None] = {}
+    read, size = 0, path.stat().st_size
+    with suppress(Exception):  # whatever a length or a message that was made up leads to is damage
+        for record in RawEventFileLoader(str(path)).Load():
+            event = Event.FromString(record)
+            read += len(record) + FRAME_BYTES
+            for value in event.summary.value:
+                try:
+                    number = _number(value, plugins)
+                except Exception:  # as many kinds as there are kinds of tensors
+                    odd[value.tag] = None
+                    continue
+                if number is not None:
+                    scalars.append((value.tag, event.step, number, event.wall_time))
+    damage = [f"values of {tag} are no numbers and are left out" for tag in odd]
+    if read < size:
+        damage.append(f"torn or damaged: the last {size - read:,} of {size:,} bytes are left out")
+    return scalars, damage
+
+
+def _number(value: Any, plugins: dict[str, str]) -> float | None:
+    """Return the number of a summary's value; None for a text, a histogram and the like.
+
+    Args:
+        value: of an event.
+        plugins: by tag, what shows a tensor, to which this is added: some writers tell it once.
+    """
+    from tensorboard.util.tensor_util import make_ndarray
+
+    if value.HasField("simple_value"):
+        return float(value.simple_value)
+    plugin = plugins.setdefault(value.tag, value.metadata.plugin_data.plugin_name)
+    if plugin != "scalars" or not value.HasField("tensor"):
+        return None
+    if value.tensor.tensor_shape.dim:  # not made, however large it says that it is
+        raise ValueError
+    return float(make_ndarray(value.tensor))
+
+
+def find_superseded(points: pd.DataFrame) -> pd.Series:
+    """Tell which scalars of a log later ones stand in for.
+
+    A logger that was restarted goes back in steps and writes anew. Where a tag goes back, what it had
+    from there on is replaced. A file that begins before the end of the files before it replaces, of all
+    tags whose steps are agent steps, what they hold from there on.
+
+    Args:
+        points: file, tag and step of every scalar, in the order of writing.
+    """
+    of_agent = points["tag"].str.startswith(AGENT_STEPS)
+    begins = points[of_agent].groupby("file")["step"].first()
+    later = {file: begins[begins.index > file].min() for file in begins.index}  # NaN for the last file
+    gone = of_agent & (points["step"] >= points["file"].map(later))
+    for _, steps in points.groupby("tag")["step"]:
+        went_back = np.where(steps.diff() < 0, steps, np.inf)
+        least_after = np.minimum.accumulate(np.append(went_back[1:], np.inf)[::-1])[::-1]
+        gone[steps.index] |= steps >= least_after
+    return gone
+
+
+# --- Into the store -------------------------------------------------------------------------------
+
+
+def _files(run: ImportedRun) -> dict[str, bytes]:
+    """Return the files of a run in the store."""
+    scalars = io.BytesIO()
+    columns = ["tag", "step", "value", "superseded"]
+    run.points[columns].to_parquet(scalars, compression="zstd", index=False)
+    about = {"schema": SCHEMA, "run_id": run.run_id, "source": SOURCE, "run": _fields(run)}
+    return {
+        "run.json": to_json(about),
+        "provenance.json": to_json(run.provenance),
+        SCALARS_FILE: scalars.getvalue(),
+    }
 
 
 def _record(study: str, runs: Sequence[ImportedRun]) -> dict[str, Any]:
     """Return what `results/studies/NAME.json` holds, in the form of `execute.selection_record`."""
-    conditions: dict[str, list[str]] = {}
-    for run in runs:
-        conditions.setdefault(run.condition, []).append(run.run_id)
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for condition, names in conditions.items():
-        groups.setdefault(tuple(names), []).append(condition)
     return {
         "study": study,
         "source": SOURCE,
         "path": None,
         "title": study,
         "figure": study,
-        "baseline": next(iter(conditions)),
-        "same": [names for names in groups.values() if len(names) > 1],
-        "selection": _plain(asdict(Selection())),
+        "baseline": runs[0].condition,
+        "same": [],
+        "selection": asdict(Selection()),
         "runs": [
-            {
-                "condition": run.condition,
-                "seed": run.seed,
-                "run_id": run.run_id,
-                "run": _settings(run.steps),
-            }
+            {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "run": _fields(run)}
             for run in runs
         ],
     }
 
 
-def _plain(selection: dict[str, Any]) -> dict[str, Any]:
-    """Return a selection as JSON gives it back, so that two can be compared."""
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in selection.items()}
+def _fields(run: ImportedRun) -> dict[str, Any]:
+    """Return what is known of the fields of an imported run."""
+    return {"env": "Imported TensorBoard logs", "slots": None, "steps": run.steps}

@@ -17,36 +17,32 @@ from pneuma.config import BASES, Run, read_setting
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.study.conditions import does_nothing, read_conditions, read_settings_table, unread_settings
 from pneuma.study.definition import (
-    GODOT,
     PRESETS,
-    SETTINGS,
-    TEXT,
     Preset,
     Study,
-    in_setting,
     join_settings,
     run_command,
-    split_setting,
     studies_folder,
 )
 from pneuma.study.faults import check_run, fault
 from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
 from pneuma.values import Number
+from pneuma.worlds import TEXT, WORLDS, chosen_world, split_world
 
 __all__ = [
-    "GODOT", "PRESETS", "SEEDS_ALLOWED", "SETTINGS", "TEXT", "Preset", "Study", "does_nothing", "in_setting",
-    "join_settings", "list_studies", "load_study", "read_seeds", "run_command", "split_setting",
-    "studies_folder", "unread_settings",
+    "PRESETS", "SEEDS_ALLOWED", "Preset", "Study", "does_nothing", "join_settings", "list_studies",
+    "load_study", "read_seeds", "run_command", "studies_folder", "unread_settings",
 ]  # fmt: skip
 
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
 _TOP_KEYS = (
-    "title", "section", "about", "figure", "base", "baseline", "keep_checkpoints", "gpu", "settings",
+    "title", "section", "about", "figure", "base", "baseline", "keep_checkpoints", "gpu", "worlds",
     "run", "factors", "conditions", "presets",
 )  # fmt: skip
 KEPT_CHECKPOINTS = Number(0, 1000, whole=True)
+_OTHER_WORLDS = tuple(name for name in WORLDS if name != TEXT)
 _TEXTS = {"base": f"one of {', '.join(BASES)}", "baseline": "the name of a condition"}
 """What the texts at the top are that are not for people."""
 
@@ -65,38 +61,30 @@ def files_called(name: str) -> list[str]:
     return [f"{name}.toml"] if os.path.isfile(f"{name}.toml") else []  # a Path would refuse a long name
 
 
-def load_study(name: str, setting: str | None = None) -> Study:
+def load_study(name: str, world: str | None = None) -> Study:
     """Load a shipped study by its name, or any by the path of its file.
 
     Args:
-        name: of the study; one that ends in -godot stands for the study in that setting.
-        setting: one of `SETTINGS`; the text's when neither this nor the name says so.
+        name: of the study; one that ends in -WORLD stands for the study in that world.
+        world: one of `WORLDS`; the text's when neither this nor the name says so.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
     if not name.endswith(".toml"):
-        own, told = split_setting(name)
+        own, world = chosen_world(name, world)
         if own not in list_studies():
             raise unknown_name("study", name, [*list_studies(), *files_called(name)])
-        setting = _one(name, told, setting)
-        return _read_study(read_toml(studies_folder() / f"{own}.toml")).in_setting(setting)
+        return _read_study(read_toml(studies_folder() / f"{own}.toml")).in_world(world)
     path = Path(name)
     shipped = studies_folder() / path.name
     if shipped.is_file() and path.resolve() != shipped.resolve():
         raise UserError(f"{path}: a shipped study is called {path.stem}; give yours another file name")
-    if split_setting(path.stem)[1] != TEXT:
+    if (told := split_world(path.stem)[1]) != TEXT:
         raise UserError(
-            f"{path}: -{GODOT} ends the names of studies in that setting; give yours another file name"
+            f"{path}: -{told} ends the names of studies in that world; give yours another file name"
         )
-    return _read_study(read_toml(path)).in_setting(setting or TEXT)
-
-
-def _one(name: str, told: str, setting: str | None) -> str:
-    """Return the setting that a name and an option stand for together."""
-    if told != TEXT and setting not in (None, told):
-        raise UserError(f"--setting {setting}: the name {name} stands for the setting {told}")
-    return setting or told
+    return _read_study(read_toml(path)).in_world(world or TEXT)
 
 
 def read_seeds(value: object) -> tuple[int, ...]:
@@ -128,7 +116,7 @@ def _read_study(file: TomlFile) -> Study:
     baseline = _baseline(sets.own, sets.levels, texts["baseline"])
     if baseline not in sets.own:
         raise file.mistake((), f"baseline: {unknown_name('condition', baseline, sets.own)}", "baseline")
-    settings_known, godot = _read_setting_names(file)
+    worlds, by_world = _read_worlds(file)
     study = Study(
         name=file.path.stem,
         path=file.path,
@@ -144,10 +132,10 @@ def _read_study(file: TomlFile) -> Study:
         keep_checkpoints=_read_kept(file),
         gpu=_read_gpu(file, sets.own),
         levels=sets.levels,
-        settings_known=settings_known or _usual_settings(sets.own),
-        godot=godot,
+        worlds=worlds or _usual_worlds(sets.own),
+        by_world=by_world,
     )
-    _check_settings(file, study)
+    _check_worlds(file, study)
     return study
 
 
@@ -158,34 +146,33 @@ def _baseline(conditions: Mapping[str, Any], levels: Mapping[str, Mapping[str, s
     return next((name for name, own in levels.items() if told in own.values()), told)
 
 
-def _read_setting_names(file: TomlFile) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Read `settings`: a list of those that the study is run in, or a table of what godot's sets besides."""
-    value = file.data.get("settings", {})
+def _read_worlds(file: TomlFile) -> tuple[tuple[str, ...], dict[str, dict[str, Any]]]:
+    """Read `worlds`: a list of those that the study is run in, or tables of what each sets besides."""
+    value = file.data.get("worlds", {})
     if isinstance(value, dict):
-        file.refuse_unknown(("settings",), file.table(("settings",)), (GODOT,))
-        return (SETTINGS if value else ()), read_settings_table(file, ("settings", GODOT))
-    if not isinstance(value, list) or not value or any(name not in SETTINGS for name in value):
-        allowed = f"a list of {', '.join(SETTINGS)}, or a table [settings.{GODOT}]"
-        raise file.mistake((), f"settings = {shown(value)} is not allowed: {allowed}", "settings")
-    return tuple(name for name in SETTINGS if name in value), {}
+        file.refuse_unknown(("worlds",), value, _OTHER_WORLDS)
+        besides = {key: read_settings_table(file, ("worlds", key)) for key in value}
+        return (tuple(WORLDS) if value else ()), besides
+    if not isinstance(value, list) or not value or not {*map(str, value)} <= {*WORLDS}:
+        allowed = f"a list of {', '.join(WORLDS)}, or tables such as [worlds.{_OTHER_WORLDS[0]}]"
+        raise file.mistake((), f"worlds = {shown(value)} is not allowed: {allowed}", "worlds")
+    return tuple(name for name in WORLDS if name in value), {}
 
 
-def _usual_settings(conditions: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return both, unless the study compares environments itself."""
-    return (TEXT,) if any("env" in own for own in conditions.values()) else SETTINGS
+def _usual_worlds(conditions: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return all, unless the study compares environments itself."""
+    return (TEXT,) if any("env" in own for own in conditions.values()) else tuple(WORLDS)
 
 
-def _check_settings(file: TomlFile, study: Study) -> None:
-    """Refuse a condition whose settings do not go together in godot's setting."""
-    if GODOT not in study.settings_known:
-        return
-    there = study.in_setting(GODOT)
-    for name in there.conditions:
-        error = fault(there.settings(name), check_run)
-        if error:
-            where = ("settings", GODOT) if study.godot else ("conditions", name)
-            mend = f'; settings = ["{TEXT}"] at the top runs it in the text\'s setting alone'
-            raise file.mistake(where, f"in the setting {GODOT}, {name}: {error}{mend}")
+def _check_worlds(file: TomlFile, study: Study) -> None:
+    """Refuse a condition whose settings do not go together in another world than the text's."""
+    for world in study.worlds:
+        there = study.in_world(world)
+        for name in there.conditions if world != TEXT else ():
+            if error := fault(there.settings(name), check_run):
+                where = ("worlds", world) if world in study.by_world else ("conditions", name)
+                mend = f'; worlds = ["{TEXT}"] at the top runs it in the text\'s world alone'
+                raise file.mistake(where, f"in the world {world}, {name}: {error}{mend}")
 
 
 def _read_kept(file: TomlFile) -> int:

@@ -14,6 +14,9 @@ from typing import Any
 
 from pneuma.errors import UserError, nearest_name
 
+RENAMED = {"settings": "worlds"}
+"""Keys of earlier versions, and what they are called now."""
+
 Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
 
@@ -48,6 +51,8 @@ class TomlFile:
             if key not in allowed:
                 hint = nearest_name(key, allowed)
                 message = f"unknown key {key!r}{hint}; known are {', '.join(allowed)}"
+                if RENAMED.get(key) in allowed:
+                    message = f"{key} is called {RENAMED[key]} now"
                 raise self.mistake(where, message, key)
 
 

@@ -70,7 +70,7 @@ outcome = "final-share-killed"
 kind = "mean"
 direction = "greater"
 margin = 0.04
-settings = ["text"]
+worlds = ["text"]
 """
 
 LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
@@ -93,11 +93,11 @@ def save_runs(
     folder: Path,
     shares: Mapping[str, Sequence[float | Sequence[float]]],
     steps: int = STEPS,
-    setting: str = "text",
+    world: str = "text",
     **provenance: object,
 ) -> list[str]:
     """Store a run for each share killed, as `save_run` takes it, seed by seed; return the runs' ids."""
-    study = load_study(str(folder / "mine.toml"), setting)
+    study = load_study(str(folder / "mine.toml"), world)
     ids = []
     for condition, values in shares.items():
         selection = Selection("quick", tuple(range(len(values))), steps, conditions=(condition,))

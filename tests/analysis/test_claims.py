@@ -17,11 +17,14 @@ from pneuma.analysis.verdicts import smallest_p
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study, studies_folder
+from pneuma.worlds import WORLDS
 
 from .claim_files import CLAIMS, write_files
 
 SHIPPED = load_claims()
-FAMILY = sum(len(own.settings) * len(own.pairs) + len(own.logs) for own in SHIPPED.claims.values())
+FAMILY = sum(len(own.worlds) * len(own.pairs) + len(own.logs) for own in SHIPPED.claims.values())
+TOO_FEW = ("small-best", "small-steadiest", "mid-most-variable", "big-worst")
+"""Claims on big networks, too slow for more seeds: in a list of three worlds these support nothing."""
 SECTIONS = ("3.1", "3.2", "3.3", "4", "4.2", "4.3", "4.4", "5.2", "5.3", "5.5", "6", "6.1", "6.2", "6.3")
 
 
@@ -67,7 +70,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "margin of a wrong type": ("margin = 0.04", 'margin = "0.04"', 23, ('margin = "0.04"', "a number")),
     "unknown need": ("margin = 0.04", 'margin = 0.04\nneed = "one"', 24, ("need", "all, any")),
     "not less without margin": ('"greater"\nmargin = 0.04', '"not-less"', 14, ("'margin'", "missing")),
-    "unknown setting": ('["text"]', '["txet"]', 24, ("settings", "text, godot")),
+    "unknown world": ('["text"]', '["txet"]', 24, ("worlds", "text, godot, arena")),
     "no quote": ('quote = "a quote"\n', "", 14, ("'quote'", "missing")),
     "an empty quote": ('"a quote"', '""', 15, ("quote", "a text")),
     "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 14, ("'margin'", "missing")),
@@ -133,7 +136,7 @@ def test_a_mistake_is_told_with_file_line_and_what_to_mend(mistake: str, tmp_pat
 def test_a_shipped_claim_can_be_judged(claim: Claim) -> None:
     """Its runs are those of its study's paper preset, or those and more seeds."""
     study = load_study(claim.study)
-    assert set(claim.settings) <= set(study.settings_known)
+    assert set(claim.worlds) <= set(study.worlds)
     assert claim.section in SECTIONS
     assert 10 <= len(claim.quote) <= 120
     find_outcome(claim.outcome)
@@ -146,8 +149,8 @@ def test_a_shipped_claim_can_be_judged(claim: Claim) -> None:
 
 @pytest.mark.parametrize("claim", SHIPPED.claims.values(), ids=SHIPPED.claims.keys())
 def test_no_shipped_claim_compares_what_is_the_same(claim: Claim) -> None:
-    for setting in claim.settings:
-        study = load_study(claim.study, setting)
+    for world in claim.worlds:
+        study = load_study(claim.study, world)
         for a, b in claim.pairs:
             assert b is None or study.settings(a) != study.settings(b)
 
@@ -156,6 +159,7 @@ def test_no_shipped_claim_compares_what_is_the_same(claim: Claim) -> None:
 def test_the_fixed_runs_of_a_shipped_claim_could_support_it(claim: Claim) -> None:
     """Were every other contrast of the list still open, the best runs there can be would be enough."""
     generator = np.random.default_rng(1)
+    least = []
     for a, b in claim.pairs:
         runs = [generator.permutation(len(claim.seeds[name])) % 2 for name in (a, b) if name is not None]
         if b is None:
@@ -163,7 +167,8 @@ def test_the_fixed_runs_of_a_shipped_claim_could_support_it(claim: Claim) -> Non
         else:
             found = compare(claim.kind, runs[0], runs[1], claim.margin, generator)
         assert found.reason == ""
-        assert smallest_p(found, claim.direction) * FAMILY <= ALPHA
+        least.append(smallest_p(found, claim.direction))
+    assert (max(least) * FAMILY <= ALPHA) == (claim.name not in TOO_FEW)
 
 
 def test_margins_are_half_a_monster_and_a_ratio_of_one_and_a_half() -> None:
@@ -186,14 +191,14 @@ def test_the_claims_are_no_study() -> None:
         load_study("claims")
 
 
-@pytest.mark.parametrize("setting", ["text", "godot"])
-def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by(setting: str) -> None:
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by(world: str) -> None:
     fixed: dict[str, set[tuple[str, int]]] = {}
     for claim in SHIPPED.claims.values():
-        if setting in claim.settings:
+        if world in claim.worlds:
             cells = {(name, seed) for name, seeds in claim.seeds.items() for seed in seeds}
             fixed[claim.study] = fixed.get(claim.study, set()) | cells
     for study, cells in fixed.items():
-        plan = make_plan(load_study(study, setting), Selection("claims"))
+        plan = make_plan(load_study(study, world), Selection("claims"))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells
-        assert make_plan(load_study(study, setting), Selection("paper+claims")).cells
+        assert make_plan(load_study(study, world), Selection("paper+claims")).cells

@@ -236,7 +236,7 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write
     entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)  # type: ignore[operator]
-    import_tensorboard(tmp_path / "logs", store)
+    import_tensorboard([tmp_path / "logs"], store)
     data = open_study(store, store.selection("logs") or {})
     found = diagnose(data, data.runs[0])
     assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
@@ -253,7 +253,7 @@ def test_logs_without_any_sign_are_not_said_to_have_kept_their_policy(
     for name, key in (("dqn_1", "train/loss"), ("ppo_1", "train/entropy_loss")):
         points = [(key, 100 * k, -1.0) for k in range(1, 101)]
         write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)  # type: ignore[operator]
-    import_tensorboard(tmp_path / "logs", store)
+    import_tensorboard([tmp_path / "logs"], store)
     rows = incidence(open_study(store, store.selection("logs") or {})).to_dict("records")
     told = {row["condition"]: (row["collapsed"], row["runs"], row["unknown"]) for row in rows}
     assert told == {"dqn": (0, 0, 1), "ppo": (0, 1, 0)}

@@ -128,15 +128,15 @@ def test_a_missing_combination_of_three_factors_is_named(tmp_path: Path) -> None
 
 
 SHIPPED = [
-    (name, setting)
+    (name, world)
     for name in ("collapse", "gradient-limits", "magic", "perception", "robustness")
-    for setting in load_study(name).settings_known
+    for world in load_study(name).worlds
 ]
 
 
-@pytest.mark.parametrize(("name", "setting"), SHIPPED)
-def test_the_settings_of_shipped_studies_tell_the_factors_of_their_files(name: str, setting: str) -> None:
-    study = load_study(name, setting)
+@pytest.mark.parametrize(("name", "world"), SHIPPED)
+def test_the_settings_of_shipped_studies_tell_the_factors_of_their_files(name: str, world: str) -> None:
+    study = load_study(name, world)
     record = selection_record(make_plan(study, Selection(seeds=(0,))))
     found = find_crossing(cast(StudyData, SimpleNamespace(study=name, runs=[], record=record)))
     assert alike(found.levels) == alike({name: tuple(own.values()) for name, own in study.levels.items()})

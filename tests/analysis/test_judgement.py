@@ -155,13 +155,13 @@ def test_a_claim_on_several_arms_must_hold_for_each(store: Store, tmp_path: Path
     assert one.told is not None and one.told.b == "middle"
 
 
-def test_the_settings_are_judged_side_by_side(store: Store, tmp_path: Path) -> None:
-    claims = changed(('settings = ["text"]\n', ""))
+def test_the_worlds_are_judged_side_by_side(store: Store, tmp_path: Path) -> None:
+    claims = changed(('worlds = ["text"]\n', ""))
     write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, setting="godot")
+    save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, world="godot")
     verdicts = {one.place: one.verdict for one in judge_claims(store, tmp_path, claims)}
-    assert verdicts == {"text": "supported", "godot": "refuted"}
+    assert verdicts == {"text": "supported", "godot": "refuted", "arena": "untestable"}
 
 
 @pytest.mark.parametrize("study", ["mine", "another"])

@@ -14,7 +14,7 @@ from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, o
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.published_times import encode_times, times_path
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.run_view import common_step
+from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
@@ -226,7 +226,7 @@ def test_logs_have_what_was_logged_and_say_so_of_the_rest(tmp_path: Path, write_
         for point in (("rollout/ep_rew_mean", 100 * k, k / 4), ("train/entropy_loss", 100 * k, -1 / k))
     ]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    import_tensorboard(tmp_path / "logs", store)
+    import_tensorboard([tmp_path / "logs"], store)
     data = open_study(store, store.selection("logs") or {})
     (run,) = data.runs
     assert (outcome(data, run, "final-return"), outcome(data, run, "best-return")) == (2.5, 2.5)
@@ -234,6 +234,24 @@ def test_logs_have_what_was_logged_and_say_so_of_the_rest(tmp_path: Path, write_
     assert outcome(data, run, "wall-seconds") > 0
     assert np.isnan(outcome(data, run, PRIMARY))
     assert reason(data, run, PRIMARY) == "a study of imported TensorBoard logs holds no evaluations"
+
+
+def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_left_out(
+    tmp_path: Path, write_events: Any
+) -> None:
+    store = Store(tmp_path / "results")
+    for seed, end in enumerate((1000, 1000, 1000, 980, 400, 100)):
+        points = [("rollout/ep_rew_mean", step, float(step + seed)) for step in (10, end)]
+        write_events(tmp_path / "logs" / f"a_{seed}" / "events.out.tfevents.1.host", points)
+    import_tensorboard([tmp_path / "logs"], store)
+    data = open_study(store, store.selection("logs") or {})
+    at_step = common_step(data)
+    assert at_step == 980
+    np.testing.assert_array_equal(
+        outcome_values(data, "a", "final-return", at_step), [1000, 1001, 1002, 983, np.nan, np.nan]
+    )
+    assert "the run ends at step 400" in reason(data, data.runs[4], "final-return", at_step)
+    assert step_words(data).endswith("(left out, as they end before: a 4, a 5)")
 
 
 @pytest.mark.parametrize("name", ["final-share", "steps-to:0", "steps-to:1.5", "steps-to:x", ""])

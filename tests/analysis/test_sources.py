@@ -92,7 +92,7 @@ def imported(store: Store, write_events: WriteEvents) -> dict[str, Any]:
             logs / name / "events.out.tfevents.1.host",
             [*points, ("time/fps", end, float(number))],
         )
-    import_tensorboard(logs, store)
+    import_tensorboard([logs], store)
     record = store.selection("logs")
     assert record is not None
     return record
@@ -275,12 +275,27 @@ def test_a_nan_that_was_logged_stays_in_the_table_and_is_a_blank_in_the_curve(
     store = Store(tmp_path / "results")
     points = [("rollout/ep_rew_mean", 100 * k, float("nan") if k == 2 else float(k)) for k in (1, 2, 3, 4)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    import_tensorboard(tmp_path / "logs", store)
+    import_tensorboard([tmp_path / "logs"], store)
     data = open_study(store, store.selection("logs") or {})
     np.testing.assert_array_equal(data.table("metrics")["return_mean_100"], [1, np.nan, 3, 4])
     curve = data.curve(data.runs[0], "return")
     at = {int(step): place for place, step in enumerate(data.grid)}
     np.testing.assert_array_equal(curve[[at[198], at[200], at[298], at[300]]], [1, np.nan, np.nan, 3])
+
+
+def test_episodes_of_cleanrl_are_averaged_over_the_last_hundred(
+    tmp_path: Path, write_events: WriteEvents
+) -> None:
+    store = Store(tmp_path / "results")
+    points = [("charts/episodic_return", k, float(k)) for k in range(1, 151)]
+    points += [("charts/SPS", 150, 9.0), ("losses/entropy", 150, 1.5), ("own", 150, 2.0)]
+    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
+    import_tensorboard([tmp_path / "logs"], store)
+    data = open_study(store, store.selection("logs") or {})
+    (run,) = data.runs
+    assert data.table("metrics")["return_mean_100"].iloc[[0, 1, 149]].tolist() == [1, 1.5, 100.5]
+    assert (data.final(run, "return"), data.final(run, "entropy")) == (100.5, 1.5)
+    assert list(data.table("metrics"))[3:] == ["step", "return_mean_100", "entropy", "logged/own"]
 
 
 # --- Runs here, and runs that were published ------------------------------------------------------

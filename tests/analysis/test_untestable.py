@@ -128,8 +128,8 @@ def test_spread_where_there_is_none(store: Store, tmp_path: Path) -> None:
     assert "are equal: there is no spread to compare" in reason
 
 
-def test_a_setting_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
-    assert "setting not defined" in judge_one(store, tmp_path, place="godot").reason
+def test_a_world_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
+    assert "world not defined" in judge_one(store, tmp_path, place="godot").reason
 
 
 @pytest.mark.parametrize("published", [False, True])

@@ -34,18 +34,18 @@ def _document(captured: Captured, *arguments: str) -> Any:
     return json.loads(captured.readouterr().out)
 
 
-def test_the_document_has_every_claim_in_every_setting(
+def test_the_document_has_every_claim_in_every_world(
     command: list[str], tmp_path: Path, capsys: Captured
 ) -> None:
     document = _document(capsys, *command)
     assert (document["schema"], document["contrasts"], document["alpha"]) == (1, 2, 0.05)
     assert document["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
-    told = [(one["claim"], one["setting"], one["verdict"]) for one in document["claims"]]
+    told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
     assert told == [
-        ("better", "text", "supported"), ("better", "godot", "untestable"),
-        ("other", "text", "untestable"), ("other", "godot", "untestable"),
+        ("better", "text", "supported"), ("better", "godot", "untestable"), ("better", "arena", "untestable"),
+        ("other", "text", "untestable"), ("other", "godot", "untestable"), ("other", "arena", "untestable"),
     ]  # fmt: skip
-    first, _, missing, _ = document["claims"]
+    first, _, _, missing, _, _ = document["claims"]
     assert first["effect"] == pytest.approx(0.5)
     assert first["interval"][0] < 0.5 < first["interval"][1]
     assert (first["seeds"], first["seeds_needed"], first["reason"]) == ([8, 8], None, "")
@@ -83,7 +83,7 @@ def test_what_claims_fix_can_be_published_whatever_was_run_last(
 
 def test_one_claim_in_one_setting_is_judged_like_all(command: list[str], capsys: Captured) -> None:
     every = _document(capsys, *command)
-    one = _document(capsys, *command, "better", "--setting", "text")
+    one = _document(capsys, *command, "better", "--world", "text")
     assert one["claims"] == every["claims"][:1]
     assert one["contrasts"] == every["contrasts"]
 
@@ -92,10 +92,19 @@ def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     assert main(command) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == [
-        "claim", "section", "text", "godot", "logs",
+        "claim", "section", "text", "godot", "arena", "logs",
         "numbers", "of", "effect", "95", "%", "interval", "seeds",
     ]  # fmt: skip
-    assert lines[1].split()[:7] == ["better", "6", "supported", "untestable", "-", "text", "0.5"]
+    assert lines[1].split()[:8] == [
+        "better",
+        "6",
+        "supported",
+        "untestable",
+        "untestable",
+        "-",
+        "text",
+        "0.5",
+    ]
     assert any("text: no runs" in line for line in lines)
 
 
@@ -103,7 +112,7 @@ def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     ("arguments", "words"),
     [
         (("bettr",), "unknown claim 'bettr' (did you mean better?)"),
-        (("--setting", "txt"), "unknown setting 'txt' (did you mean text?)"),
+        (("--world", "txt"), "unknown world 'txt' (did you mean text?)"),
         (("--claims", "nowhere.toml"), "nowhere.toml: cannot be read"),
     ],
 )
@@ -118,8 +127,14 @@ def test_a_mistake_is_told_in_one_line(
 
 def test_the_shipped_claims_are_judged_without_any_run(tmp_path: Path, capsys: Captured) -> None:
     document = _document(capsys, "study", "verify", "--results", str(tmp_path / "nothing"))
-    verdicts = {(one["setting"], one["verdict"]) for one in document["claims"]}
+    verdicts = {(one["world"], one["verdict"]) for one in document["claims"]}
     assert verdicts == {
-        ("text", "untestable"), ("godot", "untestable"), ("logs", "untestable"), ("logs", "inconclusive"),
+        ("text", "untestable"), ("godot", "untestable"), ("arena", "untestable"), ("logs", "untestable"),
+        ("logs", "inconclusive"),
     }  # fmt: skip
     assert not (tmp_path / "nothing").exists()
+
+
+def test_where_nothing_was_run_it_is_said(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["study", "verify", "tanh-better", "--results", str(tmp_path)]) == 0
+    assert "no study was run or published in" in capsys.readouterr().out.splitlines()[0]

@@ -21,7 +21,7 @@ base = "table-6-1"
 baseline = "adam"
 keep_checkpoints = 3
 gpu = ["adam", "slow"]
-settings = ["text", "godot"]
+worlds = ["text", "godot"]
 
 [run]   # what all conditions share
 env = "pneuma/Pneuma-v0"
@@ -162,8 +162,8 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "baseline": (("3", '"admm"'), ("condition",)),
     "keep_checkpoints": _count(0, 1000),
     "gpu": (("1", '"true"', "[3]", '["admm"]'), ("condition",)),
-    "settings": (("3", '"godot"', "[]", '["godo"]', "[3]"), ("text", "godot")),
-    "env": _one_of("pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"),
+    "worlds": (("3", '"godot"', "[]", '["godo"]', "[[3]]"), ("text", "godot")),
+    "env": _one_of("pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0", "pneuma/PneumaArena-v0"),
     "level": (('"thesi"', '"/nowhere/level"', '"random:train:x"', '""', "3", "[]"), ("level",)),
     "random_levels": _count(1, 10_000),
     "characters": (('"pigame"', '"/nowhere/characters.toml"', "3", "[]"), ("characters",)),

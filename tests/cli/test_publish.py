@@ -13,7 +13,6 @@ from pneuma.study.store import Store
 
 from .calls import call
 
-ROOT = Path(__file__).parents[2]
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
 TINY = [
     "--steps", "256",
@@ -261,11 +260,17 @@ def test_a_fresh_clone_exports_the_same_tables(
     assert _export(clone, table, tmp_path / "theirs.csv", *selection) == ours
 
 
-def test_curves_that_a_rounded_table_lacks_with_a_window_are_told_and_left_out(tmp_path: Path) -> None:
-    """The tables that are committed keep returns alone as the thesis's figures average them."""
-    command = ("study", "export", "clip-range", "--table", "curves", "--window", "trailing-100")
-    called = call(*command, "--out", tmp_path / "c.csv", "--results", ROOT / "results")
-    assert called.code == 0 and "length: not held with the window trailing-100, and left out" in called.err
+def test_curves_that_a_rounded_table_lacks_with_a_window_are_told_and_left_out(
+    trained: Path, tmp_path: Path
+) -> None:
+    """A rounded table keeps returns alone as the thesis's figures average them."""
+    results = Path(shutil.copytree(trained, tmp_path / "results"))
+    assert call("study", "publish", "activation", "--round", "--results", results).code == 0
+    shutil.rmtree(results / "runs")
+    command = ("study", "export", "activation", "--table", "curves", "--window", "trailing-100")
+    called = call(*command, "--out", tmp_path / "c.csv", "--results", results)
+    told = "length, kills, hp: not held with the window trailing-100, and left out"
+    assert called.code == 0 and told in called.err
     quantities = {line.split(",")[1] for line in (tmp_path / "c.csv").read_text().splitlines()[1:]}
     assert quantities == {"return", "share_killed"}
 

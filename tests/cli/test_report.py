@@ -18,7 +18,7 @@ from pneuma.analysis.trajectories import encode_trajectories, gathered, trajecto
 from pneuma.cli import main, report_contents
 from pneuma.config import as_settings, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.figures.report_verdicts import MEANINGS, SETTINGS
+from pneuma.figures.report_verdicts import MEANINGS, PLACES
 from pneuma.study import spec
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
@@ -106,8 +106,9 @@ def test_without_any_run_every_shipped_study_says_how_to_get_them(make: Callable
     words = _words(page)
     for name in spec.list_studies():
         assert f"No runs yet. To train what is missing: pneuma study run {name}" in words
-        in_both = "godot" in spec.load_study(name).settings_known
-        assert (f"pneuma study run {name} --setting godot" in words) is in_both
+        known = spec.load_study(name).worlds
+        for world in ("godot", "arena"):
+            assert (f"pneuma study run {name} --world {world}" in words) is (world in known)
     assert page.all("img") == []
 
 
@@ -146,12 +147,12 @@ def test_what_is_missing_is_trained_by_the_selection_that_lacks_it(
     for name in ("activation-godot", "mine", "mine-forks-ab12"):
         record = _record(store, name, TWO, selection=chosen)
         path = "elsewhere/mine.toml" if name == "mine" else None
-        setting = "godot" if name.endswith("godot") else "text"
-        store.save_selection(name, {**record, "path": path, "setting": setting})
+        world = "godot" if name.endswith("godot") else "text"
+        store.save_selection(name, {**record, "path": path, "world": world})
         (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
     options = "--preset paper --seeds 2 --condition tanh --condition relu --set 'betas=[0.9, 0.9]'"
     words = _words(make("activation", "mine", "mine-forks-ab12"))
-    assert f"To train what is missing: pneuma study run activation --setting godot {options}" in words
+    assert f"To train what is missing: pneuma study run activation --world godot {options}" in words
     assert f"To train what is missing: pneuma study run mine.toml {options}" in words
     assert "pneuma study run mine-forks" not in words  # there is no such file
 
@@ -168,16 +169,16 @@ def test_a_study_of_another_world_is_not_said_to_be_the_thesiss(
     store: Store, make: Callable[..., Any]
 ) -> None:
     headings = [each.text for each in make("tabular", "activation").all("h3")]
-    assert headings.count("In pneuma/Mailman-v0") == headings.count("In the text's environment") == 1
+    assert headings.count("In pneuma/Mailman-v0") == headings.count("In the text's world") == 1
 
 
-def test_both_settings_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
+def test_all_worlds_stand_in_one_section(store: Store, make: Callable[..., Any]) -> None:
     _record(store, "activation", TWO)
     _record(store, "activation-godot", TWO, settings={"env": "pneuma/PneumaGodot-v0"})
     page = make("activation")
     assert len(page.all("img")) == 2
     headings = [each.text for each in page.all("h3")]
-    assert headings[-2:] == ["In the text's environment", "In the published code's environment"]
+    assert headings[-3:] == ["In the text's world", "In the published code's world", "In the arena"]
 
 
 def test_the_same_results_give_the_same_bytes_and_tell_no_folder(
@@ -211,9 +212,9 @@ def test_the_verdicts_are_those_of_study_verify(
     capsys.readouterr()
     assert main(["study", "verify", "--results", str(store.root), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    counted = Counter((claim["setting"], claim["verdict"]) for claim in document["claims"])
-    rows = [each.text for each in page.elements if each.tag == "td"][: 4 * len(SETTINGS)]
-    assert [int(cell) for cell in rows] == [counted[place, word] for place in SETTINGS for word in MEANINGS]
+    counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
+    rows = [each.text for each in page.elements if each.tag == "td"][: 4 * len(PLACES)]
+    assert [int(cell) for cell in rows] == [counted[place, word] for place in PLACES for word in MEANINGS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
     assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
     assert document["claims_hash"] in _words(page)

@@ -236,10 +236,10 @@ def test_a_published_search_is_told_drawn_and_promoted_in_a_clone(
 def test_a_search_of_the_published_codes_world_is_promoted_there(
     searched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = [str(searched[0]), "--setting", "godot", "--results", str(tmp_path)]
+    arguments = [str(searched[0]), "--world", "godot", "--results", str(tmp_path)]
     assert main(["search", "run", *arguments, "--trials", "2", "--quiet"]) == 0
     assert main(["search", "status", *arguments]) == 0
-    told = f"Confirm it with: pneuma search promote {searched[0]} --setting godot"
+    told = f"Confirm it with: pneuma search promote {searched[0]} --world godot"
     assert told in capsys.readouterr().out
     assert main(["search", "promote", *arguments, "--seeds", "1", "--json"]) == 0
     study = json.loads(capsys.readouterr().out)["study"]
@@ -334,9 +334,9 @@ def test_sensitivity_is_trained_and_drawn(searched: tuple[Path, Path], tmp_path:
         (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),
         (["run", "ppo", "--storage", "nothing"], "--storage nothing:"),
         (["status", "ppo"], "search ppo was not run"),
-        (["status", "ppo", "--setting", "godot"], "search ppo-godot was not run"),
+        (["status", "ppo", "--world", "godot"], "search ppo-godot was not run"),
         (["status", "my.toml"], "search my was not run"),
-        (["plot", "my.toml", "--setting", "godot"], "run `pneuma search run my.toml --setting godot` first"),
+        (["plot", "my.toml", "--world", "godot"], "run `pneuma search run my.toml --world godot` first"),
         (["run", "ppo", "--sensitivity", "--trials", "3"], "--trials 3: does not go with --sensitivity"),
         (["plot", "ppo", "--sensitivity", "--what", "slices"], "--what slices: does not go with"),
         (["plot", "ppo"], "search ppo was not run"),

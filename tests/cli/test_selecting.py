@@ -70,5 +70,5 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
 @pytest.mark.parametrize("own", COMMANDS, ids=lambda own: own.__name__)
 def test_every_command_on_a_study_has_them_all(own: object) -> None:
     held = inspect.signature(own).parameters  # type: ignore[arg-type]
-    assert {"preset", "seeds", "steps", "engine", "condition", "set_", "setting"} <= {*held}
+    assert {"preset", "seeds", "steps", "engine", "condition", "set_", "world"} <= {*held}
     assert "selection" not in held

@@ -26,7 +26,7 @@ from .calls import call, described, printed, refused
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=40")
 TINY = ["--engine", "sb3", "--steps", "128", *(part for own in SETTINGS for part in ("--set", own))]
 TWO = ["--seeds", "2", "--condition", "tanh", "--condition", "relu"]
-GODOT = ["activation", "--setting", "godot"]
+GODOT = ["activation", "--world", "godot"]
 
 
 @pytest.fixture(scope="module")
@@ -80,13 +80,13 @@ def test_where_neither_policies_nor_trajectories_are_it_says_so(trained: Path, t
     printed("study", "publish", *GODOT, "--results", str(results))
     shutil.rmtree(results / "runs")
     line = refused("study", "trajectories", *GODOT, "--results", results)
-    train = "run `pneuma study run activation --setting godot` with the same options"
+    train = "run `pneuma study run activation --world godot` with the same options"
     nowhere = f"study activation-godot: its policies are not in {results}; "
     assert line == nowhere + train
     folder = results / "published" / "trajectories"
     folder.mkdir()
     (folder / "sigmoid-godot.parquet").touch()
-    told = "trajectories are published of sigmoid --setting godot; or "
+    told = "trajectories are published of sigmoid --world godot; or "
     assert refused("study", "trajectories", *GODOT, "--results", results) == nowhere + told + train
     other = {"condition": "tanh", "seed": 3, "run_id": "f" * 16, "episode": 0, "player": 0, "steps": 1}
     rows = [{**other, "kills": 0, "ending": "killed", "places": np.zeros((2, 2))}]

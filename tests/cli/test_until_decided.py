@@ -118,7 +118,7 @@ def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path:
     one = Selection(conditions=(study.baseline, list(study.conditions)[-1]))
     with pytest.raises(UserError, match="or --condition; looking again"):
         next(run_until_decided(study, one, 20, store, written.train))
-    others = replace(study.in_setting("godot"), name=study.name)  # other runs
+    others = replace(study.in_world("godot"), name=study.name)  # other runs
     next(run_until_decided(others, Selection(), 40, store, written.train))
     execute.prepare(make_plan(study, Selection(seeds=tuple(range(20)))), store)
     assert looks_that_count(store.selection(STUDY) or {}) == (10, 20)  # of its own runs, not the latest

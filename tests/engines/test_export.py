@@ -21,7 +21,8 @@ import pneuma.engines.export as exports
 from pneuma.algorithms import MAILMAN
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
-from pneuma.engines.policy import LEAKY_SLOPE, Policy, read_sound_policy
+from pneuma.engines.mlp import LEAKY_SLOPE
+from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.errors import UserError
 
 FEATURES = 60

@@ -1,16 +1,19 @@
 """The oracle: the rules of one world, told slowly and tick by tick, in plain Python, to be read.
 
-The compiled kernel (`pneuma/env/rules.py`) plays the same game in three parts and with shortcuts;
-`test_oracle.py` holds it to this telling, bit for bit. Nothing here is fast, and nothing is left
-out: every monster lives through every tick, every move is checked tile by tile.
+The compiled kernel (`pneuma/env/rules.py`) plays the same game; `test_oracle.py` holds it to this
+telling, bit for bit. Nothing here is fast, and nothing is left out: every monster lives through every
+tick, every move is checked tile by tile and body by body.
 
 A tick goes:
 
 1. Every living player acts, in order. Who gets beyond a deadly coast dies at once.
 2. Every living monster, in order, is struck by the players' swords and flames, in their order; if it
    lives, it looks for every player and bites those within reach; then it flies or chases.
-3. Every player who was there gets what the tick brought: first what heals, then the bites. Who has
-   no HP left is dead from the next tick on.
+3. Every player who was there gets what the tick brought: first what kills heal, then the bites. Who has
+   no HP left is dead from the next tick on; until then he stands in the way.
+
+Bodies are boxes around points beside which they may lie; who observes, chases or is knocked goes by the
+points. Where `bodies_block`, the living stop each other as walls do; nobody pushes.
 
 An agent step is `settings.ticks` of them with the same actions. Its end may be the episode's.
 
@@ -39,12 +42,12 @@ from pneuma.env.rules import (
     TIME_LIMIT,
 )
 
+from .oracle_moves import Box, Ground, Pair, move
 from .oracle_parts import (
     WAYS,
     Blow,
     Events,
     Gain,
-    Ground,
     Monster,
     Player,
     Rulebook,
@@ -52,6 +55,7 @@ from .oracle_parts import (
     die,
     flame_blow,
     gap_squared,
+    heal,
     knock_back,
     sword_blow,
 )
@@ -172,7 +176,7 @@ class Oracle:
         blows: dict[int, Blow] = {}
         for p, player in enumerate(self.players):
             if player.hp > 0.0:
-                blow = self._act(player, actions[p], gains[p])
+                blow = self._act(player, actions[p])
                 if blow and player.hp > 0.0:
                     blows[p] = blow
         there = [p for p, player in enumerate(self.players) if player.hp > 0.0]
@@ -184,7 +188,7 @@ class Oracle:
 
     # --- A tick: players act ---------------------------------------------------------------------
 
-    def _act(self, player: Player, action: int, gain: Gain) -> Blow | None:
+    def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
         stats = player.stats
         blow = None
@@ -200,7 +204,7 @@ class Oracle:
             elif action == HEAL and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
                 player.busy, player.armed = stats.heal_ticks, 0
-                gain.spell_heal = stats.heal
+                heal(player, stats.heal, capped=True)
             elif action in WAYS:
                 self._walk(player, action)
         if player.busy > 0:
@@ -216,14 +220,21 @@ class Oracle:
     def _walk(self, player: Player, way: int) -> None:
         """Turn a player and take it one tick that way."""
         player.facing = way
-        player.x, player.y = self.walked(player, way)
+        player.x, player.y = self.walked(player, way, self._others(player))
 
-    def walked(self, player: Player, way: int) -> tuple[float, float]:
-        """Return where one tick of walking takes a player."""
-        stats = player.stats
+    def walked(self, player: Player, way: int, others: list[Box]) -> Pair:
+        """Return where one tick of walking takes a player among others."""
+        stats, stops = player.stats, self.book.settings.player_stops
         dx, dy = (part * stats.speed for part in WAYS[way])
-        coast = not self.book.settings.deadly_coast
-        return self.ground.move(player.x, player.y, stats.half_width, stats.half_height, dx, dy, coast)
+        offset = stats.body_x, stats.body_y
+        return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, stops, others)
+
+    def _others(self, mover: Player | Monster) -> list[Box]:
+        """Return the bodies that stop one: of all others who live, if bodies block at all."""
+        if not self.book.settings.bodies_block:
+            return []
+        players = [player.box for player in self.players if player is not mover and player.hp > 0.0]
+        return players + [m.box for m in self.monsters if m is not mover and m.hp > 0.0]
 
     # --- A tick: monsters live -------------------------------------------------------------------
 
@@ -246,17 +257,15 @@ class Oracle:
         elif target is not None:
             dx = approach(target.x - monster.x, monster.kind)
             dy = approach(target.y - monster.y, monster.kind)
-        body = monster.kind.half_width, monster.kind.half_height
-        monster.x, monster.y = self.ground.move(monster.x, monster.y, *body, dx, dy, coast=True)
+        place, offset = (monster.x, monster.y), (monster.kind.body_x, monster.kind.body_y)
+        stops, others = self.book.settings.monster_stops, self._others(monster)
+        monster.x, monster.y = move(place, offset, monster.box.half, (dx, dy), self.ground, stops, others)
 
     def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
         """Strike a monster that a blow meets, unless it is dead or safe or this one has hit it before."""
         kind = monster.kind
-        meets = (
-            abs(monster.x - blow.x) < blow.half_width + kind.half_width
-            and abs(monster.y - blow.y) < blow.half_height + kind.half_height
-        )
-        if not meets or monster.hp <= 0.0 or monster.safe > 0 or monster.struck_by[p] == blow.number:
+        struck = monster.struck_by[p] == blow.number
+        if not monster.box.meets(blow.box) or monster.hp <= 0.0 or monster.safe > 0 or struck:
             return
         monster.struck_by[p] = blow.number
         monster.safe = kind.safe
@@ -267,41 +276,47 @@ class Oracle:
             return
         gains[p].kills += 1
         for q in there:
-            gains[q].deaths += 1
             # Within the attack circle is who was when the monster last looked, a tick ago.
             earns = monster.bite[q] > 0 if self.book.settings.credit_near else q == p
             if earns:
+                gains[q].deaths += 1
                 gains[q].xp += kind.xp
                 gains[q].kill_heal += kind.heal
 
     def _sense(self, monster: Monster, there: list[int], gains: list[Gain]) -> Player | None:
-        """Let a monster look for all players, and bite; return the nearest that it notices."""
-        target, nearest = None, math.inf
+        """Let a monster look for all players, and bite; return the nearest that it notices.
+
+        In flight it does not bite, unless told to: what is due then comes when it has landed.
+        """
+        kind, target, nearest = monster.kind, None, math.inf
+        flies = monster.knocked > 0 and not self.book.settings.bite_while_knocked
         for p in there:
             player, gain = self.players[p], gains[p]
-            gap = gap_squared(monster, player)
-            if gap > monster.kind.notice_squared:
+            gap = gap_squared(player, monster.x + kind.notice_x, monster.y + kind.notice_y)
+            if gap > kind.notice_squared:
                 monster.noticed.discard(p)
             else:
                 gain.notices += p not in monster.noticed
                 monster.noticed.add(p)
                 if gap < nearest:
                     target, nearest = player, gap
-            if gap > monster.kind.attack_squared:
+            gap = gap_squared(player, monster.x + kind.attack_x, monster.y + kind.attack_y)
+            if gap > kind.attack_squared:
                 monster.bite[p] = 0
             elif monster.bite[p] > 1:
                 monster.bite[p] -= 1
             else:
                 gain.contacts += monster.bite[p] == 0
-                monster.bite[p] = monster.kind.bite_ticks
-                if player.stats.safe == 0 or gain.bitten == 0.0:  # who is safe after a bite gets one a tick
-                    gain.bitten += monster.kind.damage
+                monster.bite[p] = 1 if flies else kind.bite_ticks
+                # Who is safe after a bite gets one a tick.
+                if not flies and (player.stats.safe == 0 or gain.bitten == 0.0):
+                    gain.bitten += kind.damage
         return target
 
     # --- A tick: what it brought -----------------------------------------------------------------
 
     def _settle(self, player: Player, gain: Gain) -> None:
-        """Give a player what a tick brought: XP, what heals, then the bites."""
+        """Give a player what a tick brought: XP, what kills heal, then the bites."""
         stats, events = player.stats, player.events
         events.present += 1
         player.xp += gain.xp
@@ -315,14 +330,12 @@ class Oracle:
             events.reward = player.xp
         events.reward += gain.notices + gain.contacts
 
-        healed = min(player.hp + (gain.spell_heal + gain.kill_heal), stats.hp)
-        events.hp_gained += healed - player.hp
-        player.hp = healed
         player.safe = max(player.safe - 1, 0)
+        heal(player, gain.kill_heal, bool(self.book.settings.healing_cap))
         if gain.bitten > 0.0 and player.safe == 0:
-            player.hp = max(healed - gain.bitten, 0.0)
-            player.safe = stats.safe
-            events.hp_lost += healed - player.hp
+            left = max(player.hp - gain.bitten, 0.0)
+            events.hp_lost += player.hp - left
+            player.hp, player.safe = left, stats.safe
             if player.hp <= 0.0:
                 die(player)
                 self._charge(player)

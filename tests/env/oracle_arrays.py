@@ -15,7 +15,8 @@ import numpy as np
 from pneuma.env.worlds import Worlds
 
 from .oracle import Oracle
-from .oracle_parts import Events, Ground, Kind, Monster, Player, PlayerStats, Rulebook, Settings
+from .oracle_moves import Ground
+from .oracle_parts import Events, Kind, Monster, Player, PlayerStats, Rulebook, Settings
 from .oracle_view import mask, observe
 
 _Row = TypeVar("_Row", PlayerStats, Kind, Settings)

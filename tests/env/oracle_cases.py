@@ -1,8 +1,8 @@
 """Cases to try the kernel on: small levels, characters, configurations and ways to play, for Hypothesis.
 
-Levels are CSV folders, and everybody lives close together, so that fights happen all the time; numbers
-are awkward (thirds, tenths), so that the order of operations shows in the bits. How players play is
-drawn as bytes, each a mood that a player keeps for four steps.
+Everybody lives close together (`oracle_maps.py`), so that fights happen all the time and bodies are in
+each other's way; numbers are awkward (thirds, tenths), so that the order of operations
+shows in the bits. How players play is drawn as bytes, each a mood that a player keeps for four steps.
 """
 
 from __future__ import annotations
@@ -17,114 +17,37 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from pneuma.config import OBSERVATIONS, ORDERS, REWARDS, SCALES, make_env_config
+from pneuma.env.characters import load_characters
 from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
-from pneuma.env.state import LANES
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .oracle import Oracle
+from .oracle_maps import KINDS, Map, maps, settle
 from .oracle_parts import Player
 
-KINDS = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
 CLASSES = ("base", "tank", "mage", "warrior")
 WEAPONS = ("own", "blade", "sword", "lance", "axe", "rapier", "sai")
-START, OBSTACLE, WATER, GRASS = 400, 395, 0, 2
-HALF_BODY = 35.05  # of the largest body: nearer to the edge of the grid, a level is refused
 STEPS_OF_A_MOOD = 4
-
-Tile = tuple[int, int]
-Place = tuple[float, float]
-
-
-# --- Levels ------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Map:
-    """A level to be: tiles by (column, row), places in pixels from the upper left corner."""
-
-    columns: int = 16
-    rows: int = 16
-    tile: float = 64.0
-    shore: int = 1  # tiles of water around
-    lakes: tuple[Tile, ...] = ()
-    obstacles: tuple[Tile, ...] = ()
-    starts: tuple[Place, ...] = ((512.0, 512.0),)
-    monsters: tuple[tuple[str, float, float], ...] = ()
-
-    def write(self, folder: Path) -> str:
-        """Write the CSV layers, clear of the places where somebody lives; return the path."""
-        folder.mkdir(parents=True, exist_ok=True)
-        lived_in = {(int(x // self.tile), int(y // self.tile)) for x, y in self.places}
-        ground = np.full((self.rows, self.columns), WATER)
-        shore = self.shore
-        ground[shore : self.rows - shore, shore : self.columns - shore] = GRASS
-        obstacles = np.full_like(ground, -1)
-        for layer, code, tiles in ((ground, WATER, self.lakes), (obstacles, OBSTACLE, self.obstacles)):
-            for column, row in set(tiles) - lived_in:
-                layer[row % self.rows, column % self.columns] = code
-        codes = [START] * len(self.starts) + [KINDS[kind] for kind, _, _ in self.monsters]
-        objects = [f"{code},{x!r},{y!r}" for code, (x, y) in zip(codes, self.places, strict=True)]
-        header = f"tile = {self.tile}\norigin = [0, 0]\ncoast = [{WATER}]\n"
-        (folder / "level.toml").write_text(header)
-        (folder / "objects.csv").write_text("\n".join(["code,x,y", *objects]))
-        np.savetxt(folder / "ground.csv", ground, "%d", ",")
-        np.savetxt(folder / "obstacles.csv", obstacles, "%d", ",")
-        return str(folder)
-
-    @property
-    def places(self) -> list[Place]:
-        """Where somebody lives: start places, then monsters."""
-        return [*self.starts, *((x, y) for _, x, y in self.monsters)]
-
-
-@st.composite
-def maps(draw: st.DrawFn) -> Map:
-    """Draw a level with most of its start places and monsters around one point."""
-    columns, rows = draw(st.integers(12, 20)), draw(st.integers(12, 20))
-    tile = draw(st.sampled_from([64.0, 64.0, 40.0, 48.0, 50.5, 96.0]))
-    shore = draw(st.integers(0, 2))
-    tiles = st.lists(st.tuples(st.integers(0, columns - 1), st.integers(0, rows - 1)), max_size=12)
-    edge = max(shore * tile + 1.0, HALF_BODY)
-    far = (columns * tile - edge, rows * tile - edge)
-
-    def within(shares: tuple[int, int]) -> Place:
-        x, y = (edge + (f - edge) * share / 999 for share, f in zip(shares, far, strict=True))
-        return x, y
-
-    def near(offset: tuple[int, int]) -> Place:
-        x, y = (min(max(h + third / 3, edge), f) for h, third, f in zip(hub, offset, far, strict=True))
-        return x, y
-
-    anywhere = st.tuples(st.integers(0, 999), st.integers(0, 999)).map(within)
-    hub = draw(anywhere)
-    around = st.tuples(st.integers(-450, 450), st.integers(-450, 450)).map(near)
-    place = st.one_of(around, around, around, anywhere)
-    starts = draw(st.lists(place, min_size=1, max_size=3))
-    crowd = draw(st.sampled_from([6, 6, 6, 2 * LANES + 1]))  # now and then more than move side by side
-    kinds = st.tuples(st.sampled_from(sorted(KINDS)), place)
-    monsters = draw(st.lists(kinds, min_size=1 if crowd == 6 else LANES, max_size=crowd))
-    return Map(
-        columns, rows, tile, shore, tuple(draw(tiles)[:4]), tuple(draw(tiles)), tuple(starts),
-        tuple((kind, *at) for kind, at in monsters),
-    )  # fmt: skip
-
 
 # --- Characters --------------------------------------------------------------------------------------
 
-_BODIES = ([24, 50], [56, 56], [13.3, 2 * HALF_BODY], [47, 48])
+_BODIES = ([24, 50], [56, 56], [13.3, 70.1], [47, 48])
+_PLACES = ([0, 0], [-1.5, 2], [6.1, -9.3])  # of a body or a circle from the position
+_REACHES = (
+    {"down": 52, "left": 54, "up": 44, "right": 54},
+    {"down": 9.7, "left": [-38.5, 24.5], "up": 0, "right": [1, -20.1]},
+)
 _POOLS: dict[str, dict[str, Sequence[Any]]] = {
     "players": {
         "hp": (3.9, 10.1, 30, 70), "energy": (0, 25, 60.7), "attack": (0, 12, 0.7), "magic": (0, 4, 30.3),
-        "speed": (0, 60, 300, 431.7), "body": _BODIES, "invulnerable": (0.0, 0.05, 0.3),
+        "speed": (0, 60, 300, 431.7), "body": _BODIES, "body_at": _PLACES, "invulnerable": (0.0, 0.05, 0.3),
         "energy_recovery": (0, 0.6, 10.3),
     },
     "weapons": {
         "damage": (0.3, 15, 20), "swing": (0.017, 0.1, 0.4), "knock_back": (0, 120, 777.7),
-        "knock_back_time": (0, 0.07, 0.5), "box": ([51, 79], [80.3, 40.1], [20, 200]),
-        "reach": (
-            {"down": 52, "left": 54, "up": 44, "right": 54}, {"down": 9.7, "left": 30, "up": 0, "right": 1},
-        ),
+        "knock_back_time": (0, 0.07, 0.5), "box": ([79, 51], [80.3, 40.1], [20, 200]),
+        "reach": _REACHES, "hilt": _REACHES,
     },
     "spells": {
         "strength": (0, 5, 20.1), "cost": (0, 5, 20.7), "cast": (0.017, 0.1, 0.4), "length": (320, 99.9),
@@ -132,6 +55,7 @@ _POOLS: dict[str, dict[str, Sequence[Any]]] = {
     },
     "monsters": {
         "hp": (1, 7.3, 20, 40, 55.5), "speed": (0, 90, 150, 237.7, 600), "body": _BODIES,
+        "body_at": _PLACES, "notice_at": _PLACES, "attack_at": _PLACES,
         "notice": (0, 60, 180, 300, 333.3), "attack": (40, 100, 160.5), "stand_off": (0, 12.7, 30),
         "damage": (0.1, 7, 13.3, 40), "bite_time": (0.017, 0.1, 0.4, 1), "invulnerable": (0, 0.05, 0.3),
         "xp": (0, 0.1, 1, 11.7), "heal": (0, 0.3, 7),
@@ -202,6 +126,12 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         "scale": draw(st.sampled_from(["", *SCALES])),
         "start": draw(st.sampled_from(["random", "first"])),
         "coast": draw(st.sampled_from(["wall", "wall", "deadly"])),
+        "trees": draw(st.sampled_from(["wall", "pass"])),
+        "terrain_stops": draw(st.sampled_from(["all", "players"])),
+        "bodies": draw(st.sampled_from(["block", "block", "block", "pass"])),
+        "bite_while_knocked": draw(st.booleans()),
+        "healing_cap": draw(st.booleans()),
+        "observe_facing": draw(st.booleans()),
         "kill_credit": draw(st.sampled_from(["striker", "near"])),
         "xp_scope": draw(st.sampled_from(["episode", "forever"])),
         "ending_cost": draw(st.sampled_from([0.0, 1.0, 0.3])),
@@ -255,7 +185,7 @@ def cases(draw: st.DrawFn) -> Case:
 def make_worlds(case: Case, folder: Path) -> Worlds:
     """Write the case's files to a folder of its own and set up its worlds.
 
-    Where obstacles wall somebody in, they are left out.
+    Who has no room is moved; where obstacles wall somebody in, they are left out.
     """
     settings = dict(case.settings)
     folder.mkdir(parents=True)
@@ -263,7 +193,10 @@ def make_worlds(case: Case, folder: Path) -> Worlds:
     if case.characters not in ("", "pygame"):
         (folder / "characters.toml").write_text(case.characters)
         settings["characters"] = str(folder / "characters.toml")
-    for number, level in enumerate((case.level, replace(case.level, lakes=(), obstacles=()))):
+    classes = settings.get("classes", "base")
+    names = [classes] if isinstance(classes, str) else classes
+    settled = settle(case.level, load_characters(settings["characters"]), names)
+    for number, level in enumerate((settled, replace(settled, lakes=(), obstacles=()))):
         settings["level"] = level.write(folder / f"level{number}")
         try:
             return Worlds(case.count, make_env_config(settings))

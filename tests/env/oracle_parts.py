@@ -1,4 +1,4 @@
-"""What the oracle knows of a world: what is given, the ground that bodies move on, and what changes.
+"""What the oracle knows of a world: what is given, what changes, and what is done to players and monsters.
 
 Parts of `oracle.py`. Units: pixels, ticks of 1/60 s, pixels a tick; y points down.
 """
@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from pneuma.env.rules import COAST, DOWN, LEFT, RIGHT, SOLID, UP
+from pneuma.env.rules import DOWN, LEFT, RIGHT, UP
+
+from .oracle_moves import Box, Ground
 
 WAYS = {DOWN: (0.0, 1.0), LEFT: (-1.0, 0.0), UP: (0.0, -1.0), RIGHT: (1.0, 0.0)}
 
@@ -25,6 +27,8 @@ class PlayerStats:
     speed: float
     half_width: float
     half_height: float
+    body_x: float  # the box's centre from the position
+    body_y: float
     damage: float
     swing: int
     knock_ticks: int
@@ -34,6 +38,8 @@ class PlayerStats:
     sword_y: list[float]
     sword_half_width: list[float]
     sword_half_height: list[float]
+    hilt_x: list[float]  # what a sword knocks away from, from the position
+    hilt_y: list[float]
     flame_ticks: int
     heal_ticks: int
     flame_damage: float
@@ -59,6 +65,12 @@ class Kind:
     speed: float
     half_width: float
     half_height: float
+    body_x: float  # the centres of box and circles from the position
+    body_y: float
+    notice_x: float
+    notice_y: float
+    attack_x: float
+    attack_y: float
     notice_squared: float
     attack_squared: float
     stand_off: float
@@ -82,12 +94,18 @@ class Settings:
     ticks: int
     step_limit: int
     end_on_clear: int
+    bodies_block: int
+    player_stops: int  # bit c: tiles of code c stop players
+    monster_stops: int
     deadly_coast: int
+    bite_while_knocked: int
+    healing_cap: int
     credit_near: int
     ending_cost: float
     keep_xp: int
     magic: int
     layout: int
+    observe_facing: int
     fixed_order: int
     perceived: int
     middle_x: float
@@ -95,63 +113,6 @@ class Settings:
     scale_x: float
     scale_y: float
     xp_scale: float
-
-
-@dataclass(frozen=True)
-class Ground:
-    """The tiles of a level: `tiles[row][column]`."""
-
-    left: float
-    top: float
-    tile: float
-    tiles: list[list[int]]
-
-    def stops(self, column: int, row: int, coast_stops: bool) -> bool:
-        """Tell whether a tile stops a body; what lies off the grid does."""
-        if not (0 <= row < len(self.tiles) and 0 <= column < len(self.tiles[0])):
-            return True
-        code = self.tiles[row][column]
-        return code == SOLID or (code == COAST and coast_stops)
-
-    def is_sea(self, x: float, y: float) -> bool:
-        """Tell whether a point lies beyond the coast."""
-        return self.tiles[int((y - self.top) / self.tile)][int((x - self.left) / self.tile)] == COAST
-
-    def move(
-        self, x: float, y: float, half_width: float, half_height: float, dx: float, dy: float, coast: bool
-    ) -> tuple[float, float]:
-        """Return where a body gets, first along x, then along y; `coast` says whether the coast stops it.
-
-        On each axis it looks at the column or row of tiles that its leading edge would come to lie in,
-        as far as the body is wide, and stops flush at the edge of that if any tile of it is closed.
-        """
-        if dx != 0.0:
-            rows = self._covered(y - half_height, y + half_height, self.top)
-            column = self._entered(x + dx, half_width, dx, self.left)
-            met = any(self.stops(column, row, coast) for row in rows)
-            x = self._flush(x, half_width, dx, self.left, column) if met else x + dx
-        if dy != 0.0:
-            columns = self._covered(x - half_width, x + half_width, self.left)
-            row = self._entered(y + dy, half_height, dy, self.top)
-            met = any(self.stops(column, row, coast) for column in columns)
-            y = self._flush(y, half_height, dy, self.top, row) if met else y + dy
-        return x, y
-
-    def _covered(self, low: float, high: float, origin: float) -> range:
-        """Return the columns or rows that a stretch lies in; one that it only touches is not among them."""
-        return range(math.floor((low - origin) / self.tile), math.ceil((high - origin) / self.tile))
-
-    def _entered(self, centre: float, half: float, step: float, origin: float) -> int:
-        """Return the column or row in which the leading edge lies after a step to `centre`."""
-        if step > 0:
-            return math.ceil((centre + half - origin) / self.tile) - 1
-        return math.floor((centre - half - origin) / self.tile)
-
-    def _flush(self, centre: float, half: float, step: float, origin: float, cell: int) -> float:
-        """Return a centre whose leading edge touches a closed column or row, or the old one: never back."""
-        if step > 0:
-            return max(centre, origin + cell * self.tile - half)
-        return min(centre, origin + (cell + 1) * self.tile + half)
 
 
 @dataclass(frozen=True)
@@ -203,6 +164,12 @@ class Player:
     kills: int = 0
     events: Events = field(default_factory=Events)
 
+    @property
+    def box(self) -> Box:
+        """The player's body."""
+        stats = self.stats
+        return Box((self.x + stats.body_x, self.y + stats.body_y), (stats.half_width, stats.half_height))
+
 
 @dataclass
 class Monster:
@@ -220,17 +187,20 @@ class Monster:
     knocked: int = 0
     safe: int = 0
 
+    @property
+    def box(self) -> Box:
+        """The monster's body."""
+        kind = self.kind
+        return Box((self.x + kind.body_x, self.y + kind.body_y), (kind.half_width, kind.half_height))
+
 
 @dataclass(frozen=True)
 class Blow:
-    """What a player strikes with in one tick: a box, and what it does to a monster that it meets."""
+    """What a player strikes with in one tick, and what it does to a monster that it meets."""
 
     number: int
-    facing: int
-    x: float
-    y: float
-    half_width: float
-    half_height: float
+    box: Box
+    hilt: tuple[float, float]  # what it knocks away from
     damage: float
     knock_speed: float
     knock_ticks: int  # below 0: it knocks nobody back
@@ -240,7 +210,6 @@ class Blow:
 class Gain:
     """What one tick brings a player, until it is settled at the end of the tick."""
 
-    spell_heal: float = 0.0
     kill_heal: float = 0.0
     bitten: float = 0.0
     xp: float = 0.0
@@ -248,7 +217,7 @@ class Gain:
     kills: int = 0
     notices: int = 0
     contacts: int = 0
-    deaths: int = 0  # of monsters, whoever killed them
+    deaths: int = 0  # of monsters that paid the player
 
 
 # --- What is done to them ---------------------------------------------------------------------------
@@ -260,16 +229,25 @@ def die(player: Player) -> None:
     player.events.died = 1
 
 
+def heal(player: Player, hp: float, capped: bool) -> None:
+    """Give a player HP; where they are capped, up to full HP, and never fewer than it has."""
+    healed = player.hp + hp
+    if capped:
+        healed = max(player.hp, min(healed, player.stats.hp))
+    player.events.hp_gained += healed - player.hp
+    player.hp = healed
+
+
 def sword_blow(player: Player) -> Blow:
     """Return the blow of a swing that lasts; all its ticks bear the number of the attack."""
     stats, facing = player.stats, player.facing
     return Blow(
         number=player.attack,
-        facing=facing,
-        x=player.x + stats.sword_x[facing],
-        y=player.y + stats.sword_y[facing],
-        half_width=stats.sword_half_width[facing],
-        half_height=stats.sword_half_height[facing],
+        box=Box(
+            (player.x + stats.sword_x[facing], player.y + stats.sword_y[facing]),
+            (stats.sword_half_width[facing], stats.sword_half_height[facing]),
+        ),
+        hilt=(player.x + stats.hilt_x[facing], player.y + stats.hilt_y[facing]),
         damage=stats.damage,
         knock_speed=stats.knock_speed,
         knock_ticks=stats.knock_ticks,
@@ -281,11 +259,11 @@ def flame_blow(player: Player) -> Blow:
     stats, facing = player.stats, player.facing
     return Blow(
         number=player.attack,
-        facing=facing,
-        x=player.x + stats.flame_x[facing],
-        y=player.y + stats.flame_y[facing],
-        half_width=stats.flame_half_width[facing],
-        half_height=stats.flame_half_height[facing],
+        box=Box(
+            (player.x + stats.flame_x[facing], player.y + stats.flame_y[facing]),
+            (stats.flame_half_width[facing], stats.flame_half_height[facing]),
+        ),
+        hilt=(player.x, player.y),
         damage=stats.flame_damage,
         knock_speed=0.0,
         knock_ticks=-1,
@@ -293,25 +271,24 @@ def flame_blow(player: Player) -> Blow:
 
 
 def knock_back(monster: Monster, blow: Blow) -> None:
-    """Let a monster fly from the centre of the box; if it is right there, the way the player faces."""
-    if blow.knock_ticks < 0:
+    """Let a monster fly from the hilt, unless it flies already; one that is right there stays there."""
+    if blow.knock_ticks < 0 or monster.knocked > 0:
         return
     kind = monster.kind
     own = kind.knock_ticks >= 0
     speed = kind.knock_speed if own else blow.knock_speed
-    away_x, away_y = monster.x - blow.x, monster.y - blow.y
+    away_x, away_y = monster.x - blow.hilt[0], monster.y - blow.hilt[1]
     length = math.sqrt(away_x * away_x + away_y * away_y)
-    if length == 0.0:
-        (away_x, away_y), length = WAYS[blow.facing], 1.0
-    monster.knock_x = away_x / length * speed
-    monster.knock_y = away_y / length * speed
+    monster.knock_x = away_x / length * speed if length > 0.0 else 0.0
+    monster.knock_y = away_y / length * speed if length > 0.0 else 0.0
     monster.knocked = kind.knock_ticks if own else blow.knock_ticks
 
 
-def gap_squared(monster: Monster, player: Player) -> float:
-    """Return the squared distance from a monster's centre to a player's body box."""
-    across = max(abs(player.x - monster.x) - player.stats.half_width, 0.0)
-    down = max(abs(player.y - monster.y) - player.stats.half_height, 0.0)
+def gap_squared(player: Player, x: float, y: float) -> float:
+    """Return the squared distance from a point to a player's body."""
+    body = player.box
+    across = max(abs(body.centre[0] - x) - body.half[0], 0.0)
+    down = max(abs(body.centre[1] - y) - body.half[1], 0.0)
     return across * across + down * down
 
 

@@ -32,6 +32,8 @@ def observe(world: Oracle, player: Player) -> list[float]:
     """Return what a player sees, and note how far off the nearest living monster is."""
     settings = world.book.settings
     about = _about_player(world, player)
+    if settings.observe_facing:
+        about += [float(player.facing == way) for way in (DOWN, LEFT, UP, RIGHT)]
     size = len(about) + settings.perceived * ROW[settings.layout]
     living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
     player.events.distance = min(living, default=math.inf)
@@ -44,7 +46,8 @@ def mask(world: Oracle, player: Player) -> list[int]:
     """Return 1 for every action that would do anything in the next step, and for attack in any case.
 
     None does while an attack or spell lasts through the step. Walking against a wall that one faces
-    already does nothing, nor does a spell that cannot be paid at any tick of it.
+    already does nothing, nor does a spell that cannot be paid at any tick of it. A body in the way may
+    be gone before the step is over.
     """
     settings, stats = world.book.settings, player.stats
     allowed = dict.fromkeys((*WAYS, ATTACK), 0)
@@ -52,7 +55,7 @@ def mask(world: Oracle, player: Player) -> list[int]:
         allowed |= {FLAME: 0, HEAL: 0}
     if player.busy < settings.ticks:
         for way in WAYS:
-            gets_on = world.walked(player, way) != (player.x, player.y)
+            gets_on = world.walked(player, way, []) != (player.x, player.y)
             allowed[way] = int(player.facing != way or gets_on)
         if settings.magic:
             energy = _energy_at_last(player, settings.ticks)
@@ -113,16 +116,20 @@ def _about_player(world: Oracle, player: Player) -> list[float]:
 
 
 def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[float]:
-    """Return a monster's row of an observation: zeros for a dead one, no direction where the player is."""
+    """Return a monster's row of an observation: no direction where the player is; zeros for a dead one.
+
+    The published code's layout shows the dead where they died (AIController2D.gd:20-25).
+    """
     settings, kind = world.book.settings, monster.kind
+    shown = monster.hp > 0.0 or settings.layout == LAYOUT_GODOT
     alive = monster.hp > 0.0
     length = _distance(monster, player)
-    inverse = 1.0 / length if alive and length > 0.0 else 0.0
+    inverse = 1.0 / length if shown and length > 0.0 else 0.0
     hp = monster.hp * kind.hp_scale
     if settings.layout == LAYOUT_GODOT:
         return [
-            (monster.x - settings.middle_x) * settings.scale_x if alive else 0.0,
-            (monster.y - settings.middle_y) * settings.scale_y if alive else 0.0,
+            (monster.x - settings.middle_x) * settings.scale_x,
+            (monster.y - settings.middle_y) * settings.scale_y,
             hp,
             (player.x - monster.x) * inverse,
             (player.y - monster.y) * inverse,

@@ -1,13 +1,39 @@
-"""Functions that are compiled, and kept where there is a folder for them."""
+"""Functions that are compiled, kept where there is a folder for them, and compiled anew after a change."""
 
 from __future__ import annotations
 
+import ast
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from numba.core import caching
 
-from pneuma.env.compiled import cached
+from pneuma.env.compiled import KERNEL_SOURCES, PACKAGE, cached
+
+HANDLE = "from pneuma.env.state import HANDLE; print(HANDLE.names[2])"
+CHOOSE = """
+import numpy as np
+from pneuma.config import env_config, make_run
+from pneuma.engines.batched import rollout
+from pneuma.env.worlds import Worlds
+worlds = Worlds(1, env_config(make_run({})))
+features = worlds.observations.shape[2]
+weights = np.array([[0.0] * features + [1, 9, -9, 0, 0]], np.float32)  # one unit, tanh(1), then logits
+room = [np.zeros((1, 1), kind) for kind in (np.int64, np.float32, np.float32)]
+tape = rollout.Tape(
+    np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_),
+    np.zeros((1, 1, features), np.float32), *room, np.zeros(1, rollout.ENDED),
+    np.zeros((1, features), np.float32),
+)
+draws, scratch = np.full(1, 0.5, np.float32), np.zeros((2, 1, features), np.float32)
+chosen = np.zeros((1, 1), np.int64)
+rollout._choose(worlds.handle, weights, np.array([features, 1, 2]), 0, draws, tape, 0, chosen, scratch)
+print(tape.actions[0, 0], *rollout._choose.stats.cache_hits.values())
+"""
 
 
 def double(number: float) -> float:
@@ -26,3 +52,74 @@ def test_where_one_can_it_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     compiled = cached(error_model="numpy")(double)
     assert compiled(3.0) == 6.0
     assert [path.suffix for path in sorted(tmp_path.rglob("*.nb?"))] == [".nbc", ".nbi"]
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """Return a folder with a copy of the package."""
+    shutil.copytree(PACKAGE, tmp_path / "pneuma", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def said(code: str, copy: Path) -> str:
+    """Return what code prints that imports the copy; it keeps its programs beside it."""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(copy / "numba")}
+    command = [sys.executable, "-c", code]
+    return subprocess.run(
+        command, cwd=copy, env=env, capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
+def change(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) -> None:
+    """Action 0 has the logit 9 tanh(1), action 1 its negative."""
+    assert said(CHOOSE, copy) == "0"
+    assert said(CHOOSE, copy) == "0 1"  # from the cache
+    change(copy / "pneuma/engines/mlp.py", "math.tanh(x[j])", "-math.tanh(x[j])")
+    assert said(CHOOSE, copy) == "1"
+
+
+def test_a_change_of_any_file_with_kernels_is_a_change_of_the_handle(copy: Path) -> None:
+    """Also of how the state is laid out, which is told in state.py alone."""
+    names = [said(HANDLE, copy)]
+    for source in KERNEL_SOURCES:
+        with (copy / "pneuma" / source).open("a", encoding="utf-8") as file:
+            file.write("# changed\n")
+        names.append(said(HANDLE, copy))
+    assert len(set(names)) == len(KERNEL_SOURCES) + 1
+
+
+def _imported(tree: ast.Module, module: str) -> set[str]:
+    """Return the names that a file imports from a module or from what it holds."""
+    return {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith(f"{module}.")
+        for alias in node.names
+    }
+
+
+def test_every_file_with_kernels_is_listed() -> None:
+    makes_kernels = {"env/state.py"}  # whose constants they hold
+    for path in PACKAGE.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if {"njit", "cached"} & (_imported(tree, "numba") | _imported(tree, "pneuma.env.compiled")):
+            makes_kernels.add(path.relative_to(PACKAGE).as_posix())
+    assert makes_kernels == set(KERNEL_SOURCES)
+
+
+@pytest.mark.parametrize("source", sorted({*KERNEL_SOURCES} - {"env/rules.py"}))
+def test_a_kernel_that_takes_no_handle_uses_nothing_of_another_file(source: str) -> None:
+    """Those of the rules may: they are kept on disk only as parts of the two that take one."""
+    tree = ast.parse((PACKAGE / source).read_text(encoding="utf-8"))
+    foreign = _imported(tree, "pneuma")
+    for kernel in ast.walk(tree):
+        if isinstance(kernel, ast.FunctionDef) and "kernel" in map(ast.unparse, kernel.decorator_list):
+            used = {node.id for node in ast.walk(kernel) if isinstance(node, ast.Name)}
+            takes_handle = "handle" in {argument.arg for argument in kernel.args.args}
+            assert takes_handle or not used & foreign, kernel.name

@@ -2,58 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-import shutil
-import sys
 from pathlib import Path
-from types import ModuleType
 
-import numpy as np
 import pytest
-from numba import typeof
 
 from pneuma.config import make_env_config
-from pneuma.env import rules, state
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .arena import ATTACK, DOWN, play, stage
-from .oracle_cases import Map
-
-
-def handle_type(module: ModuleType) -> object:
-    return typeof(np.zeros(1, module.HANDLE))  # type: ignore[no-untyped-call]
-
-
-def state_module(text: str, folder: Path) -> ModuleType:
-    """Import another edition of `state.py`."""
-    path = folder / "state.py"
-    path.write_text(text)
-    shutil.copy(rules.__file__, folder)  # what the digest covers besides
-    spec = importlib.util.spec_from_file_location("another_state", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["another_state"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("LANES = 16", "LANES = 8"),
-        ('("hp", "f8"),\n    ("xp", "f8")', '("xp", "f8"),\n    ("hp", "f8")'),
-        ('("busy", "i4")', '("busy", "i8")'),
-    ],
-)
-def test_a_change_of_the_state_is_a_change_of_what_the_compile_cache_looks_at(
-    tmp_path: Path, old: str, new: str
-) -> None:
-    """The cache is keyed by the types of arguments: the handle's must tell how all arrays are laid out."""
-    text = Path(state.__file__).read_text()
-    assert old in text
-    same, changed = (state_module(edition, tmp_path) for edition in (text, text.replace(old, new)))
-    assert handle_type(same) == handle_type(state) != handle_type(changed)
+from .oracle_maps import Map
 
 
 def small_level(folder: Path, start: tuple[float, float], monster: tuple[str, float, float]) -> str:

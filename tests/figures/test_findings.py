@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims import load_claims
 from pneuma.errors import UserError
-from pneuma.figures.findings import claims_told, published_claims, with_verdicts
+from pneuma.figures.findings import claims_told, main, with_verdicts
 from pneuma.figures.report_verdicts import Claim, Effect, Verdict
 
 ROOT = Path(__file__).parents[2]
@@ -53,15 +52,15 @@ STEADIER = Claim(
 CLAIMS = {claim.claim: claim for claim in (BETTER, STEADIER)}
 
 
-def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_setting() -> None:
+def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_place() -> None:
     page = with_verdicts("Mine.\n<!-- claim tanh-better -->\nold\n<!-- end -->\nMine too.\n", CLAIMS)
     assert page == (
         "Mine.\n<!-- claim tanh-better -->\n"
         "**tanh-better**: “improves performance” (6.2). Claimed: tanh greater than relu, in mean of "
         "final-share-killed (monsters killed). Why so.\n\n"
-        "- *The text's environment*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
+        "- *The text's world*: **supported**: tanh against relu +0.050 [+0.012, +0.090], n = 10 and 9, "
         "p < 0.001.\n"
-        "- *The published code's*: not run yet (`pneuma study run activation --preset claims`).\n"
+        "- *The published code's world*: not run yet (`pneuma study run activation --preset claims`).\n"
         "<!-- end -->\nMine too.\n"
     )
 
@@ -77,16 +76,16 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
     )
     row = (
         "| tanh greater than relu: monsters killed | 6.2: “improves performance” | "
-        "**supported** +0.050 [+0.012, +0.090] | not run yet | – |"
+        "**supported** +0.050 [+0.012, +0.090] | not run yet | – | – |"
     )
     assert page.count(row) == 2
     assert page.count("| tanh less than relu: deviation between seeds of monsters killed |") == 1
 
 
-def test_counts_are_by_setting() -> None:
+def test_counts_are_by_place() -> None:
     page = with_verdicts("<!-- counts -->\n<!-- end -->", CLAIMS)
-    assert "| The text's environment | 1 | 0 | 1 | 0 | 0 |" in page
-    assert "| The published code's | 0 | 0 | 0 | 0 | 1 |" in page
+    assert "| The text's world | 1 | 0 | 1 | 0 | 0 |" in page
+    assert "| The published code's world | 0 | 0 | 0 | 0 | 1 |" in page
 
 
 def test_writing_again_changes_nothing() -> None:
@@ -114,11 +113,6 @@ def test_a_wrong_mark_is_refused_and_nothing_is_lost(page: str, message: str) ->
         with_verdicts(page, CLAIMS)
 
 
-def test_the_findings_have_a_paragraph_on_every_claim() -> None:
-    told = claims_told((ROOT / "docs/findings.md").read_text(encoding="utf-8"))
-    assert sorted(told) == sorted(load_claims().claims)
-
-
 @pytest.mark.parametrize(
     "name", [*PAGES, *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
 )
@@ -129,8 +123,13 @@ def test_what_a_page_links_to_is_there(name: str) -> None:
     assert [link for link in near if not (page.parent / link).exists()] == []
 
 
-def test_the_pages_tell_the_verdicts_of_the_published_tables() -> None:
-    claims = published_claims(ROOT / "results")
-    for name in PAGES:
-        page = (ROOT / name).read_text(encoding="utf-8")
-        assert with_verdicts(page, claims) == page, f"{name}: `make figures` writes other verdicts"
+def test_without_published_tables_pages_stay_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(text := "<!-- counts -->\nold\n<!-- end -->\n")
+    with pytest.raises(UserError, match="results: is no folder"):
+        main([page], tmp_path / "results")
+    (tmp_path / "results").mkdir()
+    main([page], tmp_path / "results")
+    assert page.read_text() == text and "the pages stay as they are" in capsys.readouterr().out

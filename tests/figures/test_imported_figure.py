@@ -28,7 +28,7 @@ def figure(tmp_path: Path, write_events: WriteEvents, monkeypatch: pytest.Monkey
         points = [(RETURN, step, step / 100) for step in range(100, end + 1, 100)]
         write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)
     store = Store(tmp_path / "results")
-    import_tensorboard(tmp_path / "logs", store)
+    import_tensorboard([tmp_path / "logs"], store)
     figures: list[Figure] = []
 
     def save(figure: Figure, *arguments: Any) -> list[Path]:
@@ -49,7 +49,7 @@ def test_there_is_one_panel_whose_axis_says_what_was_averaged(figure: Figure) ->
     assert axes.get_title(loc="left") == "Return in training"
     assert axes.get_ylabel() == "Return, mean of 100 episodes"
     words = " ".join(" ".join(text.get_text() for text in figure.texts).split())  # wrapped anywhere
-    assert "already averaged over its last 100 episodes by Stable-Baselines3" in words
+    assert "mean over its last 100 episodes, as Stable-Baselines3 logs them" in words
     assert "last 5 %" not in words
 
 

@@ -273,7 +273,7 @@ def test_make_figures_says_where_nothing_is_published(
     (tmp_path / "paper").mkdir()
     with pytest.raises(UserError, match="is no folder, so nothing is drawn, and nothing removed"):
         paper.main(tmp_path / "paper", tmp_path / "results")
-    (tmp_path / "results" / "published").mkdir(parents=True)
+    (tmp_path / "results").mkdir()
     paper.main(tmp_path / "paper", tmp_path / "results")
     assert "no study is published in" in capsys.readouterr().out
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,16 +84,47 @@ def test_its_own_file_is_put_right(make_task: MakeTask, solve: Solve, store: Sto
     assert [trial.params for trial in read(database)] == [dict(t.params) for t in told]
 
 
-@pytest.mark.parametrize("make", [lambda p: p.mkdir(), lambda p: p.symlink_to("/nowhere/else.db")])
-def test_what_is_no_file_is_left_alone(
-    make_task: MakeTask, store: Store, make: Callable[[Path], object]
+@pytest.mark.parametrize("name", ["formula.db", "formula.db-journal", "formula.db-wal", "formula.db-shm"])
+@pytest.mark.parametrize("make", [lambda p: p.mkdir(), lambda p: p.symlink_to("other.db")])
+def test_what_is_no_file_is_left_alone_and_so_is_what_lies_beside_it(
+    make_task: MakeTask, store: Store, make: Callable[[Path], object], name: str
 ) -> None:
-    path = store.root / "searches" / "formula.db"
-    path.parent.mkdir(parents=True)
-    make(path)
-    with pytest.raises(UserError, match="remove it, the search makes"):
+    folder = store.root / "searches"
+    folder.mkdir(parents=True)
+    (folder / "other.db").touch()
+    (folder / "formula.db").touch()
+    (folder / name).unlink(missing_ok=True)
+    make(folder / name)
+    with pytest.raises(UserError, match=f"{name}: is no file; remove it, "):
         Database(make_task(8), None, store)
-    assert path.is_dir() or path.is_symlink()
+    assert {path.name for path in folder.iterdir()} == {name, "formula.db", "other.db"}
+
+
+def hot_journal(database: Path, victim: Path) -> bytes:
+    """Return a journal that SQLite rolls back, deleting the super-journal that it names.
+
+    By https://www.sqlite.org/fileformat2.html#the_rollback_journal: a header of one sector with no pages to
+    put back, and pager.c's record of a super-journal's name at the end.
+    """
+    magic, name = bytes.fromhex("d9d505f920a163d7"), str(victim).encode()
+    page = int.from_bytes(database.read_bytes()[16:18], "big")
+    header = magic + struct.pack(">5I", 0, 0, database.stat().st_size // page, 512, page)
+    locked_page = struct.pack(">I", 2**30 // page + 1)
+    return header.ljust(512, b"\0") + locked_page + name + struct.pack(">2I", len(name), sum(name)) + magic
+
+
+def test_a_journal_beside_its_file_is_not_obeyed(make_task: MakeTask, store: Store, tmp_path: Path) -> None:
+    task, victim = make_task(8), tmp_path / "thesis.txt"
+    Database(task, None, store)
+    own = store.root / "searches" / "formula.db"
+    other = Path(shutil.copy(own, tmp_path))
+    for path, url in ((own, None), (other, f"sqlite:///{other}")):
+        victim.write_text("years of work")
+        journal = Path(f"{path}-journal")
+        journal.write_bytes(hot_journal(path, victim))
+        Database(task, url, store)
+        assert not journal.exists()
+        assert victim.exists() == (path == own)  # the other shows that SQLite would obey
 
 
 def test_what_a_storages_driver_says_is_told_without_the_password(

@@ -25,8 +25,9 @@ from pneuma.search.record import read_record, save_record
 from pneuma.search.spec import Budget, list_searches, load_search
 from pneuma.search.trials import Task, Told
 from pneuma.study.plan import Cell, Selection, make_plan
-from pneuma.study.spec import SETTINGS, load_study
+from pneuma.study.spec import load_study
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
 
 from .conftest import MakeTask, Solve, flat
 
@@ -68,20 +69,20 @@ def test_the_promoted_condition_is_the_trial(searched: Searched, tmp_path: Path)
 
 
 def test_what_is_promoted_is_run_where_it_was_searched_alone(searched: Searched, tmp_path: Path) -> None:
-    """In the other setting a learner of tables, for one, would be no study at all."""
+    """In the other world a learner of tables, for one, would be no study at all."""
     task, _, record = searched
     path = tmp_path / "promoted.toml"
     path.write_text(promoted_study(task.search, record, winner(record, None)))
-    with pytest.raises(UserError, match="is not run in the setting godot"):
+    with pytest.raises(UserError, match="is not run in the world godot"):
         load_study(str(path), "godot")
 
 
-@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", list_searches())
 def test_whatever_a_shipped_search_finds_can_be_promoted(
-    name: str, setting: str, solve: Solve, tmp_path: Path
+    name: str, world: str, solve: Solve, tmp_path: Path
 ) -> None:
-    task = Task(load_search(name, setting), Budget(4, (1000, 1001), 2048))
+    task = Task(load_search(name, world), Budget(4, (1000, 1001), 2048))
     told = flat(solve(task))
     store = Store(tmp_path / "results")
     save_record(store, task, told, "sqlite:///x.db", "x")

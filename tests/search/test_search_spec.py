@@ -237,14 +237,14 @@ def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:
     assert write(space).start[0]["learning_rate"] == 3e-4
 
 
-def test_a_search_in_the_published_codes_setting(write: Load) -> None:
-    there = write(GOOD).in_setting("godot")
+def test_a_search_in_the_published_codes_world(write: Load) -> None:
+    there = write(GOOD).in_world("godot")
     assert there.name == "mine-godot"
     assert there.space.fixed == {  # the search sets the actor itself
         "gradient_limit": 0.5, "env": "pneuma/PneumaGodot-v0", "clip_range": 0.2,
     }  # fmt: skip
     assert load_search("ppo-godot") == load_search("ppo", "godot")
-    with pytest.raises(UserError, match="the name ppo-godot stands for the setting godot"):
+    with pytest.raises(UserError, match="the name ppo-godot stands for the world godot"):
         load_search("ppo-godot", "text")
 
 

@@ -83,8 +83,8 @@ def test_searches_that_sought_different_things_share_no_study(winners: list[Winn
 
 def test_searches_in_different_worlds_or_by_different_engines_share_no_study(winners: list[Winner]) -> None:
     first, second = winners
-    there = replace(second, search=replace(second.search, setting="godot"))
-    with pytest.raises(UserError, match="not tuned alike: settings text and godot"):
+    there = replace(second, search=replace(second.search, world="godot"))
+    with pytest.raises(UserError, match="not tuned alike: worlds text and godot"):
         winners_study([first, there])
     for key, value, told in (
         ("env", "pneuma/PneumaGodot-v0", "environments pneuma/Pneuma-v0 and pneuma/PneumaGodot-v0"),
@@ -110,7 +110,7 @@ def test_its_seeds_are_of_no_search(winners: list[Winner], tmp_path: Path) -> No
 
 
 def test_one_search_in_two_settings_would_give_two_conditions_of_a_name(winners: list[Winner]) -> None:
-    there = replace(winners[0], search=winners[0].search.in_setting("godot"))
+    there = replace(winners[0], search=winners[0].search.in_world("godot"))
     with pytest.raises(UserError, match="search tune-adam: two conditions would be called adam"):
         winners_study([winners[0], there])
 

@@ -49,7 +49,7 @@ study = "mine.toml"
 a = "high"
 b = "low"
 seeds = { high = 4, low = [1, 7] }
-settings = ["text"]
+worlds = ["text"]
 
 [claims.of-another]
 study = "activation"
@@ -58,10 +58,10 @@ seeds = 9
 """
 
 
-def _study(folder: Path, claims: str = CLAIMS, setting: str = "text") -> Study:
+def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
     (folder / "mine.toml").write_text(STUDY, encoding="utf-8")
     (folder / "claims.toml").write_text(claims, encoding="utf-8")
-    return load_study(str(folder / "mine.toml"), setting)
+    return load_study(str(folder / "mine.toml"), world)
 
 
 def _seeds(plan: Plan) -> dict[str, list[int]]:
@@ -79,8 +79,8 @@ def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
     }
 
 
-def test_a_setting_has_what_claims_about_it_fix(tmp_path: Path) -> None:
-    there = claims_preset(_study(tmp_path, setting="godot"))
+def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
+    there = claims_preset(_study(tmp_path, world="godot"))
     assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
 
 
@@ -143,11 +143,11 @@ def test_a_mistake_in_a_claim_is_told_with_its_line(tmp_path: Path) -> None:
         claims_preset(_study(tmp_path, CLAIMS.replace('a = "high"\nb = [', 'a = "hihg"\nb = [')))
 
 
-def test_the_command_names_study_and_setting(tmp_path: Path) -> None:
+def test_the_command_names_study_and_world(tmp_path: Path) -> None:
     shipped = load_study("optimizer", "godot")
     assert shipped.path is not None
     claims = shipped.path.parent / "claims.toml"
-    assert training_command(shipped, claims) == ("pneuma study run optimizer --preset claims --setting godot")
+    assert training_command(shipped, claims) == ("pneuma study run optimizer --preset claims --world godot")
     own = _study(tmp_path)
     assert training_command(own, tmp_path / "claims.toml") == (
         f"pneuma study run {tmp_path / 'mine.toml'} --preset claims"

@@ -1,21 +1,22 @@
-"""Imported logs: every point that Stable-Baselines3 logged, once, and each oddity with a rule of its own."""
+"""Imported logs: every point that was logged, once, and each oddity with a rule of its own."""
 
 from __future__ import annotations
 
 import csv
-import json
-import shutil
+import struct
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.event_files import Scalar
-from pneuma.study.imported import Import, find_superseded, import_tensorboard
+from pneuma.study import imported
+from pneuma.study.imported import Import, find_logs, find_superseded, import_tensorboard, read_event_file
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
@@ -26,146 +27,223 @@ NOT_IN_TENSORBOARD = ("time/iterations", "time/time_elapsed", "time/total_timest
 FILE = "events.out.tfevents.1700000000.host"
 
 
-def _scalars(store: Store, run_id: str) -> list[tuple[str, int, float, bool]]:
-    table = from_parquet(store.read_file(run_id, "scalars.parquet"))
+def _import(tmp_path: Path, name: str | None = None) -> Import:
+    return import_tensorboard([tmp_path / "logs"], Store(tmp_path / "results"), name)
+
+
+def _stored(tmp_path: Path, run_id: str) -> list[tuple[str, int, float, bool]]:
+    table = from_parquet(Store(tmp_path / "results").read_file(run_id, "scalars.parquet"))
     columns = [table[name].to_pylist() for name in ("tag", "step", "value", "superseded")]
     return list(zip(*columns, strict=True))
 
 
-def _files(folder: Path) -> dict[str, tuple[bytes, int]]:
-    return {
-        str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_mtime_ns)
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
+def _files(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-# --- Logs that Stable-Baselines3 wrote ------------------------------------------------------------
+# --- Logs that Stable-Baselines3 and CleanRL's writer wrote ---------------------------------------
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two conditions of a tiny CartPole study, logged to TensorBoard and to CSV files beside."""
+def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None:
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import configure
 
-    folder = tmp_path_factory.mktemp("logs") / "cartpole"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs
-        for name, rate in (("slow_1", 1e-4), ("slow_2", 1e-4), ("fast_1", 1e-2)):
-            model = PPO("MlpPolicy", "CartPole-v1", n_steps=64, n_epochs=1, learning_rate=rate, seed=1)
-            logger = configure(str(folder / name), ["tensorboard", "csv"])
+        for name in ("fast_1", "slow_1", "slow_2"):
+            model = PPO("MlpPolicy", "CartPole-v1", n_steps=64, n_epochs=1, seed=len(name) + int(name[-1]))
+            logger = configure(str(tmp_path / "logs" / name), ["tensorboard", "csv"])
             model.set_logger(logger)
             model.learn(512)
             logger.close()
-    return folder
-
-
-def test_every_point_is_what_the_csv_logger_wrote_beside(logs: Path, tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    done = import_tensorboard(logs, store)
-    assert [(run.condition, run.seed, run.steps) for run in done.runs] == [
-        ("fast", 1, 512),
-        ("slow", 1, 512),
-        ("slow", 2, 512),
-    ]
+    done = _import(tmp_path)
+    named = [(run.condition, run.seed, run.steps) for run in done.runs]
+    assert named == [("fast", 1, 512), ("slow", 1, 512), ("slow", 2, 512)]
     for run in done.runs:
-        with (logs / run.shown / "progress.csv").open() as file:
+        with (tmp_path / "logs" / run.shown / "progress.csv").open() as file:
             rows = list(csv.DictReader(file))
-        assert len(rows) == 8
         wanted = {
             (tag, int(row["time/total_timesteps"]), np.float32(value))
             for row in rows
             for tag, value in row.items()
             if value and tag not in NOT_IN_TENSORBOARD
         }
-        found = {(tag, step, np.float32(value)) for tag, step, value, _ in _scalars(store, run.run_id)}
-        assert found == wanted
-        assert run.points == len(found)
-        assert not run.damage
+        found = _stored(tmp_path, run.run_id)
+        assert {(tag, step, np.float32(value)) for tag, step, value, _ in found} == wanted
+        assert len(found) == len(wanted)
+    assert done.notes == []
+    before = _files(tmp_path / "results")
+    assert [run.new for run in done.runs] == [True] * 3
+    assert [run.new for run in _import(tmp_path).runs] == [False] * 3
+    assert _files(tmp_path / "results") == before, "importing twice changes nothing"
 
 
-def test_importing_twice_changes_nothing(logs: Path, tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    first = import_tensorboard(logs, store)
-    before = _files(store.root)
-    again = import_tensorboard(logs, store)
-    assert _files(store.root) == before
-    assert [run.new for run in first.runs] == [True] * 3
-    assert [run.new for run in again.runs] == [False] * 3
-    assert [run.run_id for run in again.runs] == [run.run_id for run in first.runs]
+def test_scalars_of_torchs_writer_are_read_among_texts_and_histograms(tmp_path: Path) -> None:
+    from torch.utils.tensorboard import SummaryWriter
+
+    folder = tmp_path / "runs" / "ALE" / "Pong-v5__ppo_atari__3__1700000000"
+    with SummaryWriter(str(folder)) as writer:
+        writer.add_text("hyperparameters", "|param|value|")
+        writer.add_histogram("weights", np.arange(5.0), 1)
+        for step, value in ((8, 1.0), (8, 2.0), (16, 4.0)):  # two episodes that ended at one step
+            writer.add_scalar("charts/episodic_return", value, step)
+        writer.add_scalar("losses/entropy", 0.5, 16, new_style=True)
+    (run,) = import_tensorboard([tmp_path / "runs"], Store(tmp_path / "results")).runs
+    assert (run.condition, run.seed, run.steps) == ("Pong-v5__ppo_atari", 3, 16)
+    assert _stored(tmp_path, run.run_id) == [
+        ("charts/episodic_return", 8, 1.0, False),
+        ("charts/episodic_return", 8, 2.0, False),
+        ("charts/episodic_return", 16, 4.0, False),
+        ("losses/entropy", 16, 0.5, False),
+    ]
 
 
-def test_an_id_is_of_the_contents_wherever_they_lie(logs: Path, tmp_path: Path) -> None:
-    shutil.copytree(logs / "slow_1", tmp_path / "other" / "renamed_5")
-    here = import_tensorboard(logs, Store(tmp_path / "a"))
-    (there,) = import_tensorboard(tmp_path / "other", Store(tmp_path / "b")).runs
-    assert (there.condition, there.seed) == ("renamed", 5)
-    assert there.run_id == here.runs[1].run_id
-    assert len({run.run_id for run in here.runs}) == 3
+# --- What a file holds ----------------------------------------------------------------------------
+
+POINTS = [(RETURN, 256 * k, float(k)) for k in range(1, 6)]
 
 
-def test_a_damaged_import_is_noticed_and_imported_again(logs: Path, tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    first = import_tensorboard(logs, store)
-    before = {name: data for name, (data, _) in _files(store.root).items()}
-    (store.run_folder(first.runs[0].run_id) / "scalars.parquet").write_bytes(b"damaged")
-    assert not store.status(first.runs[0].run_id).finished
-    assert [run.new for run in import_tensorboard(logs, store).runs] == [True, False, False]
-    assert {name: data for name, (data, _) in _files(store.root).items()} == before
-
-
-# --- Oddities -------------------------------------------------------------------------------------
-
-
-def _import(tmp_path: Path, name: str | None = None) -> Import:
-    return import_tensorboard(tmp_path / "logs", Store(tmp_path / "results"), name)
-
-
-def test_more_points_than_tensorboard_shows_are_all_kept(tmp_path: Path, write_events: WriteEvents) -> None:
-    """Its EventAccumulator would draw 10,000 of them at random."""
-    points = [(RETURN, step, float(step % 7)) for step in range(1, 12_002)]
-    write_events(tmp_path / "logs" / "a_1" / FILE, points)
-    (run,) = _import(tmp_path).runs
-    kept = _scalars(Store(tmp_path / "results"), run.run_id)
-    assert [(tag, step, value) for tag, step, value, _ in kept] == points
-
-
-def test_a_cut_file_keeps_what_is_sound_and_says_what_was_cut(
+def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(
     tmp_path: Path, write_events: WriteEvents
 ) -> None:
-    path = write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 10, 1.0), (RETURN, 20, 2.0)])
+    path = write_events(tmp_path / FILE, POINTS)
+    data = path.read_bytes()
+    begins, place = [], 0  # a length of 8 bytes, 4 of checksum, the event, 4 of checksum
+    while place < len(data):
+        begins.append(place)
+        place += 8 + 4 + int(struct.unpack_from("<Q", data, place)[0]) + 4
+    for place in range(len(data)):
+        last = max(begin for begin in begins if begin <= place)
+        sound = POINTS[: max(begins.index(last) - 1, 0)]  # the first record is the file's version
+        flipped = data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
+        for broken in (data[:place], flipped):
+            path.write_bytes(broken)
+            found, damage = read_event_file(path)
+            assert [scalar[:3] for scalar in found] == sound
+            left = len(broken) - last
+            told = f"torn or damaged: the last {left} of {len(broken)} bytes are left out"
+            assert damage == [told] * (left > 0)
+
+
+def _write_values(path: Path, *held: tuple[str, str, Any]) -> None:
+    """Write an event of tensors at step 3: tag, plugin and what each holds."""
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.summary.writer.record_writer import RecordWriter
+    from tensorboard.util.tensor_util import make_tensor_proto
+
+    with path.open("wb") as file:
+        for tag, plugin, tensor in held:
+            event = Event(step=3)
+            value = event.summary.value.add(tag=tag, tensor=make_tensor_proto(tensor))
+            value.metadata.plugin_data.plugin_name = plugin
+            if tag == "huge":
+                value.tensor.tensor_shape.dim.add(size=10**14)
+            if tag == "strange":
+                value.tensor.dtype = 99
+            RecordWriter(file).write(event.SerializeToString())
+
+
+def test_a_tensor_may_hold_a_number_and_any_other_is_told(tmp_path: Path) -> None:
+    _write_values(
+        tmp_path / FILE,
+        ("text", "text", "words"),
+        ("number", "scalars", 1.5),
+        ("number", "", 2.5),  # some writers name the plugin once
+        ("array", "scalars", [1.5, 2]),
+        ("word", "scalars", "x"),
+        ("huge", "scalars", 1.5),
+        ("strange", "scalars", 1.5),
+    )
+    found, damage = read_event_file(tmp_path / FILE)
+    assert [scalar[:3] for scalar in found] == [("number", 3, 1.5), ("number", 3, 2.5)]
+    tags = ("array", "word", "huge", "strange")
+    assert damage == [f"values of {tag} are no numbers and are left out" for tag in tags]
+
+
+@pytest.mark.parametrize("length", [2**40, 2**62, 2**64 - 1])
+def test_a_length_that_was_made_up_is_damage(length: int, tmp_path: Path, write_events: WriteEvents) -> None:
+    from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c
+
+    path, head = write_events(tmp_path / FILE, POINTS), struct.pack("<Q", length)
+    with path.open("ab") as file:
+        file.write(head + struct.pack("<I", masked_crc32c(head)) + b"event")
+    found, (words,) = read_event_file(path)
+    assert [scalar[:3] for scalar in found] == POINTS
+    assert words.startswith("torn or damaged: the last 17 of ")
+
+
+def test_damage_is_kept_and_a_file_too_large_is_refused(
+    tmp_path: Path, write_events: WriteEvents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
-    (run,) = _import(tmp_path).runs
-    assert (run.points, run.steps) == (1, 10)
-    (words,) = run.damage
-    assert words.startswith("it ends within an event: ")
-    store = Store(tmp_path / "results")
-    assert json.loads(store.read_file(run.run_id, "provenance.json"))["damage"] == [words]
-    assert store.status(run.run_id) == Status("done", 10)
+    done = _import(tmp_path)
+    (run,) = done.runs
+    assert (run.steps, len(run.points)) == (4 * 256, 4)
+    (words,) = run.provenance["damage"]
+    assert words.startswith(f"{FILE}: torn or damaged")
+    assert done.notes == [f"a_1/{words}"]
+    assert Store(tmp_path / "results").status(run.run_id) == Status("done", 4 * 256)
+    monkeypatch.setattr(imported, "LARGEST_BYTES", 100)
+    with pytest.raises(UserError, match="is larger than"):
+        _import(tmp_path)
 
 
-def test_folders_without_scalars_of_stable_baselines3_are_left_out_with_a_word(
+def test_without_the_package_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tensorboard.compat.proto.event_pb2", None)
+    with pytest.raises(UserError, match=r"pip install '.\[tensorboard\]'"):
+        read_event_file(tmp_path / FILE)
+
+
+# --- Which runs there are -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("folders", "found"),
+    [
+        (["PPO_2", "PPO_10", "A2C_1"], [("A2C", 1), ("PPO", 2), ("PPO", 10)]),
+        (["logs/tb/PPO_1", "logs/tb/PPO_2"], [("PPO", 1), ("PPO", 2)]),
+        (["maze/PPO_1", "cave/PPO_1"], [("cave/PPO", 1), ("maze/PPO", 1)]),
+        (["run_1/tb", "run_2/tb"], [("run/tb", 1), ("run/tb", 2)]),
+        (["small_optim_tanh_7"], [("small_optim_tanh", 7)]),
+        (["PPO", "DQN_1"], [("DQN", 1), ("PPO", 0)]),
+        (["_PPO_1", "__"], [("PPO", 1), ("run", 0)]),  # legends leave out what begins with _
+        (["PPO_1", "PPO_1/eval"], [("PPO", 1), ("PPO/eval", 1)]),
+        (["a__ppo__1__1700000000", "a__ppo__2__1700000001"], [("a__ppo", 1), ("a__ppo", 2)]),
+    ],
+)
+def test_a_folders_name_tells_condition_and_seed(
+    folders: list[str], found: list[tuple[str, int]], tmp_path: Path
+) -> None:
+    for folder in folders:
+        (tmp_path / "logs" / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / "logs" / folder / FILE).touch()
+    for given in ([tmp_path / "logs"], [tmp_path / "logs" / folder for folder in folders]):
+        logs, notes = find_logs(given)
+        assert [log[1:3] for log in logs] == found
+        assert notes == []
+
+
+def test_a_seed_that_is_taken_gets_the_next_free_number_and_a_word(tmp_path: Path) -> None:
+    for folder in ("PPO", "PPO_0", "PPO_1"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / FILE).touch()
+    logs, notes = find_logs([tmp_path])
+    assert [log[:3] for log in logs] == [("PPO", "PPO", 0), ("PPO_0", "PPO", 1), ("PPO_1", "PPO", 2)]
+    assert notes[0] == "PPO_0: seed 0 of PPO is taken, so it is seed 1"
+
+
+def test_logs_without_scalars_of_training_and_copies_are_left_out_with_a_word(
     tmp_path: Path, write_events: WriteEvents
 ) -> None:
-    write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 10, 1.0)])
-    write_events(tmp_path / "logs" / "b_1" / FILE, [("loss", 10, 1.0)])
-    write_events(tmp_path / "logs" / "c_1" / FILE, [])
+    for name, tag in (("a_1", RETURN), ("b_1", "loss"), ("c_1", RETURN)):
+        write_events(tmp_path / "logs" / name / FILE, [(tag, 10, 1.0)])
     done = _import(tmp_path)
     assert [run.condition for run in done.runs] == ["a"]
-    assert [note.split(":")[0] for note in done.notes] == ["b_1", "c_1"]
-
-
-def test_one_log_twice_is_said_and_two_equal_conditions_are_a_a(
-    tmp_path: Path, write_events: WriteEvents
-) -> None:
-    for name in ("a_1", "b_1"):
-        write_events(tmp_path / "logs" / name / FILE, [(RETURN, 10, 1.0)])
-    done = _import(tmp_path)
-    assert done.notes == ("b_1 holds the same log as a_1: it is no run of its own",)
-    record = Store(tmp_path / "results").selection("logs")
-    assert record is not None
-    assert record["same"] == [["a", "b"]]
+    assert done.notes == [
+        "b_1: holds no scalars of Stable-Baselines3 or CleanRL and is left out",
+        "c_1: holds the same log as a_1 and is left out",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -174,7 +252,6 @@ def test_one_log_twice_is_said_and_two_equal_conditions_are_a_a(
         ("activation", "a shipped study is called that"),
         ("taken", "a study of that name was run"),
         ("a/b", "letters, digits, dots"),
-        ("..", "letters, digits, dots"),
         ("", "letters, digits, dots"),
     ],
 )
@@ -182,26 +259,15 @@ def test_a_name_that_cannot_be_is_refused_before_anything_is_written(
     name: str, words: str, tmp_path: Path, write_events: WriteEvents
 ) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 10, 1.0)])
-    store = Store(tmp_path / "results")
     record = {"title": "Taken", "figure": "taken", "baseline": "a", "same": [], "selection": {}, "runs": []}
-    store.save_selection("taken", {"study": "taken", **record})
-    before = _files(store.root)
+    Store(tmp_path / "results").save_selection("taken", {"study": "taken", **record})
+    before = _files(tmp_path / "results")
     with pytest.raises(UserError, match=f"--name {name}: .*{words}"):
         _import(tmp_path, name)
-    assert _files(store.root) == before
-
-
-def test_a_folders_name_is_made_fit_for_a_study(tmp_path: Path, write_events: WriteEvents) -> None:
-    write_events(tmp_path / "my logs (old)" / "a_1" / FILE, [(RETURN, 10, 1.0)])
-    done = import_tensorboard(tmp_path / "my logs (old)", Store(tmp_path / "results"))
-    assert done.study == "my-logs-old"
+    assert _files(tmp_path / "results") == before
 
 
 # --- Restarts -------------------------------------------------------------------------------------
-
-
-def _superseded(*files: Sequence[tuple[str, int]]) -> list[bool]:
-    return find_superseded([[Scalar(tag, step, 0.0) for tag, step in file] for file in files])
 
 
 @pytest.mark.parametrize(
@@ -211,30 +277,35 @@ def _superseded(*files: Sequence[tuple[str, int]]) -> list[bool]:
         # written anew from step 2 on, in the same file or another
         ([[(RETURN, 1), (RETURN, 2), (RETURN, 3), (RETURN, 2), (RETURN, 3)]], [0, 1, 1, 0, 0]),
         ([[(RETURN, 1), (RETURN, 2), (RETURN, 3)], [(RETURN, 2), (RETURN, 3)]], [0, 1, 1, 0, 0]),
-        # the same step twice: the later counts
-        ([[(RETURN, 1), (RETURN, 1)]], [1, 0]),
+        # two episodes may end at one step; another file's same step takes its place
+        ([[(RETURN, 1), (RETURN, 1)]], [0, 0]),
+        ([[(RETURN, 1)], [(RETURN, 1)]], [1, 0]),
         # another tag in the same file is not touched
         ([[(RETURN, 5), (LOSS, 5), (RETURN, 4)]], [1, 0, 0]),
-        # a restart's file takes the place of what all of Stable-Baselines3's tags had from there on
+        # a restart's file takes the place of what all tags of training had from there on
         ([[(RETURN, 1), (LOSS, 1), (LOSS, 2)], [(RETURN, 2), (RETURN, 3)]], [0, 0, 1, 0, 0]),
+        ([[(RETURN, 1), (LOSS, 3)], [(RETURN, 4)], [(RETURN, 2)]], [0, 1, 1, 0]),
         # but not of a tag that counts something else
         ([[(RETURN, 1), ("own/games", 9)], [(RETURN, 2)]], [0, 0, 0]),
         # a run that was continued has no step twice
         ([[(RETURN, 1), (LOSS, 1)], [(RETURN, 2), (LOSS, 2)]], [0, 0, 0, 0]),
         ([[], [(RETURN, 1)], []], [0]),
+        ([[]], []),
     ],
 )
-def test_what_was_written_anew_counts(files: list[list[tuple[str, int]]], gone: list[int]) -> None:
-    assert _superseded(*files) == [bool(each) for each in gone]
+def test_what_was_written_anew_counts(files: Sequence[Sequence[tuple[str, int]]], gone: list[int]) -> None:
+    rows = [(place, *point) for place, points in enumerate(files) for point in points]
+    found = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step"]))
+    assert found.tolist() == [bool(each) for each in gone]
 
 
-def test_superseded_points_are_kept_and_marked(tmp_path: Path, write_events: WriteEvents) -> None:
+def test_superseded_points_are_kept_marked_and_told(tmp_path: Path, write_events: WriteEvents) -> None:
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.1", [(RETURN, 10, 1.0), (RETURN, 20, 2.0)])
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", [(RETURN, 20, 5.0)])
-    (run,) = _import(tmp_path).runs
-    assert (run.points, run.superseded) == (3, 1)
-    assert _scalars(Store(tmp_path / "results"), run.run_id) == [
+    done = _import(tmp_path)
+    assert _stored(tmp_path, done.runs[0].run_id) == [
         (RETURN, 10, 1.0, False),
         (RETURN, 20, 2.0, True),
         (RETURN, 20, 5.0, False),
     ]
+    assert done.notes == ["a_1: 1 of 3 points were written again after a restart; the later ones count"]

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
-from pneuma.engines.acting import ACTIVATION_CODES, activate, sample
+from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 from pneuma.env.compiled import cached
@@ -160,7 +160,7 @@ class Collector:
         worlds, activation = self.worlds, ACTIVATION_CODES[self._run.activation]
         chosen = np.zeros(worlds.players.shape, np.int64)
         over = np.zeros(len(worlds), np.bool_)
-        scratch = np.zeros((2, int(widths.max())), np.float32)
+        scratch = np.zeros((2, 1, int(widths.max())), np.float32)
         count = 0
         for step, draw in enumerate(draws):
             if count + len(draw) > len(tape.terminal):
@@ -200,12 +200,10 @@ def episode_rows(rollout: Rollout, first_step: int, slots: int) -> list[dict[str
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
     """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
-    weights, widths = flat(critic), sizes(critic)
-    values = np.zeros(len(observations), np.float32)
-    scratch = np.zeros((2, int(widths.max())), np.float32)
-    for i, observation in enumerate(observations):
-        values[i] = _forward(weights, widths, ACTIVATION_CODES[activation], observation, scratch)[0]
-    return values
+    widths, count = sizes(critic), len(observations)
+    scratch = np.zeros((2, count, int(widths.max())), np.float32)
+    scratch[0, :, : widths[0]] = observations
+    return np.array(forward(flat(critic), widths, ACTIVATION_CODES[activation], count, scratch)[:, 0])
 
 
 @kernel
@@ -217,7 +215,7 @@ def _play(
     s = rules.open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     over = np.zeros(s.players.shape[0], np.bool_)
-    scratch = np.zeros((2, widths.max()), np.float32)
+    scratch = np.zeros((2, 1, widths.max()), np.float32)
     while step < draws.shape[0] and count + draws.shape[1] <= tape.terminal.shape[0]:
         _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
         rules.step_worlds(handle, chosen, False)
@@ -242,8 +240,9 @@ def _choose(
             tape.observations[i, step] = s.observations[w, p]
         tape.starts[i, step] = tape.begins[i]
         own = weights[p % weights.shape[0]]
-        logits = _forward(own, widths, activation, tape.observations[i, step], scratch)
-        chosen[w, p] = tape.actions[i, step] = sample(logits, draws[i])
+        scratch[0, 0, : widths[0]] = tape.observations[i, step]
+        logits = forward(own, widths, activation, 1, scratch)
+        chosen[w, p] = tape.actions[i, step] = sample(logits[0], draws[i])
 
 
 @kernel
@@ -284,29 +283,6 @@ def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chos
         rules.reset_worlds(handle, usual_starts, over)
         rules.step_worlds(handle, chosen, True)
     return count
-
-
-@kernel
-def _forward(weights: Any, widths: Any, activation: int, x: Any, scratch: Any) -> Any:
-    """Return a network's outputs for one observation; they lie in `scratch`."""
-    at = 0
-    inputs = x
-    for layer in range(len(widths) - 1):
-        n, m = widths[layer], widths[layer + 1]
-        out = scratch[layer % 2, :m]
-        bias = weights[at + n * m : at + n * m + m]
-        for j in range(m):
-            out[j] = bias[j]
-        for i in range(n):
-            row = weights[at + i * m : at + (i + 1) * m]
-            value = inputs[i]
-            for j in range(m):
-                out[j] += value * row[j]
-        at += n * m + m
-        if layer < len(widths) - 2:
-            activate(activation, out)
-        inputs = out
-    return inputs
 
 
 @kernel

@@ -31,7 +31,7 @@ def _run_id(number: int) -> str:
     return f"{number:016x}"
 
 
-def _part(record: str, setting: str, first: int) -> Part:
+def _part(record: str, world: str, first: int) -> Part:
     names = ("tanh", "relu")
     runs = [RunRow(name, seed, _run_id(first + 2 * seed + k), "done", "batched")
             for seed in range(3) for k, name in enumerate(names)]  # fmt: skip
@@ -40,7 +40,7 @@ def _part(record: str, setting: str, first: int) -> Part:
     summary = pd.DataFrame([{**outcome, **number} for outcome in outcomes])
     return Part(
         record,
-        setting,
+        world,
         extent="2 conditions, 3 seeds, 50,176 agent steps a run",
         pictures=(Picture(TINY_PICTURE, "svg", "Two lines, one above the other.", "Drawn."),),
         summary=summary,
@@ -58,7 +58,7 @@ def _part(record: str, setting: str, first: int) -> Part:
 
 @pytest.fixture(scope="session")
 def example() -> Report:
-    """A report with every kind of thing in it: two claims, a study in two settings, one without runs."""
+    """A report with every kind of thing in it: two claims, a study in two worlds, one without runs."""
     quote = "tanh both improves performance, and decreases variance"
     killed = Effect("tanh against relu", "supported", 0.12, (0.05, 0.19), (10, 10), 0.004)
     none = Effect("tanh against relu", "refuted", -0.001, (-0.02, 0.02), (10, 10), 0.0001)
@@ -85,8 +85,8 @@ def example() -> Report:
                 "6.2",
                 "What differs, and why.",
                 (
-                    _part("activation", "In the text's environment", 16),
-                    _part("activation-godot", "In the published code's environment", 64),
+                    _part("activation", "In the text's world", 16),
+                    _part("activation-godot", "In the published code's world", 64),
                 ),
             ),
             StudySection(
@@ -94,7 +94,7 @@ def example() -> Report:
                 "Optimizer",
                 "6.1",
                 "",
-                (Part("optimizer", "In the text's environment", ("No runs yet.",), "pneuma study run x"),),
+                (Part("optimizer", "In the text's world", ("No runs yet.",), "pneuma study run x"),),
             ),
         ),
         claims_note="claims.toml, sha256 0123456789abcdef",

@@ -172,12 +172,12 @@ def _cells(page: Any, caption: str) -> list[list[str]]:
     return rows
 
 
-def test_verdicts_are_counted_setting_by_setting(page: Any) -> None:
+def test_verdicts_are_counted_place_by_place(page: Any) -> None:
     head, *rows = _cells(page, "Verdicts on 3 claims")
     assert [cell.split()[-1] for cell in head[1:]] == list(MEANINGS)
     assert rows == [
-        ["The text's environment", "1", "0", "1", "0"],
-        ["The published code's", "0", "1", "0", "0"],
+        ["The text's world", "1", "0", "1", "0"],
+        ["The published code's world", "0", "1", "0", "0"],
         ["Published logs", "0", "0", "0", "1"],
     ]
 

@@ -1,0 +1,89 @@
+"""The compiled forward pass of a policy, and the draw of an action from its logits.
+
+weights, observations → outputs, an action
+
+A row of observations gives the same bits whoever else is asked: products are summed input by input, never in
+blocks of rows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from pneuma.env.compiled import cached
+
+ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
+
+LEAKY_SLOPE = 0.01
+"""Slope of LeakyReLU below zero (thesis section 6.2)."""
+
+kernel: Any = cached(error_model="numpy")
+
+
+@kernel
+def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any) -> Any:
+    """Return a network's outputs for `count` rows of `scratch[0]`, (count at least, outputs).
+
+    Args:
+        weights: of all layers, as `pneuma.engines.policy.flat` lays them out.
+        widths: of all layers, as `pneuma.engines.policy.sizes` gives them.
+        activation: of the hidden layers; its code.
+        count: how many rows.
+        scratch: (2, rows, greatest width) float32; it is overwritten, and the outputs lie in it too.
+    """
+    at = 0
+    inputs = scratch[0]
+    for layer in range(len(widths) - 1):
+        n, m = widths[layer], widths[layer + 1]
+        out = scratch[(layer + 1) % 2]
+        bias = weights[at + n * m : at + n * m + m]
+        for k in range(count):
+            for j in range(m):
+                out[k, j] = bias[j]
+        for i in range(n):
+            row = weights[at + i * m : at + (i + 1) * m]
+            for k in range(count):
+                value = inputs[k, i]
+                for j in range(m):
+                    out[k, j] += value * row[j]
+        at += n * m + m
+        if layer < len(widths) - 2:
+            for k in range(count):
+                activate(activation, out[k, :m])
+        inputs = out
+    return inputs[:, : widths[-1]]
+
+
+@kernel
+def activate(activation: int, x: Any) -> None:
+    """Apply the activation function of a code to a row, in place."""
+    if activation == 0:
+        for j in range(len(x)):
+            x[j] = math.tanh(x[j])
+    elif activation == 1:
+        for j in range(len(x)):
+            x[j] = max(x[j], np.float32(0))
+    else:
+        for j in range(len(x)):
+            x[j] = x[j] if x[j] > 0 else x[j] * np.float32(LEAKY_SLOPE)
+
+
+@kernel
+def sample(logits: Any, draw: Any) -> int:
+    """Draw from a softmax by a number in [0, 1); the logits are overwritten."""
+    highest = logits[0]
+    for value in logits:
+        highest = max(highest, value)
+    total = np.float32(0)
+    for j in range(len(logits)):
+        logits[j] = math.exp(logits[j] - highest)
+        total += logits[j]
+    left = draw * total
+    for j in range(len(logits) - 1):
+        left -= logits[j]
+        if left < 0:
+            return j
+    return len(logits) - 1

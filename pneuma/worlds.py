@@ -1,0 +1,89 @@
+"""The worlds that a study or a search can be run in: one row each, asked by everything that tells them apart.
+
+A name that ends in `-WORLD` stands for the study or search of that name in that world; the text's has no
+ending.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pneuma.errors import UserError, unknown_name
+
+
+@dataclass(frozen=True)
+class World:
+    """Where a study is run.
+
+    Attributes:
+        env: the environment of its runs.
+        title: for people, as in "In the arena".
+        overrides: fields that its runs have instead of the base's, where the study sets none itself.
+    """
+
+    env: str
+    title: str
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+
+
+TEXT = "text"
+"""The usual world: a study's file as it stands, whichever environment it sets."""
+
+WORLDS = {
+    TEXT: World("pneuma/Pneuma-v0", "the text's world"),
+    # facts 3: what the published code sets other than the thesis's tables
+    "godot": World(
+        "pneuma/PneumaGodot-v0", "the published code's world", {"clip_range": 0.2, "actor": (256,)}
+    ),
+    "arena": World("pneuma/PneumaArena-v0", "the arena"),
+}
+
+
+def world_fields(world: str, own: Collection[str]) -> dict[str, Any]:
+    """Return the fields that a world sets of a study or search that sets the fields `own` itself."""
+    if world == TEXT:
+        return {}
+    row = WORLDS[world]
+    return {"env": row.env, **{key: value for key, value in row.overrides.items() if key not in own}}
+
+
+def check_world(world: str | None) -> None:
+    """Refuse a world that there is not; None is whichever is usual.
+
+    Raises:
+        UserError: naming the nearest.
+    """
+    if world not in (None, *WORLDS):
+        raise UserError(f"--world {world}: {unknown_name('world', world or '', WORLDS)}")
+
+
+def in_world(name: str, world: str) -> str:
+    """Return what a study, a record or a figure is called in a world."""
+    return name if world == TEXT or name.endswith(f"-{world}") else f"{name}-{world}"
+
+
+def split_world(name: str) -> tuple[str, str]:
+    """Return the study's own name and the world that a name stands for."""
+    for world in WORLDS:
+        if world != TEXT and name.endswith(f"-{world}"):
+            return name.removesuffix(f"-{world}"), world
+    return name, TEXT
+
+
+def chosen_world(name: str, world: str | None) -> tuple[str, str]:
+    """Return a study's own name, and the world that the name and the option --world stand for together.
+
+    Raises:
+        UserError: where they stand for two worlds.
+    """
+    own, told = split_world(name)
+    if told != TEXT and world not in (None, told):
+        raise UserError(f"--world {world}: the name {name} stands for the world {told}")
+    return own, world or told
+
+
+def world_option(world: str) -> list[str]:
+    """Return the words of a command that choose a world; none for the usual one."""
+    return [] if world == TEXT else ["--world", world]
