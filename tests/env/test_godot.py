@@ -267,7 +267,7 @@ def test_a_kill_earns_only_within_the_attack_circle(arena: str, x: float, paid: 
     worlds = strike(arena, x, 0.0)
     assert (xp(worlds), player_hp(worlds)) == ((5, 57) if paid else (4, 50))
     assert worlds.players["kills"][0, 0] == 1  # it is a kill all the same
-    assert reward(worlds) == xp(worlds)  # set to the XP, whatever it is
+    assert reward(worlds) == (5 if paid else 0)  # set to the XP of who earns it
 
 
 def test_a_kill_earns_for_everybody_in_the_circle(arena: str) -> None:
@@ -276,7 +276,7 @@ def test_a_kill_earns_for_everybody_in_the_circle(arena: str) -> None:
     assert worlds.players["xp"][0].tolist() == [5, 5, 4]
     assert worlds.players["hp"][0].tolist() == [57, 57, 50]
     assert worlds.players["kills"][0].tolist() == [1, 0, 0]
-    assert worlds.events["reward"][0].tolist() == [5, 5, 4]
+    assert worlds.events["reward"][0].tolist() == [5, 5, 0]
 
 
 def test_the_striker_alone_earns_by_the_texts_rules(arena: str) -> None:

@@ -168,7 +168,8 @@ def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
     env = parallel_env(players=2, classes=["tank", "mage"], reward=["thesis", "pygame"], scale="raw")
     observations, _ = env.reset(seed=0)
     assert [float(observations[agent][2]) for agent in env.agents] == [150, 70]
-    assert [float(env.observation_space(agent).high[2]) for agent in env.agents] == [150, 70]
+    highest = [float(env.observation_space(agent).high[2]) for agent in env.agents]
+    assert highest == [150 + 14 * 7, 70 + 14 * 7]  # each kill heals 7 HP, past full ones
     assert not np.array_equal(observations["player_0"][:2], observations["player_1"][:2])
     _, rewards, *_ = env.step(same(env.agents, ATTACK))
     assert rewards == {"player_0": -1.0, "player_1": 1.0}

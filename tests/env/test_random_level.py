@@ -169,7 +169,7 @@ def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[
 @pytest.mark.parametrize("name", ["random:train:1", "random:test:2"])
 def test_a_player_walks_to_every_monster_by_the_rules(name: str) -> None:
     """Steer a player, tick by tick, along a way of tiles; nothing ever holds it up."""
-    worlds = Worlds(1, make_env_config({"level": name, "episode_steps": 1_000_000}))
+    worlds = Worlds(1, make_env_config({"level": name, "bodies": "pass", "episode_steps": 1_000_000}))
     worlds.settings["ticks"] = 1
     worlds.monster_stats["speed"] = worlds.monster_stats["damage"] = 0.0
     worlds.seed([0])

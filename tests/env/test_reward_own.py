@@ -62,7 +62,7 @@ def test_it_is_computed_from_events_players_and_stats(folder: Path, arena: str) 
         "assert events.shape == players.shape == (1, 1) and stats.shape == (1,)\n"
         'return 10 * events["hits"] - events["hp_lost"] / stats["hp"] + players["xp"]'
     )
-    worlds = stage(arena, (54.0, 60.0), (-30.0, 0.0), still=True, settings={"reward": write(folder, body)})
+    worlds = stage(arena, (80.0, 0.0), (-40.0, 0.0), still=True, settings={"reward": write(folder, body)})
     worlds.players["xp"] = 3
     play(worlds, ATTACK)
     assert rewards(worlds) == [10 - 0.07 + 3]
@@ -81,9 +81,11 @@ def test_it_sees_how_far_the_nearest_living_monster_is(folder: Path, arena: str)
 
 def test_it_sees_for_how_long_each_player_lived(folder: Path, arena: str) -> None:
     own = write(folder, 'return events["present"] + 100 * events["died"]')
-    worlds = stage(arena, players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own})
+    worlds = stage(
+        arena, players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own, "bite_while_knocked": True}
+    )
     worlds.monsters["knocked"][0, 0], worlds.monsters["knock_x"][0, 0] = 30, 2.0
-    move_monster(worlds, 0, -67.5, 0.0)  # 40 px off the body in tick 3
+    move_monster(worlds, 0, -69.0, 0.0)  # 40 px off the body in tick 3
     worlds.players["hp"][0, 0] = 7
     play(worlds, STAND)
     assert rewards(worlds) == [103.0, 8.0]

@@ -144,10 +144,8 @@ def test_a_world_that_is_put_back_is_seen_as_before(name: str) -> None:
 def test_a_world_with_a_dead_player_is_seen_as_before_wherever_it_is_put() -> None:
     worlds = begin(2, players=2)
     worlds.players["hp"][0, 0] = 1
-    worlds.monsters["x"][0, 0], worlds.monsters["y"][0, 0] = (
-        worlds.players["x"][0, 0],
-        worlds.players["y"][0, 0],
-    )
+    x, y = worlds.players["x"][0, 0], worlds.players["y"][0, 0]
+    worlds.monsters["x"][0, 0], worlds.monsters["y"][0, 0] = x - 40, y
     for _ in range(2):  # it dies in the first step
         worlds.step(np.full((2, 2), 4))
     assert worlds.players["hp"][0, 0] == 0
