@@ -71,21 +71,6 @@ def test_every_episode_begins_at_the_first_place() -> None:
     assert (worlds.worlds["draws"] == 0).all()
 
 
-def test_options_still_choose_another_place() -> None:
-    env = make()
-    env.reset(seed=0, options={"start": 2})
-    assert player_at(env.state) == (-239.0, -798.0)
-    env.reset()
-    assert player_at(env.state) == FIRST
-
-
-def test_six_players_begin_at_the_six_places_in_their_order() -> None:
-    worlds = Worlds(1, make_env_config({"players": 6}, GODOT))
-    worlds.reset()
-    assert worlds.players["x"][0].tolist() == [204, 389, -239, -517, -918, -47]
-    assert worlds.players["y"][0].tolist() == [-105, 348, -798, 897, -35, 201]
-
-
 # --- XP that is never reset ----------------------------------------------------------------------
 
 
@@ -115,23 +100,6 @@ def test_xp_runs_on_through_autoreset_and_each_death_costs_1(pit: str, mode: Aut
     assert env.state.players["xp"][:, 0].tolist() == (-deaths).tolist()
     observations, _ = env.reset(seed=0)
     assert observations[:, 3].tolist() == [0, 0]
-
-
-def test_xp_runs_on_through_the_resets_of_stable_baselines3(pit: str) -> None:
-    env = PneumaVecEnv([1, 2], make_env_config({"level": pit}, GODOT))
-    env.keep_finished = True
-    env.reset()
-    for step in range(200):
-        env.step(np.array([LEFT, RIGHT]) if step % 2 else np.array([RIGHT, LEFT]))
-    deaths = [sum(episode["slot"] == slot for episode in env.finished) for slot in (0, 1)]
-    assert min(deaths) > 5
-    assert env.state.players["xp"][:, 0].tolist() == [-count for count in deaths]
-    assert [episode["xp"] for episode in env.finished if episode["slot"] == 0][:3] == [-1, -2, -3]
-    env.reset()
-    assert xp(env.state) == -deaths[0]
-    env.seed(1)
-    env.reset()
-    assert xp(env.state) == 0
 
 
 def test_a_masked_reset_with_a_seed_clears_the_xp_of_its_worlds_alone() -> None:

@@ -244,11 +244,6 @@ def test_nearest_first_the_dead_make_room(zoo: str, layout: str) -> None:
     assert (rows(worlds)[3] == 0).all()
 
 
-def test_equal_distances_keep_the_levels_order(arena: str) -> None:
-    worlds = look(arena, (0.0, 200.0), (200.0, 0.0), (0.0, -200.0), (-200.0, 0.0), perceive="nearest:2")
-    assert rows(worlds)[:, 1:3].tolist() == [[0, 1], [1, 0]]
-
-
 # --- Bounds --------------------------------------------------------------------------------------
 
 

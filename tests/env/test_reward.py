@@ -95,12 +95,6 @@ def test_kills_is_xp_gained_less_the_share_of_hp_lost(arena: str) -> None:
     assert rewards(worlds) == [0.0]
 
 
-def test_kills_counts_what_a_class_has(arena: str) -> None:
-    worlds = fight(arena, "kills", (-40.0, 0.0), classes="mage")
-    play(worlds, STAND)
-    assert rewards(worlds) == [-7 / 70]
-
-
 def test_kills_takes_no_more_hp_than_there_were(arena: str) -> None:
     worlds = fight(arena, "kills", (-40.0, 0.0))
     worlds.players["hp"] = 5
