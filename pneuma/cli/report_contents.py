@@ -66,11 +66,11 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
         UserError: for a name that is no study's.
     """
     studies = _studies(store, names)
-    claims, note, unjudged = [], "", ""
+    unjudged = ""
     try:
         claims, note = judged_claims(store, studies)
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
-        unjudged = _without_folder(store, error)
+        claims, note, unjudged = [], "", _without_folder(store, error)
         tell(f"Note: {error}; no claim is judged.")
     sections = []
     for place, study in enumerate(studies, 1):
@@ -243,7 +243,9 @@ def _extent(record: Mapping[str, Any]) -> str:
 def _without_folder(store: Store, error: Exception) -> str:
     """Return an error's words without this machine's folder: the page is for others to read."""
     root = str(store.root)
-    return str(error) if root == "." else str(error).replace(root, "results")
+    if root == ".":
+        return str(error)
+    return re.sub(rf"(?<![\w./~-]){re.escape(root)}(?![\w.-])", "results", str(error))
 
 
 # --- Commands -------------------------------------------------------------------------------------

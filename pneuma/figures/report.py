@@ -10,7 +10,7 @@ results give the same bytes.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
@@ -186,7 +186,7 @@ def _visible(value: Any) -> Any:
 
 def numbers_table(study: str, summary: pd.DataFrame) -> Table:
     """Return the outcomes of a summary that matter most: a row for each condition."""
-    rows = [row for row in summary.itertuples() if _leads(row)]
+    rows = [row for row in _rows(summary) if _leads(row)]
     pairs = list(dict.fromkeys((row.outcome, row.statistic) for row in rows))
     pairs.sort(key=lambda pair: pair[1] == "share")  # how many failed comes after what the others reached
     cells = {(row.condition, row.outcome, row.statistic): _cell(row) for row in rows}
@@ -211,7 +211,7 @@ def _cell(row: Any) -> str:
 def statistics_table(study: str, summary: pd.DataFrame) -> Table:
     """Return every row of a summary."""
     rows = []
-    for row in summary.itertuples():
+    for row in _rows(summary):
         value = shown_with_interval(row.value, row.low, row.high)
         rows.append((row.condition, row.outcome, row.statistic, row.interval or "none", value, int(row.runs)))
     columns = ("Condition", "Outcome", "Statistic", "Interval by", "Value", "Runs")
@@ -223,7 +223,7 @@ def factors_table(study: str, effects: pd.DataFrame) -> Table:
     rows = [
         (row.effect, row.levels, f"{row.df}, {row.df_error}", _short(row.f), _short(row.partial_r2),
          f"{row.p_holm:.4f}")
-        for row in effects.itertuples()
+        for row in _rows(effects)
     ]  # fmt: skip
     outcome, runs = effects["outcome"].iloc[0], effects["runs"].iloc[0]
     caption = f"Effects of {study}'s factors on {outcome}, tested by permutation; {runs} runs"
@@ -233,3 +233,7 @@ def factors_table(study: str, effects: pd.DataFrame) -> Table:
 
 def _short(value: float) -> str:
     return shown(value, decimals(value))
+
+
+def _rows(frame: pd.DataFrame) -> Iterable[Any]:
+    return frame.itertuples()
