@@ -19,16 +19,18 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.export import encode_frame
+from pneuma.analysis.published import published_studies
 from pneuma.analysis.sources import open_published
 from pneuma.analysis.tables import tell_figures_apart
 from pneuma.analysis.trajectories import read_trajectories
 from pneuma.errors import UserError
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, read_entries
-from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
+from pneuma.figures.plates import BESIDE, COMMAND, TABLE_FORMATS, TABLES, draw_published
 from pneuma.figures.settings_table import settings_table
 from pneuma.study.cores import available_cores
 from pneuma.study.files import write_whole
+from pneuma.study.store import Store
 
 RESULTS = Path("results")
 FEW = 4
@@ -86,7 +88,10 @@ def _draw_one(results: Path, study: str, figure: str, folder: Path) -> list[dict
     """Draw a study, under the name that its figures have among all that are drawn."""
     (data,) = open_published(results, [study])
     data.figure = figure
-    return draw_published(data, folder, read_trajectories(results, study))
+    beside = BESIDE.get(study)
+    held = beside in published_studies(Store(results))
+    logs = open_published(results, [beside])[0] if beside and held else None
+    return draw_published(data, folder, read_trajectories(results, study), logs)
 
 
 def _draw_environment(folder: Path) -> list[dict[str, Any]]:
