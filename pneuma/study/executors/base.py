@@ -9,8 +9,8 @@ need. Whatever one does, it keeps these promises:
   newest checkpoint lies there. Files appear whole or not at all.
 - Whoever trains a run holds its lock in the store; what another process holds is left to it, and said.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
-- A crashed run is tried once more before that counts; a time-out counts at once. One whose machine went goes
-  on elsewhere (`remote.MOST_LOSSES`).
+- A run that crashes, or whose process or node goes, is tried once more before that counts; a time-out counts
+  at once. A job of Slurm's that is lost with its node is put back into the queue by Slurm itself.
 - After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
   once. Either way the same command goes on, with this executor or another, to the same bits. Where jobs
   outlive the command, as in Slurm's queue, it is only left: `Detached`.

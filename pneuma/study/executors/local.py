@@ -72,23 +72,16 @@ def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]],
-    store: Store,
-    supervision: Supervision,
-    on_event: OnEvent,
-    interrupts: Interrupts | None = None,
+    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
 ) -> None:
-    """Train every group of runs in processes of their own, as the contract says (`base.Executor`).
-
-    The first interrupt lets every run come to a checkpoint, the second ends all at once. They are Ctrl-C,
-    unless others are given.
+    """Train every group of runs in a process of its own, as the contract says (`base.Executor`).
 
     Raises:
-        KeyboardInterrupt: after one, when every worker has gone.
+        KeyboardInterrupt: after Ctrl-C, when every worker has gone.
     """
-    with interrupts or Interrupts() as counted:
-        Supervisor(groups, store, supervision, on_event, counted, LocalProcess).work()
-        if counted.count:
+    with Interrupts() as interrupts:
+        Supervisor(groups, store, supervision, on_event, interrupts, LocalProcess).work()
+        if interrupts.count:
             raise KeyboardInterrupt
 
 

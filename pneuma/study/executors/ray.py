@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -104,10 +103,6 @@ def join(address: str | None) -> None:
     Raises:
         UserError: when Ray is not installed or no cluster answers there in time.
     """
-    if address is not None and not re.fullmatch(r"[^/\s]+:\d+", address):
-        raise UserError(
-            f"--address {address}: must be HOST:PORT of the cluster's head node, as in 10.0.0.5:6379"
-        )
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # the nodes have their own environments
     if address is None or address.rpartition(":")[0] in LOOPBACK:
