@@ -266,7 +266,9 @@ def _files(data: StudyData, looks: _Looks) -> list[str]:
     from pneuma.figures.summary import summary_stem
 
     stem = (
-        summary_stem(data, looks.size) if looks.kind == "summary" else file_stem(data, _drawing(data, looks))
+        summary_stem(data, looks.size)
+        if looks.kind == "summary"
+        else file_stem(data, _drawing(data, looks), looks.beside)
     )
     return [f"{stem}.{form}" for form in looks.formats]
 

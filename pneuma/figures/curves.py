@@ -109,7 +109,8 @@ def draw_study(
         else:
             others = _curves_beside(beside, drawing) if beside else {}
             figure = draw_panels(data, curves, drawing.band, how, words, others)
-        return save_figure(figure, folder, file_stem(data, drawing), formats, how.dots_per_inch)
+        stem = file_stem(data, drawing, beside.study if beside else None)
+        return save_figure(figure, folder, stem, formats, how.dots_per_inch)
 
 
 def settle(
@@ -138,7 +139,7 @@ def _usual_window(layout: str) -> str | None:
     return THESIS_WINDOW if layout == "thesis" else None
 
 
-def file_stem(data: StudyData, drawing: Drawing) -> str:
+def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
     """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
     differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
     if drawing.band != USUAL_BAND[drawing.layout]:
@@ -150,7 +151,7 @@ def file_stem(data: StudyData, drawing: Drawing) -> str:
     if drawing.quantities != _usual(data, drawing.layout):
         every = list(drawing.quantities) == curve_names(data)
         differs = ["all" if every else _shortened(drawing.quantities), *differs]
-    return "-".join([data.figure, *differs])
+    return "-".join([data.figure, *differs, *(["beside", beside] if beside else [])])
 
 
 def _has_episodes(quantities: Sequence[str]) -> bool:
