@@ -1,4 +1,4 @@
-"""The search's Optuna storage: what optuna-dashboard opens.
+"""A search's Optuna storage: what optuna-dashboard opens.
 
 It is written, never read back as truth: only trials that have ended are in it, in order, so none is ever
 left running. What is missing is added; the search's own file is written anew from the stored runs.
@@ -18,12 +18,13 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from sqlalchemy.pool import NullPool
 
 from pneuma.errors import UserError
-from pneuma.search.sampling import distributions
+from pneuma.search.sampling import distribution
+from pneuma.search.space import Space
 from pneuma.search.trials import Task, Told
-from pneuma.study.store import Store
 
 OWNER = "pneuma"
 """The user attribute of an Optuna study that tells whose it is."""
+STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
 
 
 class Database:
@@ -31,57 +32,25 @@ class Database:
 
     Args:
         task: the search.
-        url: of the storage; None for an SQLite file beside the search's record, which begins empty.
-        store: the results folder.
+        url: of the storage; None for an SQLite file, which begins empty.
+        folder: where that file is.
 
     Raises:
         UserError: when it cannot be opened, or holds another search of this name.
     """
 
-    def __init__(self, task: Task, url: str | None, store: Store) -> None:
+    def __init__(self, task: Task, url: str | None, folder: Path) -> None:
         self._task = task
-        self.url = url or f"sqlite:///{_new_file(store, task.search.name)}"
+        self.url = url or f"sqlite:///{_new_file(folder / f'{task.search.name}.db')}"
         self._where = f"--storage {self.shown_url}" if url else self.shown_url
         self.name = f"{task.search.name}-{task.digest}"
         with self._told():
-            self._storage = open_storage(self.url)
             self._study = self._load()
 
     @property
     def shown_url(self) -> str:
-        """Return the storage's URL without user and password."""
-        return _without_password(self.url)
-
-    @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Tell in one line what a database's driver raises."""
-        try:
-            yield
-        except UserError:
-            raise
-        except Exception as error:  # each driver has kinds of its own
-            told = _first_line(error).replace(self.url, self.shown_url)
-            raise UserError(f"{self._where}: {told}") from None
-
-    def _load(self) -> optuna.Study:
-        study = optuna.create_study(
-            storage=self._storage,
-            study_name=self.name,
-            directions=[
-                StudyDirection[objective.direction.upper()] for objective in self._task.search.objectives
-            ],
-            load_if_exists=True,
-        )
-        if study.user_attrs.get(OWNER, self._task.digest) != self._task.digest:
-            raise self._foreign()
-        if OWNER not in study.user_attrs:
-            if study.get_trials(deepcopy=False):
-                raise self._foreign()
-            study.set_user_attr(OWNER, self._task.digest)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-                study.set_metric_names([objective.name for objective in self._task.search.objectives])
-        return study
+        """Return the storage's URL without its password."""
+        return without_password(self.url)
 
     def save(self, told: Sequence[Told]) -> None:
         """Add the trials that are not in it yet.
@@ -92,24 +61,41 @@ class Database:
         Raises:
             UserError: where it holds other trials, or does not answer.
         """
+        space = self._task.search.space
         with self._told():
             held = self._study.get_trials(deepcopy=False)
-            pairs = zip(held, told, strict=False)
-            if any(_essence(trial) != _essence(self._frozen(own)) for trial, own in pairs):
+            frozen = [frozen_trial(own, space, own.values) for own in told]
+            if any(_essence(one) != _essence(other) for one, other in zip(held, frozen, strict=False)):
                 raise self._foreign()
-            self._study.add_trials([self._frozen(own) for own in told[len(held) :]])
+            self._study.add_trials(frozen[len(held) :])
 
-    def _frozen(self, told: Told) -> FrozenTrial:
-        state = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
-        done = told.state == "complete"
-        return create_trial(
-            state=state[told.state],
-            values=list(told.values) if done else None,
-            params=dict(told.params),
-            distributions=distributions(self._task.search.space, told.params),
-            user_attrs={"runs": list(told.run_ids), "note": told.note},
-            intermediate_values=dict(told.rungs),
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Tell in one line what a database's driver raises."""
+        try:
+            yield
+        except UserError:
+            raise
+        except Exception as error:  # each driver has kinds of its own
+            first = (str(error).strip() or type(error).__name__).splitlines()[0]
+            raise UserError(f"{self._where}: {first.replace(self.url, self.shown_url)}") from None
+
+    def _load(self) -> optuna.Study:
+        objectives = self._task.search.objectives
+        study = optuna.create_study(
+            storage=open_storage(self.url),
+            study_name=self.name,
+            directions=[StudyDirection[objective.direction.upper()] for objective in objectives],
+            load_if_exists=True,
         )
+        if OWNER not in study.user_attrs and not study.get_trials(deepcopy=False):
+            study.set_user_attr(OWNER, self._task.digest)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+                study.set_metric_names([objective.name for objective in objectives])
+        if study.user_attrs.get(OWNER) != self._task.digest:
+            raise self._foreign()
+        return study
 
     def _foreign(self) -> UserError:
         return UserError(
@@ -123,33 +109,7 @@ def open_storage(url: str) -> optuna.storages.RDBStorage:
     return optuna.storages.RDBStorage(url, engine_kwargs={"poolclass": NullPool})
 
 
-def _essence(trial: FrozenTrial) -> tuple[Any, ...]:
-    return trial.state, trial.params, trial.values
-
-
-def _new_file(store: Store, search: str) -> Path:
-    """Return the path of the search's own SQLite file, and remove what is there: its trials are in the runs.
-
-    SQLite obeys what lies beside a file: a stranger's journal there could have it delete any other.
-
-    Raises:
-        UserError: where something is no file, and nothing is removed then; or cannot be removed.
-    """
-    path = store.root / "searches" / f"{search}.db"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    there = [Path(f"{path}{ending}") for ending in ("", "-journal", "-wal", "-shm")]
-    for file in there:
-        if file.is_symlink() or (file.exists() and not file.is_file()):
-            raise UserError(f"{file}: is no file; remove it, the search makes its own")
-    for file in there:
-        try:
-            file.unlink(missing_ok=True)
-        except OSError as error:
-            raise UserError(f"{file}: cannot be removed ({error.strerror})") from None
-    return path.resolve()
-
-
-def _without_password(url: str) -> str:
+def without_password(url: str) -> str:
     """Return a URL without user, password and options, which may hold one too."""
     scheme, colon, rest = url.partition("://")
     if not rest.startswith("/"):  # else it is a file, whose path may hold an @
@@ -157,5 +117,32 @@ def _without_password(url: str) -> str:
     return f"{scheme}{colon}{rest.partition('?')[0]}"
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
+def frozen_trial(told: Told, space: Space, values: Sequence[float]) -> FrozenTrial:
+    """Return a trial that has ended as Optuna has it."""
+    return create_trial(
+        state=STATES[told.state],
+        values=list(values) if told.state == "complete" else None,
+        params=dict(told.params),
+        distributions={name: distribution(space.parameter(name)) for name in told.params},
+        user_attrs={"runs": list(told.run_ids), "note": told.note},
+        intermediate_values=dict(told.rungs),
+    )
+
+
+def _essence(trial: FrozenTrial) -> tuple[Any, ...]:
+    return trial.state, trial.params, trial.values
+
+
+def _new_file(path: Path) -> Path:
+    """Return the path of the search's own SQLite file, and remove what is there: its trials are in the runs.
+
+    SQLite obeys a journal that lies beside a file, which could have it delete any other.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for ending in ("", "-journal", "-wal", "-shm"):
+        file = Path(f"{path}{ending}")
+        try:
+            file.unlink(missing_ok=True)
+        except OSError as error:
+            raise UserError(f"{file}: cannot be removed ({error.strerror})") from None
+    return path.resolve()

@@ -72,11 +72,6 @@ def ask(
         return trial, space.ask(lambda parameter: _suggest(trial, parameter))
 
 
-def distributions(space: Space, params: Params) -> dict[str, BaseDistribution]:
-    """Return what each of a trial's parameters was drawn from."""
-    return {name: _distribution(space.parameter(name)) for name in params}
-
-
 def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     domain = parameter.domain
     if not isinstance(domain, Range):
@@ -86,7 +81,8 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     return trial.suggest_float(parameter.name, domain.low, domain.high, log=domain.log)
 
 
-def _distribution(parameter: Parameter) -> BaseDistribution:
+def distribution(parameter: Parameter) -> BaseDistribution:
+    """Return what a parameter's values are drawn from."""
     domain = parameter.domain
     if not isinstance(domain, Range):
         return CategoricalDistribution(tuple(domain.settings_of))

@@ -279,6 +279,25 @@ def _last(asked: _Asked) -> list[Cell]:
     return [cell for cell in asked.cells if cell.run.steps == longest]
 
 
+def best_number(told: Sequence[Told], search: Search) -> int | list[int] | None:
+    """Return the number of the best trial, the first of equals; of several objectives, the Pareto front."""
+    signs = [1 if objective.direction == "maximize" else -1 for objective in search.objectives]
+    scores = {
+        trial.number: [sign * value for sign, value in zip(signs, trial.values, strict=True)]
+        for trial in told
+        if trial.state == "complete"
+    }
+    if len(signs) > 1:
+        return [number for number, own in scores.items() if not any(_beats(o, own) for o in scores.values())]
+    return max(scores, key=lambda number: (scores[number], -number), default=None)
+
+
+def _beats(other: Sequence[float], own: Sequence[float]) -> bool:
+    """Tell whether other values are nowhere worse and somewhere better (Pareto dominance)."""
+    pairs = list(zip(other, own, strict=True))
+    return all(o >= v for o, v in pairs) and any(o > v for o, v in pairs)
+
+
 def objective_value(
     objective: Objective, cells: Sequence[Cell], read: ReadOutcome, diverged: Callable[[Cell], bool]
 ) -> float:

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneuma.search.record import best_number
 from pneuma.search.spec import Budget
-from pneuma.search.trials import Told, conduct, over_seeds, stages
+from pneuma.search.trials import Told, best_number, conduct, over_seeds, stages
 from pneuma.study.plan import Cell, Plan
 
 from .conftest import MakeTask, Solve, flat, height
