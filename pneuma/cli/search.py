@@ -21,7 +21,7 @@ from pneuma.worlds import TEXT, world_option
 
 if TYPE_CHECKING:
     from pneuma.search.spec import Search
-    from pneuma.search.storage import Begun, Searched
+    from pneuma.search.storage import Searched
     from pneuma.search.trials import Told
 
 app = typer.Typer(
@@ -87,12 +87,11 @@ def status(
     name: search_run.SearchName, world: WorldName = None, results: Results = RESULTS, json: Json = False
 ) -> None:
     """Show how far a search is, and the best that it has found."""
-    from pneuma.search.storage import begun_runs, trial_document
+    from pneuma.search.storage import trial_document
 
     store = Store(results)
     searched = search_promote.recorded(store, name, world)
-    begun, best = begun_runs(store, searched), searched.best
-    search, budget = searched.task.search, searched.task.budget
+    search, budget, best = searched.task.search, searched.task.budget, searched.best
     if json:
         document = {
             "schema": 1,
@@ -104,7 +103,6 @@ def status(
             "seeds": list(budget.seeds),
             "steps": budget.steps,
             "trials_asked": budget.trials,
-            "begun": asdict(begun),
         }
         return print_json(document)
     print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
@@ -113,8 +111,9 @@ def status(
     among = best if isinstance(best, list) else [best]
     for trial in searched.trials:
         print(_told_trial(trial, trial.number in among))
-    _tell_begun(begun)
     _tell_best(searched, name, world, store.root)
+    runs = command("study", "status", f"search-{search.name}", "--results", store.root)
+    print(f"Its runs: {runs}")
     print(f"Look closer with: optuna-dashboard {plain(searched.storage)}")
     return None
 
@@ -203,15 +202,6 @@ def _told_trial(trial: Told, among: bool) -> str:
     note = f"  ({trial.note})" if trial.note else ""
     mark, value = "*" if among else " ", search_run.told_value(trial)
     return plain(f"  {mark} {trial.number:>4}  {trial.state:<9} {value:<16} {params}{note}")
-
-
-def _tell_begun(begun: Begun) -> None:
-    if begun.runs:
-        trials = f"trials {begun.trials[0]} to {begun.trials[-1]}"
-        told = f"{trials}: {begun.ended} of {begun.runs} runs have ended"
-        print(f"Now training {told}." if begun.searching else f"Stopped in {told}; `run` goes on.")
-    elif begun.searching:
-        print("A process is searching now.")
 
 
 def _tell_best(searched: Searched, name: str, world: str | None, root: Path) -> None:

@@ -65,12 +65,6 @@ def run(
     engine: EngineName = None,
     set_: Settings = None,
     world: WorldName = None,
-    storage: Annotated[
-        str | None,
-        typer.Option(
-            "--storage", metavar="URL", help="An Optuna storage, as postgresql://… (default: an SQLite file)."
-        ),
-    ] = None,
     workers: Workers = None,
     place: Place = HERE,
     retry_failed: Annotated[
@@ -96,7 +90,7 @@ def run(
     how = Supervision(workers=read_workers(workers, place), place=place)
     if note := replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
-    return _search(task, store, storage, how, retry_failed, json, quiet)
+    return _search(task, store, how, retry_failed, json, quiet)
 
 
 def read_budget(
@@ -132,7 +126,6 @@ def _with_options(search: Search, over: Mapping[str, Any]) -> Search:
 def _search(
     task: Task,
     store: Store,
-    storage: str | None,
     how: Supervision,
     retry_failed: bool,
     json: bool,
@@ -149,7 +142,7 @@ def _search(
     told: list[Told] = []
     code = 0
     try:
-        for trials in run_search(task, store, storage, train):
+        for trials in run_search(task, store, train):
             _tell_generation(task, trials[len(told) :], trials, quiet)
             told = [*trials]
     except Unfinished as error:

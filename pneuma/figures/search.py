@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,11 @@ from matplotlib import RcParams, style
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from optuna.importance import PedAnovaImportanceEvaluator
-from optuna.study import StudyDirection
 from optuna.visualization import matplotlib as plots
 
 from pneuma.errors import counted
 from pneuma.figures.style import house_style, put_caption, save_figure
-from pneuma.search.database import frozen_trial
+from pneuma.search.database import create_study, frozen_trial
 from pneuma.search.storage import Searched
 
 PAGE_INCHES = 7.0
@@ -104,11 +104,8 @@ def _study(searched: Searched, first_alone: bool = False) -> optuna.Study:
     """Return a search as Optuna has it; or as if its first objective were the only one."""
     search = searched.task.search
     count = 1 if first_alone else len(search.objectives)
-    study = optuna.create_study(
-        storage=optuna.storages.InMemoryStorage(),
-        directions=[StudyDirection[own.direction.upper()] for own in search.objectives[:count]],
-    )
-    study.set_metric_names([f"{own.outcome}, {own.over_seeds}" for own in search.objectives[:count]])
+    named = [replace(own, name=f"{own.outcome}, {own.over_seeds}") for own in search.objectives[:count]]
+    study = create_study(named, optuna.storages.InMemoryStorage(), search.name)
     for told in searched.trials:
         study.add_trial(frozen_trial(told, search.space, told.values[:count]))
     return study
@@ -124,6 +121,7 @@ def _lay_out(figure: Figure, name: str, parameters: int) -> None:
     for axes in figure.axes:
         if name == "parallel":
             axes.grid(visible=False)
+            axes.spines["right"].set_visible(True)
         if name == "slices" and axes.get_xlabel():
             axes.tick_params(axis="x", labelrotation=40)
         for axis in (axes.xaxis, axes.yaxis):

@@ -12,20 +12,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, FORK_SETTINGS, Run, read_setting
-from pneuma.errors import UserError, counted, install_extra, nearest_name, unknown_name
+from pneuma.config import BASES, FORK_SETTINGS, Run
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.search.space import Choices, Parameter, Range, Space, Unsound, usual_settings
+from pneuma.search.table import By, Table
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, studies_folder
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
-from pneuma.values import Choice, Flag, Number, Reader, Text
+from pneuma.study.toml_file import TomlFile, read_toml, shown
+from pneuma.values import Choice, Flag, Number, Text
 from pneuma.worlds import TEXT, check_world, chosen_world, in_world, split_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
@@ -40,7 +40,6 @@ _TOP_KEYS = (
     "pruner", "presets",
 )  # fmt: skip
 _COUNT = Number(1, 10_000, whole=True)
-_RUNGS = Number(2, 10, whole=True)
 _SHARE = Number(0, 1)
 
 Options = Mapping[str, tuple[Any, Number | Flag]]
@@ -48,7 +47,6 @@ Options = Mapping[str, tuple[Any, Number | Flag]]
 SAMPLERS: Mapping[str, Options] = {
     "tpe": {"startup_trials": (10, _COUNT), "candidates": (24, _COUNT), "multivariate": (True, Flag())},
     "random": {},
-    "cma-es": {"startup_trials": (8, _COUNT)},
     "gp": {"startup_trials": (10, _COUNT)},
     "nsga-ii": {
         "population": (16, Number(2, 10_000, whole=True)),
@@ -59,11 +57,10 @@ SAMPLERS: Mapping[str, Options] = {
 """Each option with its usual value and what it may be; none is left to Optuna."""
 PRUNERS: Mapping[str, Options] = {
     "": {},
-    "median": {"rungs": (3, _RUNGS), "startup_trials": (5, _COUNT)},
-    "hyperband": {"rungs": (3, _RUNGS), "reduction": (3, _RUNGS)},
+    "median": {"rungs": (3, Number(2, 10, whole=True)), "startup_trials": (5, _COUNT)},
     "wilcoxon": {"startup_seeds": (2, _COUNT), "threshold": (0.1, Number(0, 1, above=True, below=True))},
 }
-"""Median and hyperband compare trials at rungs of the budget, wilcoxon seed by seed."""
+"""The median compares trials at rungs of the budget, wilcoxon seed by seed."""
 
 
 @dataclass(frozen=True)
@@ -189,17 +186,15 @@ def read_search_seeds(value: object) -> tuple[int, ...]:
 
 
 def check_budget(search: Search, budget: Budget) -> None:
-    """Refuse a budget that the search cannot do with, and a sampler that is not installed.
+    """Refuse a budget that the search cannot do with.
 
     Raises:
-        UserError: naming the objective, pruner or sampler.
+        UserError: naming the objective or pruner.
     """
     seeds = len(budget.seeds)
     for objective in search.objectives:
         if objective.over_seeds == "deviation" and seeds < 2:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
-    if search.sampler["name"] == "cma-es" and find_spec("cmaes") is None:
-        raise UserError(f"sampler cma-es: needs an extra package: {install_extra('cmaes')}")
     if search.pruner["name"] == "wilcoxon":
         # The test is made before the last seed, and the least p-value of n pairs is 2**-n.
         threshold = search.pruner["threshold"]
@@ -214,71 +209,14 @@ def check_budget(search: Search, budget: Budget) -> None:
 # --- The file --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _By:
-    """Reads a value by a function that raises ValueError or TypeError."""
-
-    read: Callable[[Any], Any]
-    allowed: str
-
-
-@dataclass(frozen=True)
-class _Table:
-    """A table of a search's file; every mistake in it is told with its line."""
-
-    file: TomlFile
-    where: Where
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """Return what it holds."""
-        return self.file.table(self.where)
-
-    def inner(self, *names: str) -> _Table:
-        """Return a table inside."""
-        return _Table(self.file, (*self.where, *names))
-
-    def mistake(self, message: str, key: str = "") -> UserError:
-        """Build an error that names file, line and table."""
-        return self.file.mistake(self.where, message, key)
-
-    def only(self, keys: Sequence[str]) -> _Table:
-        """Refuse other keys; return the table."""
-        self.file.refuse_unknown(self.where, self.data, tuple(keys))
-        return self
-
-    def read(self, key: str, reader: Reader | _By, usual: Any = ...) -> Any:
-        """Return what a reader makes of a key's value; the usual one, if any, where it is left out."""
-        value = self.data.get(key, usual)
-        if value is ...:
-            raise self.mistake(f"the key {key!r} is missing")
-        try:
-            return reader.read(value)
-        except (ValueError, TypeError):
-            hint = nearest_name(str(value), reader.names) if isinstance(reader, Choice) else ""
-            told = f"{key} = {shown(value)} is not allowed: {reader.allowed}{hint}"
-            raise self.mistake(told, key) from None
-
-    def setting(self, key: str, name: str, value: Any) -> Any:
-        """Return a value of a key as the field `name` of a run has it."""
-        try:
-            return read_setting(Run, name, value)
-        except UserError as error:
-            raise self.mistake(str(error), key) from None
-
-    def settings(self, allowed: Sequence[str]) -> dict[str, Any]:
-        """Return it as fields of a run."""
-        return {key: self.setting(key, key, value) for key, value in self.only(allowed).data.items()}
-
-
 def read_search(file: TomlFile) -> Search:
     """Check a file and return its search."""
-    top = _Table(file, ()).only(_TOP_KEYS)
+    top = Table(file, ()).only(_TOP_KEYS)
     for key in ("objectives", "space", "presets"):
         if not top.inner(key).data:
             raise top.mistake(f"[{key}] is missing or empty", key)
     space = _read_space(top)
-    bases = _By(lambda names: tuple(map(Choice(tuple(BASES)).read, names)), f"a list of {', '.join(BASES)}")
+    bases = By(lambda names: tuple(map(Choice(tuple(BASES)).read, names)), f"a list of {', '.join(BASES)}")
     start = top.read("start", bases, ())
     objectives = tuple(_read_objective(top.inner("objectives", name)) for name in file.table(("objectives",)))
     search = Search(
@@ -295,9 +233,7 @@ def read_search(file: TomlFile) -> Search:
         pruner=_read_options(top.inner("pruner"), PRUNERS, ""),
         presets={name: _read_budget(top.inner("presets"), name) for name in file.table(("presets",))},
     )
-    sampler, pruner = search.sampler["name"], search.pruner["name"]
-    if len(objectives) > 1 and sampler == "cma-es":
-        raise top.inner("sampler").mistake("cma-es goes with one objective alone; tpe takes several", "name")
+    pruner = search.pruner["name"]
     if len(objectives) > 1 and pruner:
         raise top.inner("pruner").mistake(f"{pruner} goes with one objective alone", "name")
     if pruner == "wilcoxon" and objectives[0].over_seeds == "deviation":
@@ -310,7 +246,7 @@ def _start_params(names: Sequence[str], space: Space) -> tuple[Mapping[str, Any]
     return tuple(space.params_of(usual_settings(name, space.fixed)) for name in names)
 
 
-def _read_objective(table: _Table) -> Objective:
+def _read_objective(table: Table) -> Objective:
     table.only(("outcome", "over_seeds", "direction"))
     outcome = table.read("outcome", Text("an outcome"))
     try:
@@ -323,7 +259,7 @@ def _read_objective(table: _Table) -> Objective:
     )
 
 
-def _read_options(table: _Table, known: Mapping[str, Options], usual: str) -> dict[str, Any]:
+def _read_options(table: Table, known: Mapping[str, Options], usual: str) -> dict[str, Any]:
     name = table.read("name", Choice(tuple(known)), usual)
     table.only(("name", *known[name]))
     return {
@@ -332,11 +268,11 @@ def _read_options(table: _Table, known: Mapping[str, Options], usual: str) -> di
     }
 
 
-def _read_budget(presets: _Table, name: str) -> Budget:
+def _read_budget(presets: Table, name: str) -> Budget:
     if name not in PRESETS:
         raise presets.mistake(str(unknown_name("preset", name, PRESETS)), name)
     table = presets.inner(name).only(("trials", "seeds", "steps"))
-    seeds = table.read("seeds", _By(read_search_seeds, SEEDS_ALLOWED))
+    seeds = table.read("seeds", By(read_search_seeds, SEEDS_ALLOWED))
     steps = table.setting("steps", "steps", table.read("steps", Number(1, whole=True)))
     return Budget(table.read("trials", _COUNT), seeds, steps)
 
@@ -344,7 +280,7 @@ def _read_budget(presets: _Table, name: str) -> Budget:
 # --- The space -------------------------------------------------------------------------------------
 
 
-def _read_space(top: _Table) -> Space:
+def _read_space(top: Table) -> Space:
     parameters: list[Parameter] = []
     for name in top.inner("space").data:
         parameters.append(_read_parameter(top.inner("space", name), parameters))
@@ -357,7 +293,7 @@ def _read_space(top: _Table) -> Space:
     return space
 
 
-def _read_parameter(table: _Table, before: Sequence[Parameter]) -> Parameter:
+def _read_parameter(table: Table, before: Sequence[Parameter]) -> Parameter:
     table.only(("low", "high", "log", "choices", "when"))
     name, data = table.where[-1], table.data
     when = _read_when(table.inner("when"), before)
@@ -374,7 +310,7 @@ def _read_parameter(table: _Table, before: Sequence[Parameter]) -> Parameter:
     return Parameter(name, _read_range(table, name), when)
 
 
-def _read_choices(table: _Table, name: str) -> Choices:
+def _read_choices(table: Table, name: str) -> Choices:
     given = table.data["choices"]
     for key in ("low", "high", "log"):
         if key in table.data:
@@ -386,7 +322,7 @@ def _read_choices(table: _Table, name: str) -> Choices:
     return Choices({_name(value): {name: value} for value in values})
 
 
-def _read_range(table: _Table, name: str) -> Range:
+def _read_range(table: Table, name: str) -> Range:
     low, high = (table.setting(key, name, table.read(key, _AS_IT_IS)) for key in ("low", "high"))
     log = table.read("log", Flag(), False)
     if any(isinstance(value, bool) or not isinstance(value, int | float) for value in (low, high)):
@@ -398,10 +334,10 @@ def _read_range(table: _Table, name: str) -> Range:
     return Range(low, high, log, whole=isinstance(low, int))
 
 
-_AS_IT_IS = _By(lambda value: value, "")
+_AS_IT_IS = By(lambda value: value, "")
 
 
-def _read_when(table: _Table, before: Sequence[Parameter]) -> dict[str, tuple[Any, ...]]:
+def _read_when(table: Table, before: Sequence[Parameter]) -> dict[str, tuple[Any, ...]]:
     """Return at which values of earlier parameters, or of fields, a parameter counts."""
     domains = {parameter.name: parameter.domain for parameter in before}
     read = {}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from pneuma.search.spec import Budget, Objective, Search, check_budget, list_sea
 from pneuma.search.trials import Task, Told, Train, best_number, conduct, make_trial_plan
 from pneuma.study.execute import check_environments, selection_record
 from pneuma.study.files import read_sealed, seal, to_json
-from pneuma.study.locks import RunLock, is_held
+from pneuma.study.locks import RunLock
 from pneuma.study.plan import Cell
 from pneuma.study.store import Store
 from pneuma.values import as_tuple
@@ -64,29 +63,12 @@ class Searched:
         return best_number(self.trials, self.task.search)
 
 
-@dataclass(frozen=True)
-class Begun:
-    """The generation that is not told yet.
-
-    Attributes:
-        searching: whether a process is at it now.
-        trials: their numbers.
-        runs, ended: how many they have so far, and how many of these have ended.
-    """
-
-    searching: bool
-    trials: tuple[int, ...]
-    runs: int
-    ended: int
-
-
-def run_search(task: Task, store: Store, storage: str | None, train: Train) -> Iterator[list[Told]]:
+def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
     """Search, training only runs that are not stored; yield all trials so far after every generation.
 
     Args:
         task: the search with its budget.
         store: the results folder, whose record is written as it goes.
-        storage: URL of an Optuna storage; None for an SQLite file in the results folder.
         train: trains what a plan lacks.
 
     Raises:
@@ -97,14 +79,14 @@ def run_search(task: Task, store: Store, storage: str | None, train: Train) -> I
     check_environments([run for _, run in task.search.space.corners()])
     store.check_writable()
     with _alone(task, store):
-        database = Database(task, storage, store.root / FOLDER)
+        database = Database(task, store.root / FOLDER)
         outcomes = Outcomes(task, store)
         told: list[Told] = []
-        save_record(store, task, told, database.shown_url, database.name)
+        save_record(store, task, told, database.url, database.name)
         for generation in conduct(task, train, outcomes.read, outcomes.diverged):
             told += generation
             database.save(told)
-            save_record(store, task, told, database.shown_url, database.name)
+            save_record(store, task, told, database.url, database.name)
             yield told
 
 
@@ -114,14 +96,10 @@ def _alone(task: Task, store: Store) -> Iterator[None]:
     folder = store.root / FOLDER
     if not folder.resolve().is_relative_to(store.root.resolve()):
         raise UserError(f"{folder}: is a link out of the results folder; link the whole folder instead")
-    with RunLock(_lock_folder(store, task.search.name)) as mine:
+    with RunLock(folder / f".{task.search.name}") as mine:
         if not mine:
             raise UserError(f"search {task.search.name}: another process searches in {store.root} now")
         yield
-
-
-def _lock_folder(store: Store, name: str) -> Path:
-    return store.root / FOLDER / f".{name}"
 
 
 class Outcomes:
@@ -170,7 +148,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told], storage: str, op
         store: the results folder.
         task: the search with its budget.
         told: its trials so far; while a stopped search is replayed, the record already holds more.
-        storage: where optuna-dashboard finds it, without its password.
+        storage: where optuna-dashboard finds it.
         optuna_study: what it is called there.
 
     Raises:
@@ -239,19 +217,6 @@ def replaced_note(store: Store, task: Task) -> str:
     if changed and {*changed} <= {*VERSIONS}:
         raise UserError(f"{path}: {told}; remove it to begin anew: their runs stay")
     return f"{told}, and leave the record; their runs stay"
-
-
-def begun_runs(store: Store, searched: Searched) -> Begun:
-    """Return how far the trials are that a record does not hold yet."""
-    name, seeds = searched.task.search.name, searched.task.budget.seeds
-    found: dict[str, int] = {}
-    for run in (store.selection(f"search-{name}") or {"runs": []})["runs"]:
-        number = re.match(r"trial-(\d{1,6})", run["condition"])
-        if number and int(number[1]) >= len(searched.trials) and run["seed"] in seeds:
-            found[run["run_id"]] = int(number[1])
-    ended = sum(store.status(run_id).finished for run_id in found)
-    searching = is_held(_lock_folder(store, name))
-    return Begun(searching, tuple(sorted({*found.values()})), len(found), ended)
 
 
 def trial_document(told: Told, search: Search) -> dict[str, Any]:

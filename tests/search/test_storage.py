@@ -12,12 +12,10 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.search.spec import Budget
-from pneuma.search.storage import Searched, begun_runs, read_record, replaced_note, run_search, save_record
-from pneuma.search.trials import Task, Told, make_trial_plan
-from pneuma.study.execute import selection_record
+from pneuma.search.storage import Searched, read_record, replaced_note, run_search, save_record
+from pneuma.search.trials import Task, Told
 from pneuma.study.files import read_sealed, seal
 from pneuma.study.locks import RunLock
-from pneuma.study.plan import Plan
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, Solve, flat
@@ -114,19 +112,11 @@ def test_a_published_record_is_read_where_the_search_was_not_run(
     assert save(clone, own, flat(solve(own))) != whole
 
 
-def test_a_generation_that_is_begun_is_told(make_task: MakeTask, solve: Solve, store: Store) -> None:
-    task, plans = make_task(8), list[Plan]()
-    told = flat(solve(task, plans))
-    store.save_selection("search-formula", selection_record(make_trial_plan(task, plans[-1].cells)))
-    begun = begun_runs(store, save(store, task, told[:4]))
-    assert (begun.searching, begun.trials, begun.runs, begun.ended) == (False, (4, 5, 6, 7), 8, 0)
-
-
 def test_no_two_processes_search_in_one_folder(make_task: MakeTask, store: Store) -> None:
     with RunLock(store.root / "searches" / ".formula") as mine:
         assert mine
         with pytest.raises(UserError, match="search formula: another process searches in .* now"):
-            next(run_search(make_task(), store, None, lambda plan: pytest.fail("trained")))
+            next(run_search(make_task(), store, lambda plan: pytest.fail("trained")))
 
 
 def test_a_world_that_cannot_be_made_is_refused_before_anything_is_written(
@@ -135,5 +125,5 @@ def test_a_world_that_cannot_be_made_is_refused_before_anything_is_written(
     store = Store(tmp_path / "nothing")
     task = make_task(more='[space.level]\nchoices = ["thesis", "/nowhere"]')
     with pytest.raises(UserError, match="/nowhere"):
-        next(run_search(task, store, None, lambda plan: pytest.fail("trained")))
+        next(run_search(task, store, lambda plan: pytest.fail("trained")))
     assert not store.root.exists()
