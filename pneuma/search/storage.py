@@ -93,10 +93,14 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
 @contextmanager
 def _alone(task: Task, store: Store) -> Iterator[None]:
     """Make the folder of searches, and keep a second process from searching there at the same time."""
-    folder = store.root / FOLDER
+    folder = store.root / FOLDER / f".{task.search.name}"
     if not folder.resolve().is_relative_to(store.root.resolve()):
-        raise UserError(f"{folder}: is a link out of the results folder; link the whole folder instead")
-    with RunLock(folder / f".{task.search.name}") as mine:
+        raise UserError(f"{folder}: leads out of the results folder; link the whole folder instead")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written ({error.strerror})") from None
+    with RunLock(folder) as mine:
         if not mine:
             raise UserError(f"search {task.search.name}: another process searches in {store.root} now")
         yield

@@ -9,7 +9,14 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.search.space import Parameter
-from pneuma.search.spec import Search, list_searches, load_search, read_search_seeds
+from pneuma.search.spec import (
+    Budget,
+    Search,
+    check_budget,
+    list_searches,
+    load_search,
+    read_search_seeds,
+)
 
 Load = Callable[[str], Search]
 
@@ -259,3 +266,29 @@ def test_every_shipped_search_is_sound(name: str) -> None:
 def test_a_count_of_seeds_leaves_those_of_studies_fresh() -> None:
     assert read_search_seeds(3) == (1000, 1001, 1002)
     assert read_search_seeds([5, 7]) == (5, 7)
+
+
+@pytest.mark.parametrize(("threshold", "least"), [(0.1, 5), (0.0625, 6), (0.01, 8)])
+def test_wilcoxon_wants_as_many_seeds_as_can_give_a_trial_up(
+    write: Load, threshold: float, least: int
+) -> None:
+    """By hand: before the last of n seeds, n - 1 pairs, whose least p-value is 2^-(n-1)."""
+    search = write(GOOD + f'[pruner]\nname = "wilcoxon"\nthreshold = {threshold}')
+    assert 0.5 ** (least - 1) < threshold <= 0.5 ** (least - 2)
+    check_budget(search, Budget(8, tuple(range(least)), 512))
+    with pytest.raises(UserError, match=f"it needs {least} at least"):
+        check_budget(search, Budget(8, tuple(range(least - 1)), 512))
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('[pruner]\nname = "median"\n[objectives.again]\noutcome = "final-return"', "one objective alone"),
+        ('over_seeds = "deviation"', "a deviation needs --seeds 2 at least"),
+        ('over_seeds = "deviation"\n[pruner]\nname = "wilcoxon"', "they have no deviation"),
+    ],
+)
+def test_what_objectives_cannot_do_with_is_refused(write: Load, more: str, told: str) -> None:
+    outcome = 'outcome = "final-share-killed"\n'
+    with pytest.raises(UserError, match=told):
+        check_budget(write(GOOD.replace(outcome, outcome + more + "\n")), Budget(8, (1,), 512))

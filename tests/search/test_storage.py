@@ -119,6 +119,14 @@ def test_no_two_processes_search_in_one_folder(make_task: MakeTask, store: Store
             next(run_search(make_task(), store, lambda plan: pytest.fail("trained")))
 
 
+def test_nothing_is_written_where_a_link_leads_out(make_task: MakeTask, store: Store, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (store.root / "searches").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="leads out of the results folder"):
+        next(run_search(make_task(), store, lambda plan: pytest.fail("trained")))
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
 def test_a_world_that_cannot_be_made_is_refused_before_anything_is_written(
     make_task: MakeTask, tmp_path: Path
 ) -> None:
