@@ -19,10 +19,10 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset and draw its figure
+study: install  ## Run the activation study (thesis Fig. 6.5) in the arena at its quick preset, and draw it
 	$(call takes_results_alone)
-	$(BIN)/pneuma study run activation --results "$(RESULTS)"
-	$(BIN)/pneuma study plot activation --results "$(RESULTS)"
+	$(BIN)/pneuma study run activation --world arena --results "$(RESULTS)"
+	$(BIN)/pneuma study plot activation --world arena --results "$(RESULTS)"
 
 figures: RESULTS = results
 figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md

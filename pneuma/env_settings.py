@@ -105,12 +105,12 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
     },
     "pneuma/PneumaArena-v0": {"reward": "kills", "observe_facing": True},
 }
-"""What each environment sets other than the defaults: the published code's quirks for Godot's, another reward
-for the arena."""
+"""What each environment sets other than the defaults: the published code's quirks for Godot's; for the arena
+a reward for kills, and the facing observed."""
 
 ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
 
-ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4, "pneuma/PneumaArena-v0": 4}
+ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
 """How many worlds a study collects from side by side, unless it says so itself."""
 
 OBSERVATION_SETTINGS = {

@@ -1,8 +1,8 @@
 """What a rewrite must not move, as checksums: `python -m tests.unchanged` compares, `--record` writes them.
 
-Run ids of every condition of every shipped study in each world; of two small studies that are trained, published
-and taken away, every table that `study export` makes and the verdicts of `study verify`. Golden traces of
-rules and engines are tests of their own.
+Run ids of every condition of every shipped study in each world; of two small studies that are trained,
+published and taken away, every table that `study export` makes and the verdicts of `study verify`. Golden
+traces of rules and engines are tests of their own.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ RECORD = Path(__file__).with_name("unchanged.json")
 WORLDS = ("text", "godot", "arena")
 TABLES = ("episodes", "metrics", "evaluations", "curves", "summary")
 TINY = (
-    "--seeds", "2", "--steps", "2048", "--set", "actor=[8]", "--set", "critic=[8]", "--set", "evaluation_episodes=2",
+    "--seeds", "2", "--steps", "2048", "--set", "actor=[8]", "--set", "critic=[8]",
+    "--set", "evaluation_episodes=2",
 )  # fmt: skip
 
 
@@ -68,7 +69,7 @@ def _run_ids() -> dict[str, str]:
 
 
 def _tables() -> dict[str, dict[str, str]]:
-    """Train two small studies in two worlds, and digest what the readers make of them, stored and published."""
+    """Train two small studies, and digest what the readers make of them, stored and published."""
     tables: dict[str, str] = {}
     verdicts = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -1,6 +1,6 @@
 """What the report shows of a results folder: every study with its runs, or plain words on what is missing.
 
-The folder may be a stranger's: no study's file that only a record names is loaded.
+The folder may be untrusted: no study's file that only a record names is loaded.
 """
 
 from __future__ import annotations
@@ -9,75 +9,91 @@ import json
 import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pneuma import __version__
+from pneuma.analysis.effects import effects_table, study_effects
+from pneuma.analysis.run_view import common_step
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.summaries import summary_table
+from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
 from pneuma.cli.options import selecting_words
 from pneuma.cli.plain_text import command
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
 from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError, counted
+from pneuma.figures.judged import judged_claims
+from pneuma.figures.report import (
+    Conditions,
+    Part,
+    Report,
+    RunRow,
+    StudySection,
+    Table,
+    factors_table,
+    numbers_table,
+    statistics_table,
+)
+from pneuma.figures.report_pictures import study_pictures
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
 from pneuma.values import shown_setting
 from pneuma.worlds import TEXT, WORLDS, in_world, split_world, world_option
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from pneuma.analysis.tables import StudyData
-    from pneuma.analysis.trajectories import StudyTrajectories
-    from pneuma.figures.report_studies import Conditions, Origin, Part, StudySection
-
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """What is told of a run's provenance: without times, in which equal runs differ."""
 
 LONGEST_VALUE = 300
-"""Characters of a stranger's value that are shown."""
+"""Characters of a value that are shown."""
+MOST_ROWS = 1000
+"""Of a summary that is shown whole."""
 
 
-def studies_to_report(store: Store, names: Sequence[str]) -> list[str]:
-    """Return the studies of the report: those named, or all shipped and all that were run here.
+def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> Report:
+    """Return the report on some studies, or on all shipped and all that were run here.
 
-    Those of the thesis come first, in its order.
+    Args:
+        store: the results folder.
+        names: of studies; none for all.
+        tell: is told of progress.
 
     Raises:
         UserError: for a name that is no study's.
     """
-    known = {*known_studies(store), *spec.list_studies()}
-    for name in names:
-        if _own_name(name) not in known:
-            study_record(store, name, None)
-    wanted = dict.fromkeys(_own_name(name) for name in names or sorted(known))
-    return sorted(wanted, key=_place)
-
-
-def study_section(store: Store, study: str) -> StudySection:
-    """Return a study as the report shows it, in each of its worlds."""
-    from pneuma.figures.report_studies import StudySection
-
-    shipped = spec.load_study(study) if study in spec.list_studies() else None
-    parts = tuple(_part(store, study, world) for world in _worlds(store, study, shipped))
-    if shipped:
-        return StudySection(study, shipped.title, shipped.section, shipped.about, parts)
-    return StudySection(study, _recorded_title(store, study), "", "", parts)
+    studies = _studies(store, names)
+    unjudged = ""
+    try:
+        claims, note = judged_claims(store, studies)
+    except UserError as error:  # a damaged published table: the page says so, and shows the rest
+        claims, note, unjudged = [], "", _without_folder(store, error)
+        tell(f"Note: {error}; no claim is judged.")
+    sections = []
+    for place, study in enumerate(studies, 1):
+        tell(f"{place}/{len(studies)} {study}")
+        sections.append(_section(store, study))
+    return Report(claims, sections, note, __version__, unjudged)
 
 
 # --- Which studies ---------------------------------------------------------------------------------
 
 
+def _studies(store: Store, names: Sequence[str]) -> list[str]:
+    """Return the studies of the report, those of the thesis first, in its order."""
+    known = {*known_studies(store), *spec.list_studies()}
+    for name in names:
+        if _own_name(name) not in known:
+            study_record(store, name, None)  # says that there is none
+    return sorted({_own_name(name) for name in names or known}, key=_place)
+
+
 def _own_name(name: str) -> str:
     """Return a study's own name, without its file's ending and its world's."""
     return split_world(Path(name).stem if name.endswith(".toml") else name)[0]
-
-
-def _worlds(store: Store, study: str, shipped: spec.Study | None) -> list[str]:
-    """Return the worlds that a study has a part for: those it is meant for, and those it was run in."""
-    known = known_studies(store)
-    meant = shipped.worlds if shipped else ()
-    return [name for name in WORLDS if name in meant or in_world(study, name) in known]
 
 
 def _place(study: str) -> tuple[bool, list[int], str]:
@@ -88,143 +104,115 @@ def _place(study: str) -> tuple[bool, list[int], str]:
     return (not numbers, numbers, study)
 
 
-def _recorded_title(store: Store, study: str) -> str:
-    for world in WORLDS:
-        if (name := in_world(study, world)) in known_studies(store):
-            try:
-                return str(study_record(store, name, None)["title"])
-            except UserError:  # which its part tells of
-                continue
+def _section(store: Store, study: str) -> StudySection:
+    """Return a study in the worlds that it is meant for, and those it was run in."""
+    shipped = spec.load_study(study) if study in spec.list_studies() else None
+    known, meant = known_studies(store), shipped.worlds if shipped else ()
+    worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
+    parts = [_part(store, study, world) for world in worlds]
+    if shipped:
+        return StudySection(study, shipped.title, shipped.section, shipped.about, parts)
+    return StudySection(study, _recorded_title(store, study, worlds), "", "", parts)
+
+
+def _recorded_title(store: Store, study: str, worlds: Sequence[str]) -> str:
+    for world in worlds:
+        try:
+            return str(study_record(store, in_world(study, world), None)["title"])
+        except UserError:  # which its part tells of
+            continue
     return study
 
 
-# --- One study in one world ----------------------------------------------------------------------
+# --- One study in one world ------------------------------------------------------------------------
 
 
 def _part(store: Store, study: str, world: str) -> Part:
-    from pneuma.figures.report_studies import Part
-
     name, title = in_world(study, world), f"In {WORLDS[world].title}"
     mend = _command(study, world)
     if name not in known_studies(store):
         record = execute.selection_record(plan.make_plan(spec.load_study(study, world), plan.Selection()))
-        conditions = _conditions(study, record)
-        return Part(name, _where(record, title), ("No runs yet.",), mend, conditions=conditions)
+        conditions = _conditions(study, name, record)
+        return Part(name, _where(record, title), ["No runs yet."], mend, conditions=conditions)
     try:
         record = study_record(store, name, None)
         states = run_states(store, record)
     except UserError as error:
-        return Part(name, title, (anywhere(store, error),), mend if study in spec.list_studies() else "")
-    if not record["runs"]:  # a stranger's
-        return Part(name, title, ("No runs yet.",), mend)
-    return _recorded_part(store, study, Part(name, title, mend=mend), record, states)
+        return Part(
+            name, title, [_without_folder(store, error)], mend if study in spec.list_studies() else ""
+        )
+    if not record["runs"]:
+        return Part(name, title, ["No runs yet."], mend)
+    done = sum(state.status in FINISHED for state in states)
+    part = Part(
+        name,
+        _where(record, title),
+        _notes(record, [state.status for state in states]),
+        "" if done == len(states) else _same_again(study, record, states),
+        _extent(record),
+        conditions=_conditions(study, name, record),
+        runs=[_run_row(state) for state in states],
+    )
+    return _with_data(store, part, record) if done else part
 
 
 def _where(record: Mapping[str, Any], usual: str) -> str:
-    """Return a part's heading: where its runs are played; that of its world where it has none."""
+    """Return a part's heading: where its runs are played."""
     if record.get("source") == "tensorboard":
         return "Imported logs"
     names = list(dict.fromkeys(str(run["run"].get("env")) for run in record["runs"]))
-    if not names:
-        return usual
     titles = {world.env: world.title for world in WORLDS.values()}
-    return f"In {titles.get(names[0] if len(names) == 1 else '', ', '.join(names))}"
+    return f"In {titles.get(names[0] if len(names) == 1 else '', ', '.join(names))}" if names else usual
 
 
-def _recorded_part(
-    store: Store, study: str, part: Part, record: Mapping[str, Any], states: list[RunState]
-) -> Part:
-    """Fill a part with what its record and its runs tell."""
-    from dataclasses import replace
-
-    from pneuma.figures.report_studies import RunRow
-
-    rows = tuple(RunRow(*_cell(state.run), state.status, _engine(state.run["run"])) for state in states)
-    whole = all(state.status in FINISHED for state in states)
-    part = replace(
-        part,
-        world=_where(record, part.world),
-        notes=tuple(_notes(record, [state.status for state in states])),
-        mend="" if whole else _same_again(study, record, states),
-        extent=_extent(record),
-        conditions=_conditions(study, record),
-        runs=rows,
-    )
-    if not any(state.status in FINISHED for state in states):
-        return part
-    if not _can_be_written(record):
-        return replace(part, notes=(*part.notes, "A name in it is no text, so nothing is drawn of it."))
-    return _with_data(store, part, record)
-
-
-def _cell(run: Mapping[str, Any]) -> tuple[str, int, str]:
-    return run["condition"], run["seed"], run["run_id"]
-
-
-def _engine(settings: Mapping[str, Any]) -> str:
-    return str(settings.get("engine") or "unknown")
+def _run_row(state: RunState) -> RunRow:
+    run = state.run
+    engine = str(run["run"].get("engine") or "unknown")
+    return RunRow(run["run_id"], run["condition"], run["seed"], state.status, engine)
 
 
 def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     """Add what only finished runs have: figures, numbers, and what produced them."""
-    from dataclasses import replace
-
-    from pneuma.analysis.run_view import common_step
-    from pneuma.analysis.sources import open_study
-    from pneuma.analysis.summaries import summary_table
-    from pneuma.figures.report_pictures import study_pictures
-
     try:
         data = open_study(store, record)
         found, notes = _trajectories(store, data)
         if step := common_step(data):
             told = f"numbers and effects are of runs as they stood at {step:,} steps, figures of whole runs"
-            notes = (*notes, f"Budgets are unlike: {told}.")
+            notes = [*notes, f"Budgets are unlike: {told}."]
+        summary = summary_table(data)
         part = replace(
             part,
-            notes=(*part.notes, *notes),
-            summary=summary_table(data),
+            notes=[*part.notes, *notes],
+            numbers=numbers_table(part.record, summary),
+            statistics=statistics_table(part.record, summary) if len(summary) <= MOST_ROWS else None,
             effects=_effects(data),
-            origins=tuple(_origins(data)),
+            origins=_origins(data),
         )
-        return replace(part, pictures=study_pictures(data, found))
-    except UserError as error:
-        return replace(part, notes=(*part.notes, anywhere(store, error)))
+        return replace(part, pictures=[*study_pictures(data, found)])
+    except (UserError, UnicodeError) as error:  # a name in a record may be no text that can be written
+        return replace(part, notes=[*part.notes, _without_folder(store, error)])
 
 
-def _effects(data: StudyData) -> pd.DataFrame | None:
+def _effects(data: StudyData) -> Table | None:
     """Return what the factors of a crossed study do; None of another, or one that is not whole."""
-    from pneuma.analysis.effects import effects_table, study_effects
-
     try:
-        return effects_table(study_effects(data))
+        return factors_table(data.study, effects_table(study_effects(data)))
     except UserError:
         return None
 
 
-def _trajectories(store: Store, data: StudyData) -> tuple[StudyTrajectories | None, tuple[str, ...]]:
+def _trajectories(store: Store, data: StudyData) -> tuple[StudyTrajectories | None, list[str]]:
     """Return the published trajectories of a study's runs, if any; else why not, where there is a reason."""
-    from pneuma.analysis.trajectories import read_trajectories
-
     try:
         found = read_trajectories(store.root, data.study)
     except UserError as error:
-        return None, (anywhere(store, error),)
+        return None, [_without_folder(store, error)]
     own = found and found.of_runs(data.runs)
     if own is None or not len(own.episodes):
-        return None, ()
+        return None, []
     if not own.level:
-        return None, ("Where its policies go is published, but on several levels, which no one map shows.",)
-    return own, ()
-
-
-def _can_be_written(record: Mapping[str, Any]) -> bool:
-    """Tell whether all texts of a record, which may be a stranger's, are characters that exist."""
-    try:
-        json.dumps(record, ensure_ascii=False).encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+        return None, ["Where its policies go is published, but on several levels, which no one map shows."]
+    return own, []
 
 
 def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
@@ -237,21 +225,30 @@ def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
         notes.append(
             f"{missing} of {len(states)} runs are not here, not finished or damaged, and left out below."
         )
-    diverged = states.count("diverged")
-    if diverged:
+    if diverged := states.count("diverged"):
         notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
     return notes
 
 
 def _extent(record: Mapping[str, Any]) -> str:
     """Say how much a record is, as '3 conditions, 10 seeds each, 50,176 agent steps a run'."""
-    runs = record["runs"]
-    steps = sorted({run["run"]["steps"] for run in runs})
-    amounts = f"{steps[0]:,}" if len(steps) == 1 else f"{steps[0]:,} to {steps[-1]:,}"
-    each = Counter(run["condition"] for run in runs)
+    steps = {run["run"]["steps"] for run in record["runs"]}
+    each = Counter(run["condition"] for run in record["runs"])
     least, most = min(each.values()), max(each.values())
     seeds = counted(most, "seed") if least == most else f"{least} to {most} seeds"
+    amounts = " to ".join(f"{amount:,}" for amount in sorted({min(steps), max(steps)}))
     return f"{counted(len(each), 'condition')}, {seeds} each, {amounts} agent steps a run"
+
+
+def _without_folder(store: Store, error: Exception) -> str:
+    """Return an error's words without this machine's folder: the page is for others to read."""
+    root = str(store.root)
+    if root == ".":
+        return str(error)
+    return re.sub(rf"(?<![\w./~-]){re.escape(root)}(?![\w.-])", "results", str(error))
+
+
+# --- Commands -------------------------------------------------------------------------------------
 
 
 def _command(study: str, world: str) -> str:
@@ -291,35 +288,27 @@ def _lacking(study: str, record: Mapping[str, Any], states: Sequence[RunState]) 
     return selection
 
 
-def anywhere(store: Store, error: UserError) -> str:
-    """Return an error's words without this machine's folder: the page is for others to read."""
-    root = str(store.root)
-    if root == ".":
-        return str(error)
-    return re.sub(rf"(?<![\w./~-]){re.escape(root)}(?![\w.-])", "results", str(error))
-
-
 # --- Settings and provenance -----------------------------------------------------------------------
 
 
-def _conditions(study: str, record: Mapping[str, Any]) -> Conditions:
+def _conditions(study: str, name: str, record: Mapping[str, Any]) -> Conditions:
     """Sort a record's settings by whether its conditions differ in them, and from the base."""
-    from pneuma.figures.report_studies import Conditions
-
     resolved: dict[str, Mapping[str, Any]] = {}
     for run in record["runs"]:
         resolved.setdefault(run["condition"], run["run"])
     some = next(iter(resolved.values()))
     base, usual = _base(study, some)
     keys = [key for key in dict.fromkeys([*some, *usual]) if key not in ("seed", "steps")]
-    told = {key: tuple(_value(own, key) for own in (usual, *resolved.values())) for key in keys}
-    alike = {key: values for key, values in told.items() if len(set(values[1:])) == 1}
+    told = {key: [_value(own, key) for own in (usual, *resolved.values())] for key in keys}
+    unlike = [key for key in keys if len(set(told[key][1:])) > 1]
+    alike = {key: (told[key][1], told[key][0]) for key in keys if key not in unlike}
+    rows = [[label, *(told[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
+    columns = ("Condition", *unlike)
     return Conditions(
         base,
-        tuple(resolved),
-        differing={key: values for key, values in told.items() if key not in alike},
-        shared={key: (values[1], values[0]) for key, values in alike.items() if values[0] != values[1]},
-        rest={key: values[1] for key, values in alike.items() if values[0] == values[1]},
+        Table(f"What the conditions of {name} differ in", columns, rows, len(columns)) if unlike else None,
+        shared={key: (value, usual) for key, (value, usual) in alike.items() if value != usual},
+        rest={key: value for key, (value, usual) in alike.items() if value == usual},
     )
 
 
@@ -340,25 +329,20 @@ def _value(settings: Mapping[str, Any], key: str) -> str:
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
-def _origins(data: StudyData) -> list[Origin]:
+def _origins(data: StudyData) -> list[tuple[dict[str, str], int]]:
     """Return what produced a study's runs, with how many runs each set-up produced."""
-    from pneuma.figures.report_studies import Origin
-
-    runs_of: dict[tuple[tuple[str, str], ...], int] = {}
-    for run in data.runs:
-        try:
-            found = data.source.provenance(run)
-        except (UserError, ValueError):
-            found = None
-        facts = tuple(_facts(found).items())
-        runs_of[facts] = runs_of.get(facts, 0) + 1
-    return [Origin(dict(facts), runs) for facts, runs in runs_of.items()]
+    runs_of = Counter(tuple(_facts(data, run).items()) for run in data.runs)
+    return [(dict(facts), runs) for facts, runs in runs_of.items()]
 
 
-def _facts(provenance: Any) -> dict[str, str]:
-    if not isinstance(provenance, dict):
+def _facts(data: StudyData, run: FinishedRun) -> dict[str, str]:
+    try:
+        found = data.source.provenance(run)
+    except (UserError, ValueError):
+        found = None
+    if not isinstance(found, dict):
         return {"provenance": "missing or damaged"}
-    facts = {key: _fact(provenance[key]) for key in ORIGIN_FACTS if provenance.get(key) is not None}
+    facts = {key: _fact(found[key]) for key in ORIGIN_FACTS if found.get(key) is not None}
     return facts or {"provenance": "tells nothing"}
 
 

@@ -56,6 +56,7 @@ class _Looks:
     layout: str
     size: str
     formats: tuple[str, ...]
+    beside: str | None = None
 
     def check(self) -> None:
         """Refuse what no figure can look like."""
@@ -68,7 +69,12 @@ class _Looks:
             check_choice("--band", self.band, BAND_NAMES)
         if self.window is not None:
             check_choice("--window", self.window, WINDOWS)
-        of_curves = {"--quantity": self.quantities, "--band": self.band, "--window": self.window}
+        of_curves = {
+            "--quantity": self.quantities,
+            "--band": self.band,
+            "--window": self.window,
+            "--beside": self.beside,
+        }
         given = [option for option, value in of_curves.items() if value]
         if self.kind == "summary" and (given or self.layout != "pneuma"):
             raise UserError(f"{(given or ['--layout'])[0]}: is of --figure curves; a summary has one look")
@@ -113,6 +119,12 @@ def plot(
         str | None,
         typer.Option("--window", metavar="|".join(WINDOWS), help="Which episodes a point averages."),
     ] = None,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            "--beside", metavar="NAME", help="Another study, or imported logs, whose runs are drawn too."
+        ),
+    ] = None,
     format: Formats = None,
     out: Annotated[
         Path | None,
@@ -131,7 +143,7 @@ def plot(
     json: Json = False,
 ) -> None:
     """Draw a study: curves over its steps, or what its runs came to."""
-    looks = _Looks(figure, tuple(quantity or ()), band, window, layout, size, read_formats(format))
+    looks = _Looks(figure, tuple(quantity or ()), band, window, layout, size, read_formats(format), beside)
     looks.check()
     selection = read_selection(preset, seeds, steps, engine, condition, set_)
     chosen = _chosen(
@@ -140,6 +152,7 @@ def plot(
     )
     store = Store(results)
     studies = _studies_to_draw(store, names, selection, window, world)
+    other = _opened(store, beside) if beside else None
     for _, data in studies:
         tell_left_out(data)
     draw_each = _draw if names else _draw_what_can_be
@@ -147,7 +160,9 @@ def plot(
     owners = _owners(target)
 
     def draw(folder: Path) -> list[dict[str, Any]]:
-        return draw_each(studies, lambda name, data: _draw_one(name, data, folder, looks, chosen, owners))
+        return draw_each(
+            studies, lambda name, data: _draw_one(name, data, folder, looks, chosen, owners, other)
+        )
 
     paths = _write(store, out, target, draw)
     if json:
@@ -188,6 +203,12 @@ def _studies_to_draw(
     return studies
 
 
+def _opened(store: Store, name: str) -> StudyData:
+    from pneuma.analysis.sources import open_study
+
+    return open_study(store, study_record(store, name, None, None))
+
+
 def _owners(folder: Path) -> dict[str, str]:
     """Return whose the figures of a folder are: studies by the names of their files."""
     from pneuma.figures.index import read_index
@@ -218,6 +239,7 @@ def _draw_one(
     looks: _Looks,
     chosen: Sequence[str],
     owners: dict[str, str],
+    beside: StudyData | None,
 ) -> list[dict[str, Any]]:
     """Draw a study into files that are no other's, and note that they are its own."""
     from pneuma.figures.index import index_entries
@@ -225,13 +247,14 @@ def _draw_one(
     while any(owners.get(file, data.study) != data.study for file in _files(data, looks)):
         data.figure += f"-{data.study}"
     draw = {"curves": _draw_curves, "summary": _draw_summary}[looks.kind]
-    paths, drawn = draw(data, folder, looks)
+    paths, drawn = draw(data, folder, looks, beside)
     owners |= dict.fromkeys((path.name for path in paths), data.study)
     singles = {
         option: drawn[option] for option in ("figure", "layout", "size", "band", "window") if option in drawn
     }
     options = [part for option, value in singles.items() for part in (f"--{option}", value)]
     options += [part for quantity in drawn.get("quantities", ()) for part in ("--quantity", quantity)]
+    options += ["--beside", looks.beside] if looks.beside else []
     options += [part for form in looks.formats for part in ("--format", form)]
     command = shlex.join(["pneuma", "study", "plot", name, *options, *chosen])
     return index_entries(paths, command, data, drawn)
@@ -243,7 +266,9 @@ def _files(data: StudyData, looks: _Looks) -> list[str]:
     from pneuma.figures.summary import summary_stem
 
     stem = (
-        summary_stem(data, looks.size) if looks.kind == "summary" else file_stem(data, _drawing(data, looks))
+        summary_stem(data, looks.size)
+        if looks.kind == "summary"
+        else file_stem(data, _drawing(data, looks), looks.beside)
     )
     return [f"{stem}.{form}" for form in looks.formats]
 
@@ -255,14 +280,19 @@ def _drawing(data: StudyData, looks: _Looks) -> Drawing:
     return settle(data, looks.band, looks.window, quantities=quantities, layout=looks.layout, size=looks.size)
 
 
-def _draw_curves(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:
+def _draw_curves(
+    data: StudyData, folder: Path, looks: _Looks, beside: StudyData | None
+) -> tuple[list[Path], dict[str, Any]]:
     from pneuma.figures.curves import draw_study
 
     drawing = asdict(_drawing(data, looks))
-    return draw_study(data, folder, formats=looks.formats, **drawing), {"figure": "curves", **drawing}
+    paths = draw_study(data, folder, formats=looks.formats, beside=beside, **drawing)
+    return paths, {"figure": "curves", **drawing}
 
 
-def _draw_summary(data: StudyData, folder: Path, looks: _Looks) -> tuple[list[Path], dict[str, Any]]:
+def _draw_summary(
+    data: StudyData, folder: Path, looks: _Looks, _: StudyData | None
+) -> tuple[list[Path], dict[str, Any]]:
     from pneuma.figures.summary import draw_summary, shown_outcome
 
     drawn = {"figure": "summary", "size": looks.size, "outcome": shown_outcome(data)}

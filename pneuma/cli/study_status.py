@@ -18,7 +18,7 @@ from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.study.executors.slurm_queue import Job
+    from pneuma.study.executors.slurm import Job
 
 RESULTS = Path("results")
 
@@ -119,15 +119,10 @@ def _tell_looks(record: Mapping[str, Any]) -> None:
 
 def _queued(store: Store) -> dict[str, Job]:
     """Return the jobs of Slurm's queue by the runs that they train; say so where it cannot be asked."""
-    from pneuma.study.executors.submissions import open_submissions
-
-    submissions = open_submissions(store)
-    if not submissions:
-        return {}
-    from pneuma.study.executors.slurm_queue import jobs_by_run
+    from pneuma.study.executors.slurm import queued
 
     try:
-        return jobs_by_run(submissions)
+        return queued(store)
     except UserError as error:
         say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}", aside=True)
         return {}

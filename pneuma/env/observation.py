@@ -120,8 +120,8 @@ def observation_space(
 ) -> spaces.Box:
     """Return the Box of finite bounds that every observation of a player lies in, float32."""
     edges = levels[0].grid
-    at_sea = config.coast == "deadly" or config.terrain_stops == "players"  # players, or monsters
-    left, top, right, bottom = edges if at_sea else _land(levels)
+    beyond = config.coast == "deadly"  # players die a little way out
+    left, top, right, bottom = edges if beyond else _land(levels)
     diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
     forever = config.xp_scope == "forever"
     worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0

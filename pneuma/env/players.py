@@ -85,8 +85,7 @@ class Hunter:
             action = self._follow(worlds, world, player, int(nearest[world, player, 0]))
             if action is not None:
                 way[world, player], aside[world, player] = action, (action + 1) % 4  # keep to the right
-        turns = within_reach.any(axis=0) & ~self._drowns(worlds, way, walks)
-        walk = np.where(turns, way, self._go_round(worlds, walks, way, aside))
+        walk = self._go_round(worlds, walks, way, aside)
         return np.where(strike | self._drowns(worlds, walk, walks), rules.ATTACK, walk)
 
     def _go_round(self, worlds: Worlds, walks: np.ndarray, way: np.ndarray, aside: np.ndarray) -> np.ndarray:

@@ -6,10 +6,11 @@ Few conditions share a panel; more than `MOST_IN_A_PANEL` get a panel each, with
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -47,6 +48,9 @@ MOST_CURVES = 40
 ALONE = 1.3
 """How much higher a panel is that stands alone."""
 THESIS_WINDOW = "trailing-100"
+BESIDE = "0.25"
+DASHES = (0, (3, 1))
+"""The looks of another study's runs."""
 LONGEST_STEM = 100
 
 
@@ -72,6 +76,7 @@ def draw_study(
     layout: str = "pneuma",
     size: str = "page",
     shown: str = "",
+    beside: StudyData | None = None,
 ) -> list[Path]:
     """Draw a study's curves from its finished runs; return the files written.
 
@@ -86,6 +91,7 @@ def draw_study(
             rewards, the length of episodes stands in their place.
         layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
         size: one of `SIZES`.
+        beside: another study, or imported logs, whose runs are drawn as dashed lines, each its own.
         shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
 
     Raises:
@@ -96,11 +102,15 @@ def draw_study(
     curves = study_curves(data, drawing.quantities, drawing.window)
     caption = caption_of(data, curves, drawing.band, drawing.window)
     words = Words(headline_of(data, shown), legend_title_of(drawing.band), caption)
-    draw = draw_multiples if len(data.conditions) > MOST_IN_A_PANEL else draw_panels
     how = SIZES[size]
     with house_style(how.type_points):
-        figure = draw(data, curves, drawing.band, how, words)
-        return save_figure(figure, folder, file_stem(data, drawing), formats, how.dots_per_inch)
+        if len(data.conditions) > MOST_IN_A_PANEL:
+            figure = draw_multiples(data, curves, drawing.band, how, words)
+        else:
+            others = _curves_beside(beside, drawing) if beside else {}
+            figure = draw_panels(data, curves, drawing.band, how, words, others)
+        stem = file_stem(data, drawing, beside.study if beside else None)
+        return save_figure(figure, folder, stem, formats, how.dots_per_inch)
 
 
 def settle(
@@ -129,7 +139,7 @@ def _usual_window(layout: str) -> str | None:
     return THESIS_WINDOW if layout == "thesis" else None
 
 
-def file_stem(data: StudyData, drawing: Drawing) -> str:
+def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
     """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
     differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
     if drawing.band != USUAL_BAND[drawing.layout]:
@@ -141,7 +151,7 @@ def file_stem(data: StudyData, drawing: Drawing) -> str:
     if drawing.quantities != _usual(data, drawing.layout):
         every = list(drawing.quantities) == curve_names(data)
         differs = ["all" if every else _shortened(drawing.quantities), *differs]
-    return "-".join([data.figure, *differs])
+    return "-".join([data.figure, *differs, *(["beside", beside] if beside else [])])
 
 
 def _has_episodes(quantities: Sequence[str]) -> bool:
@@ -155,9 +165,14 @@ def _shortened(names: Sequence[str]) -> str:
 
 
 def draw_panels(
-    data: StudyData, curves: dict[str, list[Curve]], band: str, size: Size, words: Words
+    data: StudyData,
+    curves: dict[str, list[Curve]],
+    band: str,
+    size: Size,
+    words: Words,
+    beside: Mapping[str, list[Curve]] | None = None,
 ) -> Figure:
-    """Draw a panel of all conditions for each quantity."""
+    """Draw a panel of all conditions for each quantity, and each run of other curves beside them."""
     figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
     rows, columns = size.grid(len(curves))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -165,6 +180,9 @@ def draw_panels(
     entries: dict[str, Artist] = {}
     for place, (axes, (name, group)) in enumerate(zip(panels, curves.items(), strict=False)):
         draw_panel(axes, data, name, group, band)
+        for curve in (beside or {}).get(name, ()):
+            lines = axes.plot(curve.step, curve.runs.T, color=BESIDE, linewidth=0.7, linestyle=DASHES)
+            lines[0].set_label(curve.condition)
         axes.set_title("\n".join(textwrap.wrap(axes.get_title(loc="left"), room)))
         lowest = place + columns >= len(curves)
         axes.set_xlabel("Environment steps" if lowest else "")
@@ -190,6 +208,16 @@ def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], 
     draw_common_step(axes, common_step(data))
     axes.set(title=look.title, ylabel=look.label)
     set_axes(axes, look, data.budget, curves)
+
+
+def _curves_beside(beside: StudyData, drawing: Drawing) -> dict[str, list[Curve]]:
+    """Return a curve of all runs of another study, under its title, for each quantity that it has."""
+    window = drawing.window if drawing.window in beside.windows else beside.windows[0]
+    names = [name for name in drawing.quantities if name in beside.quantities]
+    return {
+        name: [Curve(beside.title, group[0].step, np.concatenate([curve.runs for curve in group]))]
+        for name, group in study_curves(beside, names, window).items()
+    }
 
 
 def _usual(data: StudyData, layout: str) -> tuple[str, ...]:

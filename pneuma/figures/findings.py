@@ -23,8 +23,7 @@ from pathlib import Path
 from pneuma.analysis.claim_runs import MEND
 from pneuma.analysis.published import PUBLISHED
 from pneuma.errors import UserError, unknown_name
-from pneuma.figures.judged import judged_claims
-from pneuma.figures.report_verdicts import MEANINGS, PLACES, Claim, Effect, Verdict
+from pneuma.figures.judged import MEANINGS, PLACES, Claim, Effect, Verdict, judged_claims
 from pneuma.study.store import Store, write_whole
 
 Claims = Mapping[str, Claim]

@@ -6,14 +6,120 @@ Store → [Claim], for the report and for the pages that are written by hand aro
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 from pneuma.analysis.claims import Claim as StatedClaim
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import ALPHA, LOGS, Judged, Pair, judge
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.figures.report_verdicts import Claim, Effect, Verdict
+from pneuma.analysis.rounding import decimals
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
+
+MEANINGS = {
+    "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction; "
+    "where none is claimed, it shows that there is none larger than the margin.",
+    "refuted": "It finds one in the other direction, or shows that there is none larger than the margin; "
+    "where none is claimed, it finds one beyond it.",
+    "inconclusive": "It finds neither; where it can be told, with how many seeds an arm it might.",
+    "untestable": "Nothing can be concluded from these runs, for the reason given.",
+}
+"""Every verdict, and what it says."""
+
+PLACES = {
+    **{name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()},
+    "logs": "Published logs",
+}
+"""Where a claim is judged, each for itself."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One contrast of a claim, as its runs have it.
+
+    Attributes:
+        arms: which are compared, for people.
+        verdict: on this contrast alone.
+        value: of the effect; None where there is none.
+        interval: around it, low and high, if it has one.
+        seeds: runs of each arm.
+        p: corrected for all claims; None where nothing was tested.
+        ratio: whether it is one, with 1 for no difference.
+        quantity: what it is of, where that is not the claim's own outcome.
+    """
+
+    arms: str
+    verdict: str
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+    seeds: tuple[int, ...] = ()
+    p: float | None = None
+    ratio: bool = False
+    quantity: str = ""
+
+    @property
+    def told(self) -> str:
+        """The number with its interval, as '+0.020 [+0.002, +0.039]'."""
+        if self.value is None:
+            return "no number"
+        low, high = self.interval or (math.nan, math.nan)
+        value, *ends = _numbers(self.value, low, high, signed=not self.ratio)
+        interval = f" [{', '.join(ends)}]" if self.interval else ""
+        of = f" in {self.quantity}" if self.quantity else ""
+        return f"{'ratio ' if self.ratio else ''}{value}{interval}{of}"
+
+    @property
+    def p_told(self) -> str:
+        """Its p for people; empty where nothing was tested."""
+        return "" if self.p is None else "p < 0.001" if self.p < 0.001 else f"p = {self.p:.3f}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A claim's verdict in one place.
+
+    Attributes:
+        verdict: of `MEANINGS`.
+        reason: why nothing can be concluded, or what a refuted claim has right; empty for a plain result.
+        effects: its contrasts, the one that decides first.
+        seeds_needed: an arm, to decide; None where nothing is known of it.
+        run_ids: of every run that was looked at.
+    """
+
+    verdict: str
+    reason: str = ""
+    effects: tuple[Effect, ...] = ()
+    seeds_needed: int | None = None
+    run_ids: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of the thesis, stated as a test.
+
+    Attributes:
+        claim: its name.
+        quote: the sentence.
+        section: of the thesis.
+        study: what tests it.
+        measure: what is compared, with the outcome's name.
+        verdicts: by place, of `PLACES`.
+        tested: what is claimed of which arms.
+        compared: the measure in plain words.
+        note: why it is tested so.
+    """
+
+    claim: str
+    quote: str
+    section: str
+    study: str
+    measure: str = ""
+    verdicts: Mapping[str, Verdict] = field(default_factory=dict)
+    tested: str = ""
+    compared: str = ""
+    note: str = ""
+
 
 _COMPARED = {"mean": "mean", "spread": "deviation between seeds"}
 _LOGGED = {
@@ -128,3 +234,19 @@ def _effect(pair: Pair, quantity: str) -> Effect:
         ratio=contrast.kind == "spread",
         quantity=quantity,
     )
+
+
+def _numbers(value: float, low: float, high: float, signed: bool) -> list[str]:
+    """Return a number and the ends of its interval, to the digits that the interval leaves certain."""
+    places = decimals(value, low, high)
+    return [_number(own, places, signed) for own in (value, low, high)]
+
+
+def _number(value: float, places: int, signed: bool) -> str:
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    rounded = round(value, places)
+    sign = "−" if rounded < 0 else "+" if signed and rounded > 0 else ""
+    return f"{sign}{abs(rounded):,.{max(places, 0)}f}"

@@ -25,7 +25,7 @@ from pneuma.analysis.trajectories import read_trajectories
 from pneuma.errors import UserError
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, read_entries
-from pneuma.figures.plates import COMMAND, TABLE_FORMATS, TABLES, draw_published
+from pneuma.figures.plates import BESIDE, COMMAND, TABLE_FORMATS, TABLES, draw_published
 from pneuma.figures.settings_table import settings_table
 from pneuma.study.cores import available_cores
 from pneuma.study.files import write_whole
@@ -35,8 +35,8 @@ FEW = 4
 """Studies below which starting processes takes longer than they save."""
 SETTINGS_STEM = "table-6-1-and-6-2"
 
-Task = tuple[Path, str, str, Path]
-"""Of one study: the results folder, its name, that of its figures, and where to draw."""
+Task = tuple[Path, str, str, str | None, Path]
+"""Of one study: the results folder, its name and its figures', the logs to draw beside it, and where to."""
 
 
 def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
@@ -52,7 +52,9 @@ def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     entries = [*_draw_environment(folder), *_write_settings(folder)]
     studies = open_published(results)
     tell_figures_apart(studies)
-    tasks = [(results, data.study, data.figure, folder) for data in studies]
+    known = {data.study for data in studies}
+    logs = {study: name for study, name in BESIDE.items() if name in known}
+    tasks = [(results, data.study, data.figure, logs.get(data.study), folder) for data in studies]
     for drawn in _draw_studies(tasks):
         entries += drawn
     gone = _indexed(folder) - {entry["file"] for entry in entries}
@@ -82,11 +84,14 @@ def _draw_studies(tasks: Sequence[Task]) -> Iterator[list[dict[str, Any]]]:
             raise
 
 
-def _draw_one(results: Path, study: str, figure: str, folder: Path) -> list[dict[str, Any]]:
+def _draw_one(
+    results: Path, study: str, figure: str, beside: str | None, folder: Path
+) -> list[dict[str, Any]]:
     """Draw a study, under the name that its figures have among all that are drawn."""
     (data,) = open_published(results, [study])
     data.figure = figure
-    return draw_published(data, folder, read_trajectories(results, study))
+    logs = open_published(results, [beside])[0] if beside else None
+    return draw_published(data, folder, read_trajectories(results, study), logs)
 
 
 def _draw_environment(folder: Path) -> list[dict[str, Any]]:

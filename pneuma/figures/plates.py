@@ -20,7 +20,7 @@ from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import MOST_CURVES, USUAL_QUANTITIES, draw_study, settle
+from pneuma.figures.curves import MOST_CURVES, THESIS_WINDOW, USUAL_QUANTITIES, draw_study, settle
 from pneuma.figures.index import index_entries
 from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.shrink import shrink
@@ -42,12 +42,19 @@ EVERY = "every condition"
 MORE_CURVES = {"gradient-limits": ("grad_norm",), "collapse": ("entropy",)}
 """What else a study is about, beside the share killed and the return."""
 
+BESIDE = {"published-logs": "author-logs"}
+"""Imported logs whose runs are drawn with a study's own."""
+QUANTITIES_OF_LOGS = ("return", "length", "entropy")
+
 Drawn = Iterator[tuple[dict[str, Any], list[Path]]]
 """How a figure is drawn, and its files."""
 
 
 def draw_published(
-    data: StudyData, folder: Path, found: StudyTrajectories | None = None
+    data: StudyData,
+    folder: Path,
+    found: StudyTrajectories | None = None,
+    logs: StudyData | None = None,
 ) -> list[dict[str, Any]]:
     """Draw everything of a study and write its tables; return what the index tells of each file.
 
@@ -55,10 +62,15 @@ def draw_published(
         data: the study.
         folder: where.
         found: its trajectories, where these are published too.
+        logs: those of `BESIDE`, where these are.
     """
     entries = []
     for drawing, paths in _figures(data, folder):
         entries += _indexed(data, drawing, paths)
+    if logs:
+        how = {"quantities": QUANTITIES_OF_LOGS, "window": THESIS_WINDOW, "band": "runs"}
+        drawing = {"figure": "curves", **asdict(settle(data, **how)), "beside": logs.study}
+        entries += _indexed(data, drawing, draw_study(data, folder, beside=logs, **how))
     ways = found and found.of_runs(data.runs)  # some may have been published anew
     if ways and len(ways.episodes) and ways.level:
         own = data.of_runs({*ways.episodes["run_id"]})  # a condition may have been renamed since

@@ -2,27 +2,115 @@
 
     verdicts, studies → `Report` → `report_page` → one HTML file
 
-The page needs no script, and its own policy forbids every request. It tells no date and no place:
-the same results give the same bytes.
+`report.html.j2` is the page and `report.css` its style. Every text goes through the template's escaping. The
+page needs no script, its own policy forbids every request, and it tells no date and no place: the same
+results give the same bytes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
+from typing import Any
+from urllib.parse import quote
 
-from pneuma.figures.report_html import Html, element, join, link, name, paragraph, text
-from pneuma.figures.report_studies import RunPlaces, StudySection, study_html
-from pneuma.figures.report_verdicts import Claim, verdicts_html
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
-TITLE = "PneumaRL, run again: verdicts and evidence"
-INTRODUCTION = (
-    "A master's thesis on reinforcement learning argues from curves of four runs each. Here its claims are "
-    "judged by running its experiments again: first every claim with its verdicts, then each study behind "
-    "them with its figure, its numbers, its settings and its runs. A number can be followed from the verdict "
-    "to the study and from there to the runs that it was computed from."
-)
+from pneuma.analysis.rounding import decimals, shown, shown_with_interval
+from pneuma.errors import counted
+from pneuma.figures.judged import MEANINGS, PLACES, Claim
+from pneuma.figures.report_pictures import Picture
+
+LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
+"""Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: the first `texts` columns are words, the others numbers."""
+
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    texts: int = 1
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """One run of a study as it stands."""
+
+    run_id: str
+    condition: str
+    seed: int
+    status: str
+    engine: str
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a study's conditions set.
+
+    Attributes:
+        base: what they are set against, for people.
+        differing: the fields in which they differ, a row for the base and each condition; None where in none.
+        shared: fields alike in all conditions that are not the base's: their value, and the base's.
+        rest: fields that are the base's in all conditions.
+    """
+
+    base: str
+    differing: Table | None
+    shared: Mapping[str, tuple[str, str]]
+    rest: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A study in one world.
+
+    Attributes:
+        record: the name that its runs are recorded under.
+        world: which environment it is judged in, for people.
+        notes: what a person should know, in sentences; the first thing said.
+        mend: the command that would make what is missing; empty when nothing is.
+        extent: how much it is, for people.
+        numbers: the outcomes that matter most.
+        statistics: every row of its summary.
+        effects: of a crossed study's factors.
+        runs: every run of the selection.
+        origins: what produced those that are finished: facts by name, and how many runs they hold for.
+    """
+
+    record: str
+    world: str
+    notes: Sequence[str] = ()
+    mend: str = ""
+    extent: str = ""
+    pictures: Sequence[Picture] = ()
+    numbers: Table | None = None
+    statistics: Table | None = None
+    effects: Table | None = None
+    conditions: Conditions | None = None
+    runs: Sequence[RunRow] = ()
+    origins: Sequence[tuple[Mapping[str, str], int]] = ()
+
+    @property
+    def statuses(self) -> Mapping[str, int]:
+        """How many runs have each status."""
+        return Counter(run.status for run in self.runs)
+
+
+@dataclass(frozen=True)
+class StudySection:
+    """A study, in every world that it has."""
+
+    study: str
+    title: str
+    section: str
+    about: str
+    parts: Sequence[Part]
 
 
 @dataclass(frozen=True)
@@ -46,53 +134,106 @@ class Report:
 
 def report_page(report: Report) -> bytes:
     """Return the page as it goes into a file."""
-    names = [study.study for study in report.studies]
-    places = RunPlaces()
-    sections = [
-        study_html(study, [claim for claim in report.claims if claim.study == study.study], places)
-        for study in report.studies
-    ]
-    runs = {run.run_id for study in report.studies for part in study.parts for run in part.runs}
-    verdicts = [verdicts_html(report.claims, names, runs)]
-    if report.unjudged:
-        verdicts = [paragraph(text(f"No claim could be judged: {report.unjudged}"), "missing")]
-    if report.claims and report.claims_note:
-        verdicts.append(paragraph(text(report.claims_note), "note"))
-    main = [
-        element("h1", text(TITLE)),
-        paragraph(text(INTRODUCTION)),
-        element("section", join([element("h2", text("Verdicts")), *verdicts], "\n"), "", "verdicts"),
-        *sections,
-    ]
-    parts = [_contents(report), element("main", join(main, "\n"), "", "main"), _footer(report)]
-    return _document(join(parts, "\n")).encode()
+    environment = Environment(
+        loader=PackageLoader("pneuma.figures", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_visible,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template("report.html.j2").render(
+        report=report,
+        meanings=MEANINGS,
+        places={place: label for place, label in PLACES.items() if _judged_in(report, place)},
+        counts={place: _judged_in(report, place) for place in PLACES},
+        studies={study.study for study in report.studies},
+        run_places=_run_places(report),
+        anchor=_anchor,
+        counted=counted,
+    )
+    return f"{page.strip()}\n".encode()  # without the blank lines that macros leave
 
 
-def _document(body: Html) -> str:
-    style = files("pneuma.figures").joinpath("report.css").read_text(encoding="utf-8")
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{text(TITLE)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        '<a class="skip" href="#main">Skip to the report</a>\n'
-        f"{body}\n</body>\n</html>\n"
+def _judged_in(report: Report, place: str) -> Counter[str]:
+    return Counter(claim.verdicts[place].verdict for claim in report.claims if place in claim.verdicts)
+
+
+def _run_places(report: Report) -> dict[str, tuple[str, int]]:
+    """Return the record and row where each run has its place: of those that list it, the first."""
+    places: dict[str, tuple[str, int]] = {}
+    for study in report.studies:
+        for part in study.parts:
+            for row, run in enumerate(part.runs):
+                places.setdefault(run.run_id, (part.record, row))
+    return places
+
+
+def _anchor(kind: str, name: str) -> str:
+    """Return the name of a place in the page: another for any other name, and without spaces."""
+    return f"{kind}-{quote(name, safe='', errors='surrogatepass')}"
+
+
+def _visible(value: Any) -> Any:
+    """Write characters that cannot be seen as their codes: two names that look the same must not be two."""
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return "".join(c if c.isprintable() or c == "\n" else f"\\u{ord(c):04x}" for c in value)
+
+
+# --- Tables ----------------------------------------------------------------------------------------
+
+
+def numbers_table(study: str, summary: pd.DataFrame) -> Table:
+    """Return the outcomes of a summary that matter most: a row for each condition."""
+    rows = [row for row in _rows(summary) if _leads(row)]
+    pairs = list(dict.fromkeys((row.outcome, row.statistic) for row in rows))
+    pairs.sort(key=lambda pair: pair[1] == "share")  # how many failed comes after what the others reached
+    cells = {(row.condition, row.outcome, row.statistic): _cell(row) for row in rows}
+    return Table(
+        f"Outcomes of {study}, with 95 % intervals and counts of runs",
+        ["Condition", *("\n".join(pair) for pair in pairs)],
+        [
+            [condition, *(cells.get((condition, *pair), "–") for pair in pairs)]
+            for condition in dict.fromkeys(summary["condition"])
+        ],
     )
 
 
-def _contents(report: Report) -> Html:
-    """Return the table of contents."""
-    lines = [link("verdicts", text("Verdicts"))]
-    for study in report.studies:
-        where = element("small", text(f"{study.section} ")) if study.section else Html("")
-        lines.append(join([where, link(study.anchor, name(study.title))]))
-    entries = element("ol", join((element("li", line) for line in lines), "\n"))
-    return Html(f'<nav aria-label="Contents">\n<p class="note">Contents</p>\n{entries}</nav>')
+def _leads(row: Any) -> bool:
+    return row.statistic in LEADING or (row.outcome, row.statistic) in LEADING
 
 
-def _footer(report: Report) -> Html:
-    by = f"Made by Pneuma {report.version} with " if report.version else "Made with "
-    told = join([text(by), element("code", text("pneuma report")), text(".")])
-    return element("footer", paragraph(told, "note"))
+def _cell(row: Any) -> str:
+    return f"{shown_with_interval(row.value, row.low, row.high)}\nn = {int(row.runs)}"
+
+
+def statistics_table(study: str, summary: pd.DataFrame) -> Table:
+    """Return every row of a summary."""
+    rows = []
+    for row in _rows(summary):
+        value = shown_with_interval(row.value, row.low, row.high)
+        rows.append((row.condition, row.outcome, row.statistic, row.interval or "none", value, int(row.runs)))
+    columns = ("Condition", "Outcome", "Statistic", "Interval by", "Value", "Runs")
+    return Table(f"Every statistic of {study}'s outcomes", columns, rows, texts=4)
+
+
+def factors_table(study: str, effects: pd.DataFrame) -> Table:
+    """Return what each factor of a crossed study does, alone and with each other."""
+    rows = [
+        (row.effect, row.levels, f"{row.df}, {row.df_error}", _short(row.f), _short(row.partial_r2),
+         f"{row.p_holm:.4f}")
+        for row in _rows(effects)
+    ]  # fmt: skip
+    outcome, runs = effects["outcome"].iloc[0], effects["runs"].iloc[0]
+    caption = f"Effects of {study}'s factors on {outcome}, tested by permutation; {runs} runs"
+    columns = ("Effect", "Levels", "df", "F", "Share of variance", "p (Holm)")
+    return Table(caption, columns, rows, texts=2)
+
+
+def _short(value: float) -> str:
+    return shown(value, decimals(value))
+
+
+def _rows(frame: pd.DataFrame) -> Iterable[Any]:
+    return frame.itertuples()

@@ -33,10 +33,10 @@ def _shrink_png(path: Path, most_dots: float) -> None:
         small = image.convert("RGB")
         if share < 1:
             small = small.resize(size, Image.Resampling.LANCZOS)
-    with_palette(small).save(path, "PNG", optimize=True, dpi=(dots * share, dots * share))
+    _with_palette(small).save(path, "PNG", optimize=True, dpi=(dots * share, dots * share))
 
 
-def with_palette(image: Image.Image) -> Image.Image:
+def _with_palette(image: Image.Image) -> Image.Image:
     """Return an RGB picture with a palette in place of full colours, which takes a third of the space.
 
     The palette covers all colours that there are, however few dots have them. One made by their number

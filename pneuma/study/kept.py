@@ -5,7 +5,6 @@ from __future__ import annotations
 from pneuma.config import Run
 from pneuma.engines.base import checkpoint_steps
 from pneuma.study.checkpoints import FOLDER, CheckpointFile, checkpoint_files, outdated
-from pneuma.study.files import read_checkpoint_name
 from pneuma.study.store import Status, Store
 
 
@@ -32,11 +31,6 @@ class KeptCheckpoints:
         had_one = bool(self._files)
         self._remove(self._files[:1])
         return had_one
-
-    def drop_later_than(self, file_name: str) -> None:
-        """Remove those of later steps than a checkpoint's."""
-        told = read_checkpoint_name(file_name)
-        self._remove([file for file in self._files if told and file.step > told[0]])
 
     def write(self, file_name: str, data: bytes) -> None:
         """Add one, and remove those that nobody needs any more.

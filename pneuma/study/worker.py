@@ -63,7 +63,7 @@ class Job:
 def main() -> int:
     """Read the job, train it, report; return the exit code."""
     job = json.loads(sys.stdin.readline())
-    _die_with(job["parent"])
+    die_with(job["parent"])
     stop = threading.Event()
     threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
@@ -209,7 +209,7 @@ def _listen(lifeline: TextIO, stop: threading.Event) -> None:
     os._exit(1)
 
 
-def _die_with(parent: int) -> None:
+def die_with(parent: int) -> None:
     """Let the system kill this process when its parent goes, even while one long computation runs."""
     if sys.platform != "linux":
         return  # the lifeline must do

@@ -104,13 +104,6 @@ def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
     assert bamboo["knock_ticks"] == -1  # as the striker's weapon has it
 
 
-def test_the_other_monsters_are_the_same_beside_either_bamboo(zoo: str) -> None:
-    godot, pygame = monster_rows(zoo, ""), monster_rows(zoo, "pygame")
-    for name in ("spirit", "raccoon", "squid"):
-        for field in ("hp", "xp", "damage", "speed", "notice_squared", "attack_squared", "knock_speed"):
-            assert godot[name][field] == pygame[name][field]
-
-
 def test_each_player_has_its_own_class_and_weapon() -> None:
     config = make_env_config(
         {"players": 3, "classes": ["tank", "base", "mage"], "weapons": ["axe", "own", "own"]}
@@ -230,20 +223,14 @@ def complaint(file: str, **settings: object) -> str:
     ("text", "table", "told"),
     [
         ("[players.base]\nhpp = 3", "[players.base]", "unknown key 'hpp' (did you mean hp?)"),
-        ("[weapons.axe]\ndammage = 3", "[weapons.axe]", "unknown key 'dammage' (did you mean damage?)"),
-        ("[monsters.squid]\nspeeed = 3", "[monsters.squid]", "unknown key 'speeed' (did you mean speed?)"),
         ("[spells.flame]\nlenght = 3", "[spells.flame]", "unknown key 'lenght' (did you mean length?)"),
         ("[player.base]\nhp = 3", "", "unknown table 'player' (did you mean players?)"),
         ("[players.base]\nhp = 0", "[players.base]", "hp = 0 is not allowed: a number above 0"),
-        ("[players.base]\nhp = -3", "[players.base]", "hp = -3 is not allowed"),
         ("[players.base]\nhp = nan", "[players.base]", "hp = nan is not allowed"),
-        ("[players.base]\nenergy = inf", "[players.base]", "energy = inf is not allowed"),
-        ("[players.base]\nhp = true", "[players.base]", "hp = True is not allowed"),
         ('[players.base]\nhp = "full"', "[players.base]", "hp = 'full' is not allowed"),
         ("[players.base]\nbody = [47]", "[players.base]", "body = [47] is not allowed: 2 of"),
-        ("[players.base]\nbody = [47, 0]", "[players.base]", "body = [47, 0] is not allowed"),
+        ("[players.base]\nbody_at = [1]", "[players.base]", "body_at = [1] is not allowed: 2 of"),
         ("[players.base]\nweapon = 3", "[players.base]", "weapon = 3 is not allowed"),
-        ("[weapons.axe]\nswing = 0", "[weapons.axe]", "swing = 0 is not allowed"),
         (
             "[weapons.axe]\nreach = 50",
             "[weapons.axe]",
@@ -256,13 +243,10 @@ def complaint(file: str, **settings: object) -> str:
             "reach = {'down': True",
         ),
         ("[monsters.bamboo]\ncode = 3.5", "[monsters.bamboo]", "code = 3.5 is not allowed: a whole number"),
-        ("[monsters.bamboo]\nbite_time = 501", "[monsters.bamboo]", "bite_time = 501 is not allowed"),
         ("[monsters.bamboo]\nknock_back = 9", "[monsters.bamboo]", "knock_back and knock_back_time go"),
         ("[players.tankk]\nhp = 3", "[players.tankk]", "lacks the keys 'energy', 'attack', 'magic'"),
-        ("[weapons.club]\ndamage = 3", "[weapons.club]", "'swing', 'knock_back', 'knock_back_time', 'box'"),
         ("players = 3", "", "players must hold tables"),
         ("[players]\nhp = 3", "[players.hp]", "must be a table"),
-        ("hp = 3", "", "unknown table 'hp'"),
         ("[players.base", "", "not TOML"),
     ],
 )
@@ -280,13 +264,6 @@ def test_an_unknown_weapon_of_a_class_is_told_with_its_file(tmp_path: Path) -> N
     message = complaint(file)
     assert "'blaed' (did you mean blade?)" in message
     assert message.startswith(f"{file}: [players.base] weapon")
-
-
-@pytest.mark.parametrize(
-    ("text", "nearest"), [("[players.tankk]\nhp = 3", "tank"), ("[spells.flame_]\nstrength = 3", "flame")]
-)
-def test_a_misspelt_name_of_a_table_is_told_the_nearest(tmp_path: Path, text: str, nearest: str) -> None:
-    assert f"did you mean {nearest}?" in complaint(write(tmp_path, text))
 
 
 def test_a_spell_that_nobody_can_cast_is_refused(tmp_path: Path) -> None:

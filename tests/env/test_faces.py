@@ -176,7 +176,7 @@ _played: dict[tuple[int, int], list[Transcript]] = {}
 
 
 @pytest.mark.parametrize("face", FACES)
-@pytest.mark.parametrize("worlds", [1, 3, 64])
+@pytest.mark.parametrize("worlds", [1, 16])
 @pytest.mark.parametrize("which", range(len(SETTINGS)), ids=["thesis", "pygame", "godot"])
 def test_every_face_tells_the_same_as_single_environments(
     pit: str, face: str, worlds: int, which: int
@@ -195,19 +195,3 @@ def test_every_face_tells_the_same_as_single_environments(
         assert transcript[:length] == single[:length], world
         ends += sum(entry[0] == "reset" for entry in transcript[1:length])
     assert ends >= 3 * worlds  # across several resets
-
-
-def test_the_worlds_compared_end_in_both_ways(pit: str) -> None:
-    kinds = {entry[3:5] for transcript in play_single(3, THESIS, {"level": pit, "episode_steps": 20})
-             for entry in transcript if entry[0] == "step"}  # fmt: skip
-    assert kinds == {(False, False), (True, False), (False, True)}
-
-
-@pytest.mark.parametrize("env_id", [THESIS, GODOT])
-def test_on_the_shipped_level_too(env_id: str) -> None:
-    settings = {"episode_steps": 50}
-    expected = play_single(3, env_id, settings)
-    for play in FACES.values():
-        for transcript, single in zip(play(3, env_id, settings), expected, strict=True):
-            length = min(len(transcript), len(single))
-            assert transcript[:length] == single[:length]

@@ -7,7 +7,6 @@ import pytest
 
 from pneuma.config import SCALES, make_env_config
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 from .arena import TOLD_ARRAYS, begin, bits, play
 
@@ -96,18 +95,3 @@ def test_a_place_is_seen_the_same_whichever_levels_are_played_together(scale: st
         names = ("middle_x", "middle_y", "scale_x", "scale_y", "xp_scale")
         assert [other.settings[name] for name in names] == [alone.settings[name] for name in names]
         assert other.monster_stats["distance_scale"][0, 0] == alone.monster_stats["distance_scale"][0, 0]
-
-
-@pytest.mark.parametrize(
-    ("level", "told"),
-    [
-        ("thesis", "random_levels = 3 is not allowed: only random levels come in numbers"),
-        ("random:train", "level 'random:train' is not allowed"),
-        ("random:train:x", "level 'random:train:x' is not allowed"),
-        (f"random:train:{2**64 - 2}", f"level 'random:train:{2**64}' is not allowed"),
-    ],
-)
-def test_several_of_what_is_no_random_level_is_refused(level: str, told: str) -> None:
-    with pytest.raises(UserError) as caught:
-        Worlds(1, make_env_config({"level": level, "random_levels": 3}))
-    assert str(caught.value).startswith(told)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
@@ -201,13 +200,6 @@ def test_energy_comes_back_by_magic_up_to_full(arena: str, name: str, full: floa
     assert energy(worlds) == full
 
 
-def test_an_episode_begins_with_full_energy(arena: str) -> None:
-    worlds = cast(arena)
-    play(worlds, FLAME)
-    worlds.reset()
-    assert energy(worlds) == 60
-
-
 # --- Masks ---------------------------------------------------------------------------------------
 
 
@@ -241,14 +233,3 @@ def test_a_spell_that_energy_suffices_for_during_the_step_is_allowed(
     play(worlds, spell)
     assert worlds.players["busy"][0, 0] == 24 - 5
     assert allowed == 1
-
-
-def test_every_number_of_a_mask_is_0_or_1() -> None:
-    worlds = Worlds(20, make_env_config({"magic": True, "players": 2}))
-    worlds.seed(range(20))
-    worlds.reset()
-    generator = np.random.default_rng(0)
-    for _ in range(100):
-        worlds.step(generator.integers(7, size=(20, 2)))
-        assert np.isin(worlds.masks, (0, 1)).all()
-        assert worlds.masks[..., ATTACK].all()

@@ -86,11 +86,6 @@ def test_a_day_that_has_ended_can_only_be_begun_anew() -> None:
     env.step(np.int64(GO_ON))
 
 
-def test_an_unknown_render_mode_is_refused() -> None:
-    with pytest.raises(UserError, match="render_mode = 'human' is not allowed"):
-        MailmanEnv(render_mode="human")
-
-
 # --- Transitions ---------------------------------------------------------------------------------
 
 

@@ -7,8 +7,6 @@ import copy
 import numpy as np
 import pytest
 
-from pneuma.env.parallel import PneumaParallelEnv
-from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
@@ -27,7 +25,6 @@ from .arena import (
     WEST,
     Place,
     begin,
-    bits,
     play,
     stage,
 )
@@ -59,10 +56,6 @@ def test_walking_on_into_a_wall_already_faced_is_masked(arena: str, way: int, pl
     assert mask(worlds) == [action != way for action in range(5)]
     worlds.players["facing"] = (way + 1) % 4
     assert mask(worlds) == FREE  # it would turn
-
-
-def test_a_wall_one_pixel_off_leaves_something_to_walk(arena: str) -> None:
-    assert mask(stage(arena, players=[(EAST - 1, 0.0)], facing=RIGHT)) == FREE
 
 
 def test_in_a_corner_only_the_faced_wall_is_masked(arena: str) -> None:
@@ -168,53 +161,6 @@ def test_all_masked_walks_do_the_same_and_allowed_ones_do_not() -> None:
 
 
 # --- Where they are handed out -------------------------------------------------------------------
-
-
-def test_every_face_hands_out_the_same_masks(arena: str) -> None:
-    worlds = begin(1, 7, level=arena)
-    single, vector = PneumaEnv(level=arena), PneumaVectorEnv(1, level=arena)
-    parallel, learner = PneumaParallelEnv(players=1, level=arena), PneumaVecEnv([7], worlds.config)
-    told = [single.reset(seed=7)[1]["action_mask"], vector.reset(seed=7)[1]["action_mask"][0]]
-    told += [parallel.reset(seed=7)[1]["player_0"]["action_mask"]]
-    learner.reset()
-    told += [learner.env_method("action_masks")[0]]
-    changes = set()
-    for action in [RIGHT] * 16 + [ATTACK] * 3 + [UP] * 16:
-        for allowed in told:
-            assert allowed.tolist() == worlds.masks[0, 0].tolist()
-        changes.add(tuple(told[0].tolist()))
-        play(worlds, action)
-        told = [single.step(np.int64(action))[-1]["action_mask"]]
-        told += [vector.step(np.array([action]))[-1]["action_mask"][0]]
-        told += [parallel.step({"player_0": np.int64(action)})[-1]["player_0"]["action_mask"]]
-        learner.step(np.array([action]))
-        told += [learner.env_method("action_masks", indices=[0])[0]]
-    assert len(changes) == 4  # free, walled in to the right, attacking, walled in above
-
-
-def test_masks_are_part_of_every_info(pit: str) -> None:
-    vector = PneumaVectorEnv(3, level=pit, autoreset_mode="SameStep", episode_steps=18)
-    vector.reset(seed=0)
-    ended = 0
-    for _ in range(100):
-        _, _, terminated, truncated, infos = vector.step(np.full(3, ATTACK))
-        assert infos["_action_mask"].tolist() == [True] * 3
-        assert np.array_equal(infos["action_mask"], vector.state.masks[:, 0])
-        if (over := terminated | truncated).any():
-            assert infos["final_info"]["_action_mask"].tolist() == over.tolist()
-            ended += int(over.sum())
-    assert ended > 5
-
-
-def test_masks_handed_out_are_not_overwritten(arena: str) -> None:
-    env = PneumaEnv(level=arena)
-    first = env.reset(seed=0)[1]["action_mask"]
-    second = env.step(np.int64(ATTACK))[-1]["action_mask"]
-    kept = bits(first.copy(), second.copy())
-    env.step(np.int64(RIGHT))
-    env.reset()
-    assert bits(first, second) == kept
-    assert first.dtype == np.int8 and first.shape == (5,)
 
 
 def test_gymnasium_samples_allowed_actions_by_them(arena: str) -> None:

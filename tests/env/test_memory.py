@@ -10,7 +10,7 @@ from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, DOWN, play, stage
+from .arena import ATTACK, DOWN, monster_at, play, stage
 from .oracle_maps import Map
 
 
@@ -35,18 +35,18 @@ def test_a_body_that_reaches_beyond_the_grid_is_refused(
 
 
 def test_on_the_smallest_tiles_nobody_leaves_the_grid(tmp_path: Path) -> None:
-    level = small_level(tmp_path, (168.0, 312.0), ("bamboo", 100.0, 100.0))
+    level = small_level(tmp_path, (168.0, 310.0), ("bamboo", 100.0, 100.0))
     worlds = Worlds(1, make_env_config({"level": level}))
     worlds.seed([0])
     worlds.reset()
     for _ in range(20):
         play(worlds, DOWN)
-    assert worlds.players["y"][0, 0] == 14 * 24 - 24  # flush with the edge
+    assert worlds.players["y"][0, 0] == 14 * 24 - 26  # flush with the edge
 
 
-def test_a_monster_all_but_in_the_middle_of_the_sword_flies_the_way_the_player_faces(arena: str) -> None:
+def test_a_monster_all_but_at_the_hilt_stays_there(arena: str) -> None:
     """1e-200 squared is 0: dividing by that distance would make its place not a number."""
-    worlds = stage(arena, (1e-200, 0.0), players=((0.0, -52.0),), facing=DOWN, still=True)
+    worlds = stage(arena, (1e-200, 0.0), players=((12.0, -52.0),), facing=DOWN, still=True)
     play(worlds, ATTACK)
-    assert worlds.monsters["x"][0, 0] == 1e-200
-    assert worlds.monsters["y"][0, 0] == 8 * 2.0  # 120 px/s for 8 ticks
+    assert worlds.events["hits"][0, 0] == 1
+    assert monster_at(worlds) == (1e-200, 0.0)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
-from pneuma.env.observation import feature_names
-from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 
 from .arena import ATTACK, SOUTH, STAND, WEST, Place, move_monster, play, player_at, stage
@@ -123,33 +120,9 @@ def test_each_player_sees_from_its_own_place(arena: str) -> None:
 # --- Names and bounds ----------------------------------------------------------------------------
 
 
-def test_every_number_has_a_name() -> None:
-    names = feature_names(make_env_config({}), 14)
-    assert len(names) == len(set(names)) == Worlds(1).space.shape[0] == 4 + 14 * 4
-    assert names[:5] == ["x", "y", "hp", "xp", "monster_0_distance"]
-    assert names[-1] == "monster_13_hp"
-
-
 def test_the_space_is_float32_and_finite() -> None:
     space = Worlds(1).space
     assert space.dtype == np.float32
     assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
     # No two places of 57 x 50 tiles of 64 px are further apart than hypot(3648, 3200) = 4852.6 px.
     assert space.high[4] == pytest.approx(4852.6 / 300, abs=1e-3)
-
-
-@pytest.mark.parametrize("player", ["random", "hunter"])
-def test_no_observation_ever_leaves_the_space(player: str) -> None:
-    worlds = Worlds(12)
-    worlds.seed(range(12))
-    worlds.reset(starts=np.arange(12) % 6)
-    players: dict[str, RandomPlayer | Hunter] = {
-        "random": RandomPlayer(np.random.default_rng(1)),
-        "hunter": Hunter(worlds),
-    }
-    low, high = worlds.space.low, worlds.space.high
-    while (worlds.worlds["ending"] == 0).any():
-        assert (worlds.observations >= low).all() and (worlds.observations <= high).all()
-        worlds.step(players[player].act(worlds))
-    assert (worlds.observations >= low).all() and (worlds.observations <= high).all()
-    assert worlds.space.contains(worlds.observations[0, 0])

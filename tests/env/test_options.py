@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 from pneuma.env.parallel import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
@@ -80,11 +81,6 @@ def test_a_refused_reset_leaves_the_world_as_it_was() -> None:
 
 
 @each_face
-def test_what_is_meant_for_a_wrapper_is_left_alone(face: str) -> None:
-    reset(face, {"video_name": "mine", "difficulty": 3})
-
-
-@each_face
 @pytest.mark.parametrize("start", [4, np.int64(4), np.int32(4), np.array(4)])
 def test_any_kind_of_whole_number_will_do(face: str, start: Any) -> None:
     env = reset(face, {"start": start})
@@ -100,9 +96,21 @@ def test_of_several_worlds_some_may_be_told_where_to_start() -> None:
     assert len(set(env.state.players["x"][::2, 0].tolist())) > 2
 
 
-@pytest.mark.parametrize("action", [2.5, "x", None])
-def test_what_is_no_action_is_told_with_what_is_one(action: Any) -> None:
-    env = PneumaEnv()
-    env.reset(seed=0)
-    with pytest.raises(TypeError, match=r"is outside Discrete\(5\): no whole number"):
-        env.step(action)
+def step(face: str, env: Any, action: Any) -> None:
+    """Let the only player, or the first of two worlds, do something."""
+    steps = {"single": action, "parallel": {"player_0": action}}
+    env.step(steps.get(face, np.array([action, 0])))
+
+
+@each_face
+@pytest.mark.parametrize("action", [-1, 5, 2.5])
+def test_what_is_no_action_is_told_with_what_is_one(face: str, action: Any) -> None:
+    env = reset(face, {})
+    with pytest.raises((TypeError, ValueError), match=r"outside .*Discrete\(5\)"):
+        step(face, env, action)
+
+
+@each_face
+def test_stepping_before_the_first_reset_is_refused(face: str) -> None:
+    with pytest.raises(ResetNeeded):
+        step(face, FACES[face](), 0)

@@ -16,8 +16,6 @@ from pneuma.env.random_level import random_level
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import bits
-
 CODES = {390: "bamboo", 391: "spirit"}
 MANY = 200
 
@@ -126,11 +124,6 @@ def test_an_island_is_one_land_of_three_grounds(levels: dict[str, list[Level]]) 
         assert 5 <= np.count_nonzero(level.terrain == rules.SOLID) <= 80
 
 
-def test_most_straits_are_bridged_and_some_islands_have_none(levels: dict[str, list[Level]]) -> None:
-    bridged = sum((level.ground == 4).any() for level in all_of(levels))
-    assert 0.3 < bridged / (2 * MANY) < 0.8
-
-
 def test_everybody_stands_at_the_middle_of_a_tile_with_open_ones_around(
     levels: dict[str, list[Level]],
 ) -> None:
@@ -169,7 +162,7 @@ def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[
 @pytest.mark.parametrize("name", ["random:train:1", "random:test:2"])
 def test_a_player_walks_to_every_monster_by_the_rules(name: str) -> None:
     """Steer a player, tick by tick, along a way of tiles; nothing ever holds it up."""
-    worlds = Worlds(1, make_env_config({"level": name, "episode_steps": 1_000_000}))
+    worlds = Worlds(1, make_env_config({"level": name, "bodies": "pass", "episode_steps": 1_000_000}))
     worlds.settings["ticks"] = 1
     worlds.monster_stats["speed"] = worlds.monster_stats["damage"] = 0.0
     worlds.seed([0])
@@ -193,17 +186,6 @@ def _walk(worlds: Worlds, x: float, y: float) -> None:
         down = rules.DOWN if dy > 0 else rules.UP
         worlds.step(np.array([[along if abs(dx) > abs(dy) else down]]))
     raise AssertionError(f"held up at {player['x']}, {player['y']} on the way to {x}, {y}")
-
-
-def test_the_worlds_of_a_random_level_go_on_alike() -> None:
-    one, two = (Worlds(3, make_env_config({"level": "random:test:5"})) for _ in range(2))
-    for worlds in (one, two):
-        worlds.seed([1, 2, 3])
-        worlds.reset()
-        for action in (0, 1, 2, 3, 4) * 10:
-            worlds.step(np.full((3, 1), action))
-    assert bits(one.players, one.monsters) == bits(two.players, two.monsters)
-    assert (abs(one.observations[..., :2]) <= 1).all()  # within the land
 
 
 # --- Other kinds, and names that are none --------------------------------------------------------

@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from pneuma.env.render import Renderer, ground_kinds
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import DOWN, LEFT, RIGHT, STATE_ARRAYS, UP, begin, stage
+from .arena import DOWN, LEFT, RIGHT, UP, begin, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
 BODY = 12  # no picture of a body reaches further from its centre
@@ -163,11 +162,6 @@ def test_bite_flashes_and_hit_monster_flashes(arena: str) -> None:
     assert x.size > 0 and (abs(x - MIDDLE) <= BODY).all()
 
 
-def test_players_wear_different_cloaks() -> None:
-    looks = {sprites.player_picture(index, "down", "stand").tobytes() for index in range(8)}
-    assert len(looks) == 8
-
-
 def test_unknown_kind_of_monster_is_drawn_as_a_stranger() -> None:
     stranger = sprites.monster_picture("stranger", 0)
     np.testing.assert_array_equal(sprites.monster_picture("ogre", 0), stranger)
@@ -262,28 +256,6 @@ def test_ground_is_what_the_level_called_it_when_it_was_loaded(
     assert set(ground_kinds(stage(arena).level).flat) == {sprites.WATER, sprites.GRASS}
 
 
-@pytest.mark.parametrize(
-    ("rows", "columns", "width", "height"),
-    [(14, 20, 960, 672), (50, 57, 912, 800), (8, 8, 896, 896), (100, 150, 800, 533), (1, 3, 912, 304)],
-)
-def test_longer_side_of_a_map_is_about_900_pixels(
-    arena: str, rows: int, columns: int, width: int, height: int
-) -> None:
-    """A tile is 16 art pixels; each is enlarged, or some are averaged, by a whole factor."""
-    worlds = stage(arena)
-    bare_ground = np.zeros((rows, columns), np.uint8)
-    worlds.levels = [replace(worlds.level, ground=bare_ground, terrain=bare_ground)]
-    assert Renderer(worlds, panel=False).size == (width, height)
-
-
-def test_scale_is_how_many_pixels_an_art_pixel_gets(arena: str) -> None:
-    worlds = stage(arena)
-    assert Renderer(worlds, panel=False, scale=2).size == (640, 640)
-    assert Renderer(worlds, "follow", panel=False, scale=2).size == (480, 352)
-    with pytest.raises(UserError, match=r"size = 16000 x 16000 \(of scale 50\) is not allowed"):
-        Renderer(worlds, scale=50)
-
-
 def test_wrong_camera_and_size_are_told(arena: str) -> None:
     worlds = stage(arena)
     with pytest.raises(UserError, match=r"unknown camera 'folow' \(did you mean follow\?\)"):
@@ -309,21 +281,6 @@ def test_same_state_gives_the_same_bytes() -> None:
     for camera in ("map", "follow"):
         here, there = (Renderer(worlds, camera).frame(1, 2) for worlds in (first, second))
         assert here.tobytes() == there.tobytes()
-
-
-def test_state_put_back_is_drawn_as_before() -> None:
-    worlds = Worlds(1)
-    worlds.seed([7])
-    worlds.reset()
-    renderer = Renderer(worlds, "follow")
-    walk(worlds, seed=2, steps=30)
-    saved = {name: getattr(worlds, name).copy() for name in STATE_ARRAYS}
-    before = renderer.frame()
-    walk(worlds, seed=3, steps=10)
-    assert not np.array_equal(renderer.frame(), before)
-    for name, array in saved.items():
-        getattr(worlds, name)[...] = array
-    np.testing.assert_array_equal(renderer.frame(), before)
 
 
 def test_drawing_loads_neither_pygame_nor_pillow() -> None:

@@ -67,13 +67,6 @@ def test_of_an_episode_that_had_ended_a_reset_is_needed(pit: str) -> None:
         env.step(np.int64(0))
 
 
-def test_stepping_before_the_first_reset_is_refused() -> None:
-    with pytest.raises(ResetNeeded, match="call reset first"):
-        PneumaEnv().step(np.int64(0))
-    with pytest.raises(ResetNeeded, match="call reset first"):
-        PneumaVectorEnv(2).step(np.zeros(2, np.int64))
-
-
 # --- The vector face -----------------------------------------------------------------------------
 
 
@@ -115,18 +108,6 @@ def test_a_world_put_back_at_its_end_begins_again_as_the_mode_has_it(mode: Autor
         observations, rewards, terminated, truncated, _ = env.step(np.zeros(2, np.int64))
         assert not (rewards[1] or terminated[1] or truncated[1])
     assert np.array_equal(observations[1], first)
-
-
-def test_a_world_of_a_batch_goes_on_in_another_slot(pit: str) -> None:
-    env = PneumaVectorEnv(4, players=2, autoreset_mode="SameStep", level=pit, episode_steps=STEPS)
-    env.reset(seed=3)
-    for actions in plan(0, 20, 4):
-        env.step(actions)
-    env.restore(0, env.save(1))
-    for actions in plan(1, 100, 2):
-        observations, rewards, terminated, truncated, _ = env.step(np.tile(actions, 2))
-        for told in (observations, rewards, terminated, truncated):
-            assert np.array_equal(told[:2], told[2:])
 
 
 def test_a_slot_whose_player_was_dead_idles_where_everybody_lived(pit: str) -> None:

@@ -95,12 +95,6 @@ def test_kills_is_xp_gained_less_the_share_of_hp_lost(arena: str) -> None:
     assert rewards(worlds) == [0.0]
 
 
-def test_kills_counts_what_a_class_has(arena: str) -> None:
-    worlds = fight(arena, "kills", (-40.0, 0.0), classes="mage")
-    play(worlds, STAND)
-    assert rewards(worlds) == [-7 / 70]
-
-
 def test_kills_takes_no_more_hp_than_there_were(arena: str) -> None:
     worlds = fight(arena, "kills", (-40.0, 0.0))
     worlds.players["hp"] = 5
@@ -205,14 +199,14 @@ def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost:
     assert worlds.events["xp_gained"][0, 0] == -cost
 
 
-def test_godot_pays_a_kill_by_anybody_to_everybody(arena: str) -> None:
+def test_godot_sets_the_reward_of_who_earns_a_kill_alone(arena: str) -> None:
     players = [(0.0, 0.0), (-400.0, 0.0)]
     worlds = stage(arena, (80.0, 0.0), players=players, still=True, settings={"reward": "godot"})
     worlds.players["xp"][0] = [3, 10]
     worlds.monsters["hp"][0, 0] = 20
     play(worlds, ATTACK)
     assert worlds.events["kills"][0].tolist() == [1, 0]
-    assert rewards(worlds) == [4.0, 10.0]  # set to each one's own XP
+    assert rewards(worlds) == [4.0, 0.0]
 
 
 def test_the_godot_environment_rewards_by_event() -> None:

@@ -62,7 +62,7 @@ def test_it_is_computed_from_events_players_and_stats(folder: Path, arena: str) 
         "assert events.shape == players.shape == (1, 1) and stats.shape == (1,)\n"
         'return 10 * events["hits"] - events["hp_lost"] / stats["hp"] + players["xp"]'
     )
-    worlds = stage(arena, (54.0, 60.0), (-30.0, 0.0), still=True, settings={"reward": write(folder, body)})
+    worlds = stage(arena, (80.0, 0.0), (-40.0, 0.0), still=True, settings={"reward": write(folder, body)})
     worlds.players["xp"] = 3
     play(worlds, ATTACK)
     assert rewards(worlds) == [10 - 0.07 + 3]
@@ -81,9 +81,11 @@ def test_it_sees_how_far_the_nearest_living_monster_is(folder: Path, arena: str)
 
 def test_it_sees_for_how_long_each_player_lived(folder: Path, arena: str) -> None:
     own = write(folder, 'return events["present"] + 100 * events["died"]')
-    worlds = stage(arena, players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own})
+    worlds = stage(
+        arena, players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own, "bite_while_knocked": True}
+    )
     worlds.monsters["knocked"][0, 0], worlds.monsters["knock_x"][0, 0] = 30, 2.0
-    move_monster(worlds, 0, -67.5, 0.0)  # 40 px off the body in tick 3
+    move_monster(worlds, 0, -69.0, 0.0)  # 40 px off the body in tick 3
     worlds.players["hp"][0, 0] = 7
     play(worlds, STAND)
     assert rewards(worlds) == [103.0, 8.0]
@@ -115,13 +117,6 @@ def test_it_may_pay_one_player_while_another_has_a_formula(folder: Path, arena: 
     assert rewards(worlds) == [-1.0, 42.0]
 
 
-def test_two_players_may_have_two_of_them(folder: Path, arena: str) -> None:
-    own = [write(folder, f"return np.full(events.shape, {value})") for value in (1.5, 2.5)]
-    worlds = stage(arena, players=[(0.0, 0.0), (100.0, 0.0)], settings={"reward": own})
-    play(worlds, STAND)
-    assert rewards(worlds) == [1.5, 2.5]
-
-
 def test_it_is_called_once_a_step_however_many_players_have_it(folder: Path, arena: str) -> None:
     own = write(folder, "pay.calls = getattr(pay, 'calls', 0) + 1\nreturn np.full(events.shape, pay.calls)")
     players = [(0.0, 0.0), (100.0, 0.0), (200.0, 0.0)]
@@ -148,14 +143,6 @@ def test_what_it_pays_the_dead_is_not_used(folder: Path, arena: str) -> None:
     play(worlds, STAND)
     assert rewards(worlds) == [1.0, 1.0]
     play(worlds, STAND)
-    assert rewards(worlds) == [0.0, 1.0]
-
-
-def test_nor_need_it_be_a_number(folder: Path, arena: str) -> None:
-    own = write(folder, 'return np.where(events["present"] > 0, 1.0, np.nan)')
-    worlds = stage(arena, (-30.0, 0.0), players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own})
-    worlds.players["hp"][0, 0] = 7
-    play(worlds, STAND, STAND)
     assert rewards(worlds) == [0.0, 1.0]
 
 
@@ -232,30 +219,9 @@ def test_a_missing_module_or_function_is_told(folder: Path) -> None:
     assert "has no function np2" in refused(f"{module}:np2")
 
 
-@pytest.mark.parametrize("name", ["..rewards:pay", ".:pay", ".rewards:pay"])
-def test_a_name_that_no_module_can_have_is_refused(folder: Path, name: str) -> None:
-    with pytest.raises(UserError):
-        Worlds(1, make_env_config({"reward": name}))
-
-
 def test_a_module_that_cannot_be_read_is_told(folder: Path) -> None:
     (folder / "own_reward_broken.py").write_text("def pay(:\n")
     refused("own_reward_broken:pay")
-
-
-@pytest.mark.parametrize(
-    ("body", "told"),
-    [
-        ("return 1.0", "returned shape (), where (2, 1) was asked for"),
-        ("return np.ones(2)", "returned shape (2,), where (2, 1) was asked for"),
-        ("return np.ones((2, 1, 1))", "returned shape (2, 1, 1), where (2, 1)"),
-        ("pass", "returned shape ()"),
-        ("return np.full((2, 1), np.nan)", "returned a number that is not finite"),
-        ("return np.array([[0.0], [np.inf]])", "returned a number that is not finite"),
-    ],
-)
-def test_what_it_returns_is_checked_at_every_step(folder: Path, body: str, told: str) -> None:
-    assert told in refused(write(folder, body))
 
 
 @pytest.mark.parametrize("name", ["thessis", "my module:pay", "module:", ":pay", "module:pay:twice"])

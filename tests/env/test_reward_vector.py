@@ -41,7 +41,7 @@ def test_the_parts_are_what_they_are_called(arena: str) -> None:
     env.reset(seed=0)
     players, monsters = env.state.players, env.state.monsters
     players["xp"], players["hp"], players["facing"] = 3, 50, 3
-    for index, (x, y) in enumerate([(54.0, 60.0), (-30.0, 0.0), (-200.0, 0.0)]):
+    for index, (x, y) in enumerate([(80.0, 0.0), (-40.0, 0.0), (-200.0, 0.0)]):
         monsters["x"][0, index], monsters["y"][0, index] = x, y
     monsters["hp"][0, 0] = 20
     # A kill (1 XP and 7 HP) before it is noticed, a bite of 7, two notices and one contact.
@@ -71,11 +71,11 @@ def test_who_is_healed_between_two_bites_may_lose_more_than_full_hp(tmp_path: Pa
     """99 HP in the first tick; 20 come back in the fourth, and all 21 go in the sixth: 120 of 100."""
     file = tmp_path / "fierce.toml"
     file.write_text("[monsters.bamboo]\ndamage = 99\n")
-    env = make(MO_ENVIRONMENTS[0], level=arena, characters=str(file), magic=True)
+    env = make(MO_ENVIRONMENTS[0], level=arena, characters=str(file), magic=True, bite_while_knocked=True)
     env.reset(seed=0)
     env.state.players["busy"] = 3
     monsters = env.state.monsters
-    monsters["x"][0, :2], monsters["y"][0, :2] = [-30.0, -73.5], 0.0
+    monsters["x"][0, :2], monsters["y"][0, :2] = [-40.0, -75.0], 0.0
     monsters["knocked"][0, 1], monsters["knock_x"][0, 1] = 30, 2.0  # within reach in the sixth tick
     _, reward, terminated, *_ = env.step(np.int64(HEAL))
     assert terminated

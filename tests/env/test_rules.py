@@ -97,12 +97,6 @@ def test_a_step_walks_40_px_the_way_it_says_and_turns_there(arena: str, way: int
     assert worlds.players["facing"][0, 0] == way
 
 
-def test_a_tick_walks_5_px(arena: str) -> None:
-    worlds = stage(arena, ticks=1)
-    play(worlds, RIGHT)
-    assert player_at(worlds) == (5.0, 0.0)
-
-
 def test_the_facing_is_kept_while_attacking(arena: str) -> None:
     worlds = stage(arena)
     play(worlds, UP, ATTACK, ATTACK)

@@ -222,13 +222,6 @@ def test_the_last_kill_ends_an_episode_only_if_asked(arena: str, end_on_clear: b
     assert reward(worlds) == pytest.approx(-0.07)  # 1 XP - 107 / 100
 
 
-def test_killing_one_of_many_does_not_clear_the_level(arena: str) -> None:
-    worlds = about_to_kill(arena, settings={"end_on_clear": True})
-    play(worlds, ATTACK)
-    assert worlds.worlds["monsters_left"][0] == 3
-    assert worlds.ending(0) == "running"
-
-
 def test_a_cleared_level_runs_on_to_the_time_limit(arena: str) -> None:
     worlds = about_to_kill(arena, settings={"episode_steps": 4})
     worlds.monsters["hp"][0, 1:] = 0

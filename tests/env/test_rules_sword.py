@@ -35,14 +35,6 @@ def test_an_attack_lasts_three_steps_in_which_walking_does_nothing(arena: str) -
     assert worlds.players["facing"][0, 0] == LEFT
 
 
-def test_an_attack_lasts_24_ticks(arena: str) -> None:
-    worlds = stage(arena, ticks=1)
-    play(worlds, ATTACK, *[RIGHT] * 23)
-    assert player_at(worlds) == (0.0, 0.0)
-    play(worlds, RIGHT)
-    assert player_at(worlds) == (5.0, 0.0)
-
-
 def test_attacking_during_an_attack_does_not_prolong_it(arena: str) -> None:
     worlds = stage(arena)
     play(worlds, ATTACK, ATTACK, ATTACK, RIGHT)

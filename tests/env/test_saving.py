@@ -20,10 +20,10 @@ from pneuma.env.players import Hunter
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits, write_level
+from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits
 
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "thesis": (THESIS, {}),
@@ -144,10 +144,8 @@ def test_a_world_that_is_put_back_is_seen_as_before(name: str) -> None:
 def test_a_world_with_a_dead_player_is_seen_as_before_wherever_it_is_put() -> None:
     worlds = begin(2, players=2)
     worlds.players["hp"][0, 0] = 1
-    worlds.monsters["x"][0, 0], worlds.monsters["y"][0, 0] = (
-        worlds.players["x"][0, 0],
-        worlds.players["y"][0, 0],
-    )
+    x, y = worlds.players["x"][0, 0], worlds.players["y"][0, 0]
+    worlds.monsters["x"][0, 0], worlds.monsters["y"][0, 0] = x - 40, y
     for _ in range(2):  # it dies in the first step
         worlds.step(np.full((2, 2), 4))
     assert worlds.players["hp"][0, 0] == 0
@@ -175,12 +173,6 @@ def test_putting_one_world_back_leaves_the_others_alone() -> None:
     before = [getattr(worlds, name)[[0, 2, 3]].copy() for name in STATE_ARRAYS]
     worlds.restore(1, worlds.save(2))
     assert bits(*(getattr(worlds, name)[[0, 2, 3]] for name in STATE_ARRAYS)) == bits(*before)
-
-
-def test_a_saved_world_is_a_small_plain_thing() -> None:
-    saved = played("thesis", 1).save(0)
-    assert isinstance(saved, Snapshot)
-    assert len(pickle.dumps(saved)) < 10_000
 
 
 def test_a_world_of_another_shape_is_refused(arena: str, pit: str) -> None:
@@ -240,12 +232,6 @@ def test_a_world_in_which_nothing_has_begun_is_not_saved() -> None:
         Worlds(2).save(1)
     with pytest.raises(ValueError, match="no episode has begun in world 0"):
         PneumaEnv().save()
-
-
-def test_a_world_without_monsters_can_be_saved(tmp_path: Path) -> None:
-    worlds = begin(2, level=write_level(tmp_path / "level", [(0.0, 0.0), (99.0, 0.0)], []))
-    worlds.restore(1, worlds.save(0))
-    assert bits(worlds.players[0]) == bits(worlds.players[1])
 
 
 def test_what_the_last_step_told_of_another_world_is_gone() -> None:
@@ -344,14 +330,3 @@ def test_an_environment_that_has_drawn_can_be_copied(arena: str, duplicate: Call
     copied.step(3)
     assert not np.array_equal(np.asarray(copied.render()), frame)
     assert np.array_equal(np.asarray(env.render()), frame)
-
-
-@both_copies
-def test_the_spaces_of_a_copy_sample_on_alike(duplicate: Callable[[Any], Any]) -> None:
-    single, parallel = PneumaEnv(), PneumaParallelEnv(players=2)
-    single.action_space.seed(4)
-    parallel.action_space("player_1").seed(4)
-    again, also = duplicate(single), duplicate(parallel)
-    for _ in range(20):
-        assert again.action_space.sample() == single.action_space.sample()
-        assert also.action_space("player_1").sample() == parallel.action_space("player_1").sample()

@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
-from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from pneuma.config import make_env_config
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
-from pneuma.env.worlds import Worlds, world_key
+from pneuma.env.worlds import world_key
 from pneuma.errors import UserError
 
 from .arena import ATTACK, GODOT, LEFT, RIGHT
@@ -34,10 +32,6 @@ def noting(env: PneumaVecEnv) -> PneumaVecEnv:
 
 
 # --- As Stable-Baselines3 does it ----------------------------------------------------------------
-
-
-def test_stable_baselines3_finds_nothing_to_complain_of() -> None:
-    check_env(PneumaEnv())  # its warnings would be errors here
 
 
 def test_it_steps_as_a_dummy_vec_env_of_single_environments(pit: str) -> None:
@@ -119,16 +113,6 @@ def test_a_death_is_told_with_the_last_observation_and_begins_anew() -> None:
     }  # fmt: skip
 
 
-def test_the_time_limit_is_told_as_truncation() -> None:
-    env = PneumaVecEnv([0], make_env_config({"episode_steps": 2}))
-    env.reset()
-    env.step(np.array([RIGHT]))
-    *_, dones, infos = env.step(np.array([RIGHT]))
-    assert dones.tolist() == [True]
-    assert infos[0]["TimeLimit.truncated"] is True
-    assert infos[0]["episode"] == {"r": -2.0, "l": 2}  # -1 a step at full HP
-
-
 def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> None:
     env = noting(PneumaVecEnv([0, 1], make_env_config({"episode_steps": 3})))
     env.reset()
@@ -155,33 +139,12 @@ def test_nothing_is_noted_unless_asked() -> None:
     assert env.finished == []
 
 
-@pytest.mark.parametrize("action", [-1, 5])
-def test_actions_out_of_range_are_refused(action: int) -> None:
-    env = PneumaVecEnv([0, 1])
-    env.reset()
-    with pytest.raises(ValueError, match="outside"):
-        env.step(np.array([0, action]))
-
-
 @pytest.mark.parametrize("actions", [[0.0, np.nan], [3.7, 1.0], [1], [1, 2, 3], 1, [True, False]])
 def test_what_is_no_action_for_each_slot_is_refused(actions: Any) -> None:
     env = PneumaVecEnv([0, 1])
     env.reset()
     with pytest.raises(ValueError, match="outside"):
         env.step(np.array(actions))
-
-
-def test_stepping_before_the_first_reset_is_refused() -> None:
-    with pytest.raises(ResetNeeded):
-        PneumaVecEnv(2).step(np.array([0, 0]))
-
-
-@pytest.mark.parametrize("start", [-1, 6])
-def test_a_start_that_the_level_does_not_have_is_refused(start: int) -> None:
-    env = PneumaVecEnv([0, 1])
-    env.set_options({"start": start})
-    with pytest.raises(ValueError, match="the level has places 0 to 5"):
-        env.reset()
 
 
 def test_finished_may_be_emptied_and_goes_on_counting() -> None:
@@ -194,15 +157,6 @@ def test_finished_may_be_emptied_and_goes_on_counting() -> None:
 
 
 # --- Seeds, options and attributes ---------------------------------------------------------------
-
-
-def test_every_world_has_the_seed_it_is_given() -> None:
-    observations = PneumaVecEnv([9, 4, 9]).reset()
-    for i, seed in enumerate([9, 4, 9]):
-        worlds = Worlds(1)
-        worlds.seed([seed])
-        worlds.reset()
-        assert np.array_equal(observations[i], worlds.observations[0, 0])
 
 
 def test_settings_may_be_keywords_with_a_number_of_slots_and_a_seed() -> None:
@@ -251,22 +205,6 @@ def test_a_picture_holds_a_picture_of_every_slot() -> None:
     assert picture is not None and picture.shape[0] == 2 * images[0].shape[0]
     assert np.array_equal(picture[: images[0].shape[0], : images[0].shape[1]], images[0])
     assert env.metadata["render_fps"] == 8
-
-
-def test_slots_of_several_players_each_get_a_picture() -> None:
-    env = PneumaVecEnv(4, seed=0, players=2, render_mode="rgb_array", camera="follow")
-    env.reset()
-    images = env.get_images()
-    assert len(images) == 4 and not np.array_equal(images[0], images[1])
-
-
-def test_its_camera_may_follow() -> None:
-    sizes = {}
-    for camera in ("map", "follow"):
-        env = PneumaVecEnv(1, seed=0, render_mode="rgb_array", camera=camera)
-        env.reset()
-        sizes[camera] = env.get_images()[0].shape
-    assert sizes["map"] != sizes["follow"]
 
 
 def test_seed_takes_effect_at_the_next_reset_and_only_there() -> None:

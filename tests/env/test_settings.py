@@ -35,6 +35,7 @@ def test_a_name_that_is_none_is_told_the_right_ones(key: str, value: object, tol
     [
         ("random:train:x", "level 'random:train:x' is not allowed: the form is random:train:17,"),
         ("random:train:017", "level 'random:train:017' is not allowed: the form is random:train:17,"),
+        (f"random:train:{2**64 + 1}", f"level 'random:train:{2**64 + 1}' is not allowed: the form is"),
         ("random:tran:3", "level 'random:tran:3' is not allowed (did you mean train?): the form is"),
     ],
 )

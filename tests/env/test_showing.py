@@ -100,14 +100,6 @@ def test_a_vector_environment_gives_a_frame_of_every_world(arena: str) -> None:
     env.close()
 
 
-def test_a_vector_environment_notes_that_it_was_closed(arena: str) -> None:
-    env = PneumaVectorEnv(2, level=arena)
-    env.reset(seed=0)
-    env.close()
-    assert env.closed
-    env.close()
-
-
 @pytest.mark.parametrize("camera", ["map", "follow"])
 def test_of_several_players_each_slot_gets_a_frame_of_its_own_player(arena: str, camera: str) -> None:
     env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array", camera=camera)
@@ -155,16 +147,6 @@ def test_without_a_render_mode_nothing_is_drawn(make: Callable[[], Any]) -> None
     env.reset(seed=0)
     assert env.render_mode is None
     assert getattr(env, "unwrapped", env).render() is None
-
-
-def test_gymnasium_records_a_video_of_it(arena: str) -> None:
-    env = gymnasium.wrappers.RenderCollection(gymnasium.make(THESIS, render_mode="rgb_array", level=arena))
-    env.reset(seed=0)
-    for _ in range(5):
-        env.step(RIGHT)
-    frames = env.render()
-    assert frames is not None and len(frames) == 6
-    assert len({np.asarray(frame).tobytes() for frame in frames}) == 6
 
 
 # --- The window ----------------------------------------------------------------------------------
@@ -216,8 +198,3 @@ def test_an_unknown_render_mode_is_refused(make: Callable[..., Any], mode: str) 
     with pytest.raises(UserError) as caught:
         make(render_mode=mode)
     assert str(caught.value) == f"render_mode = {mode!r} is not allowed: one of rgb_array, human, or none"
-
-
-def test_gymnasium_refuses_an_unknown_render_mode_too() -> None:
-    with pytest.warns(UserWarning, match="render_mode='ansi'"), pytest.raises(UserError, match="render_mode"):
-        gymnasium.make(THESIS, render_mode="ansi")

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from stable_baselines3 import PPO
 
 from pneuma.config import make_env_config
 from pneuma.env.parallel import PneumaParallelEnv
@@ -17,7 +15,7 @@ from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, GODOT, LEFT, RIGHT, THESIS
+from .arena import ATTACK, GODOT, RIGHT, THESIS
 
 MODES = list(AutoresetMode)
 IDLE_MASK = [0, 0, 0, 0, 1]
@@ -54,12 +52,6 @@ def test_slot_i_is_player_i_modulo_players_of_world_i_over_players() -> None:
         alone.reset()
         for player in range(3):
             assert np.array_equal(observations[3 * world + player], alone.observations[0, player])
-
-
-def test_gymnasium_makes_slots_of_players() -> None:
-    env = gymnasium.make_vec(THESIS, num_envs=4, players=2)
-    assert env.observation_space.shape == (4, 60)
-    assert env.reset(seed=0)[0].shape == (4, 60)
 
 
 @pytest.mark.parametrize(("slots", "players"), [(3, 2), (1, 2), (8, 3), (0, 1), (-2, 2)])
@@ -244,31 +236,3 @@ def test_stable_baselines3_has_slots_of_players_too() -> None:
     assert [(e["slot"], e["length"], e["return"]) for e in env.finished[4:]] == [
         (0, 4, -4.0), (1, 4, -4.0), (2, 4, -4.0), (3, 4, -4.0),
     ]  # fmt: skip
-
-
-def test_slots_of_both_libraries_are_the_same(pit: str) -> None:
-    settings: dict[str, Any] = {"level": pit, "players": 2, "episode_steps": 25}
-    ours = PneumaVectorEnv(4, autoreset_mode=AutoresetMode.SAME_STEP, **settings)
-    theirs = PneumaVecEnv([6, 7], make_env_config(settings))
-    first, _ = ours.reset(seed=6)
-    assert np.array_equal(first, theirs.reset())
-    generator = np.random.default_rng(2)
-    ends = 0
-    for _ in range(200):
-        actions = generator.choice([LEFT, RIGHT, ATTACK], size=4)
-        observations, rewards, terminated, truncated, infos = ours.step(actions)
-        seen, paid, dones, told = theirs.step(actions)
-        assert isinstance(seen, np.ndarray) and np.array_equal(observations, seen)
-        assert np.array_equal(rewards.astype(np.float32), paid)
-        assert np.array_equal(terminated | truncated, dones)
-        for slot in np.flatnonzero(dones):
-            assert np.array_equal(infos["final_obs"][slot], told[slot]["terminal_observation"])
-        ends += int(dones.sum())
-    assert ends > 20
-
-
-def test_a_learner_learns_from_slots_of_players(pit: str) -> None:
-    env = PneumaVecEnv([0, 1], make_env_config({"level": pit, "players": 2, "episode_steps": 20}))
-    env.keep_finished = True
-    PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(256)
-    assert len(env.finished) > 5 and all(np.isfinite(episode["return"]) for episode in env.finished)

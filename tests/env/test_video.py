@@ -13,10 +13,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from pneuma.env import video
-from pneuma.env.render import Renderer
 from pneuma.errors import UserError
-
-from .arena import ATTACK, LEFT, RIGHT, play, stage
 
 
 def squares(count: int, side: int = 64) -> Iterator[np.ndarray]:
@@ -48,25 +45,6 @@ def test_gif_has_every_frame_pixel_by_pixel(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames, list(squares(30)))
     assert sum(milliseconds) == 1000 and set(milliseconds) == {30, 40}
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_gif_of_the_world_loses_no_colour(tmp_path: Path, arena: str) -> None:
-    worlds = stage(arena, (80.0, 0.0))
-    renderer = Renderer(worlds, "follow", size=(240, 176))
-    drawn = []
-    for action in (RIGHT, ATTACK, ATTACK, ATTACK, LEFT):
-        play(worlds, action)
-        drawn.append(renderer.frame())
-    video.write_video(tmp_path / "fight.gif", iter(drawn), 10)
-    np.testing.assert_array_equal(gif_frames(tmp_path / "fight.gif")[0], drawn)
-
-
-def test_gif_with_too_many_colours_comes_close(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (40, 40, 3)).astype(np.uint8)
-    video.write_video(tmp_path / "noise.gif", iter([noise, noise[::-1]]), 10)
-    frames, _ = gif_frames(tmp_path / "noise.gif")
-    assert len(frames) == 2
-    assert np.abs(frames[1].astype(int) - noise[::-1]).mean() < 20
 
 
 def test_memory_does_not_grow_with_the_length_of_a_gif(tmp_path: Path) -> None:
@@ -152,21 +130,6 @@ def test_an_mp4_that_ffmpeg_did_not_end_is_no_file(tmp_path: Path, monkeypatch: 
     ):
         video.write_video(tmp_path / "a.mp4", squares(30), 10)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_mp4_for_a_system_without_ffmpeg_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ffmpeg = pytest.importorskip(
-        "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: .mp4 is not tested"
-    )
-
-    def refuse() -> str:
-        raise RuntimeError("No ffmpeg exe could be found.")
-
-    monkeypatch.setattr(ffmpeg._io, "get_ffmpeg_exe", refuse)
-    with pytest.raises(
-        UserError, match="a.mp4: cannot be written .imageio-ffmpeg: No ffmpeg exe could be found"
-    ):
-        video.write_video(tmp_path / "a.mp4", squares(3), 10)
 
 
 def test_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

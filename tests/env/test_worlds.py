@@ -72,13 +72,6 @@ def test_the_same_seeds_and_actions_give_the_same_bits() -> None:
     assert_same_play(begin(8), begin(8), steps=500)
 
 
-def test_seeds_may_be_numpys_numbers() -> None:
-    worlds, usual = Worlds(3), begin(3, seed=5)
-    worlds.seed(np.arange(5, 8))  # type: ignore[arg-type]
-    worlds.reset()
-    assert state_bits(worlds) == state_bits(usual)
-
-
 def test_other_seeds_give_other_worlds() -> None:
     assert world_key(0) != world_key(1)
     starts = [begin(30, seed).worlds["start"].tolist() for seed in (0, 1000)]

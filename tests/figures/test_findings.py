@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.figures.findings import claims_told, main, with_verdicts
-from pneuma.figures.report_verdicts import Claim, Effect, Verdict
+from pneuma.figures.judged import Claim, Effect, Verdict
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "docs/findings.md")

@@ -1,4 +1,4 @@
-"""Interrupts that come from elsewhere, such as a driver's word to its node, come at any time."""
+"""Interrupts are counted, wherever they come from and whoever takes them."""
 
 from __future__ import annotations
 

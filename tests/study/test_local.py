@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +16,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.study.compiling import COMPILES, WAITS
-from pneuma.study.executors import local
+from pneuma.study.executors import local, supervisor
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.locks import RunLock, is_held
@@ -29,11 +31,11 @@ def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
     """A worker takes half a second of a core to find the lock taken; once was enough."""
     store, name = Store(tmp_path / "results"), run_id(RUN)
     begun, asked = list[object](), list[Path]()
-    start = local._start
+    start = local.LocalProcess
 
-    def note(*arguments: Any) -> Any:
-        begun.append(arguments)
-        return start(*arguments)
+    def note(job: Any) -> Any:
+        begun.append(job)
+        return start(job)
 
     def ask(folder: Path) -> bool:
         asked.append(folder)
@@ -41,9 +43,9 @@ def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
             other.close()
         return is_held(folder)
 
-    monkeypatch.setattr(local, "_start", note)
-    monkeypatch.setattr(local, "is_held", ask)
-    monkeypatch.setattr(local, "BUSY_SECONDS", 0.05)
+    monkeypatch.setattr(local, "LocalProcess", note)
+    monkeypatch.setattr(supervisor, "is_held", ask)
+    monkeypatch.setattr(supervisor, "BUSY_SECONDS", 0.05)
     events: list[Event] = []
     with ExitStack() as other:
         assert other.enter_context(RunLock(store.run_folder(name)))
@@ -100,8 +102,8 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
 def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time-out is counted from the first update; 300 s may go before it, and 600 more while it waits."""
     clock = iter([100.0, 150.0])
-    monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: next(clock))
-    worker = local._Worker(Mock(), Mock(), Mock(), started=0.0)
+    monkeypatch.setattr("pneuma.study.executors.supervisor.time.monotonic", lambda: next(clock))
+    worker = supervisor._Worker(Mock(), Mock(), started=0.0, waits=0.0)
     assert worker.deadline(3.0) == 303.0
     worker.note_time({"event": "passing", "run_id": "x", "text": WAITS})
     assert worker.deadline(3.0) == 903.0
@@ -111,31 +113,39 @@ def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.Mo
     assert worker.deadline(3.0) == 153.0
 
 
+def test_waiting_for_a_node_takes_no_time_of_a_run() -> None:
+    worker = supervisor._Worker(Mock(), Mock(), started=0.0, waits=math.inf)
+    assert worker.deadline(3.0) == math.inf
+    worker.note_time({"event": "passing", "run_id": "x", "text": "starts on the node 10.0.0.2"})
+    assert worker.deadline(3.0) == pytest.approx(time.monotonic() + 303.0, abs=10)
+
+
 def test_a_run_whose_time_is_up_is_waited_for_as_long_as_its_slow_updates_take(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its only update so far came after a minute; one that takes as long, and is evaluated, is no hang."""
     clock = {"now": 0.0}
-    monkeypatch.setattr("pneuma.study.executors.local.time.monotonic", lambda: clock["now"])
+    monkeypatch.setattr("pneuma.study.executors.supervisor.time.monotonic", lambda: clock["now"])
     wakeup, other_end = os.pipe()
     how = Supervision(1, timeout_seconds=4.0)
-    supervisor = local._Supervisor([], Mock(), how, Mock(), Mock(count=0, wakeup=wakeup))
+    interrupts = Mock(count=0, wakeup=wakeup)
+    supervised = supervisor.Supervisor([], Mock(), how, Mock(), interrupts, Mock())
     process = Mock()
-    worker = local._Worker(process, Mock(), Mock(), started=0.0)
-    monkeypatch.setattr(supervisor, "_workers", lambda: [worker])
+    worker = supervisor._Worker(process, Mock(), started=0.0, waits=0.0)
+    monkeypatch.setattr(supervised, "_workers", lambda: [worker])
 
     def look(now: float) -> tuple[bool, bool]:
         """Return whether the run has been asked to stop, and whether it has been killed."""
         clock["now"] = now
-        supervisor._end_overdue()
-        return process.stdin.write.called, process.kill.called
+        supervised._end_overdue()
+        return process.ask_to_stop.called, process.kill.called
 
     clock["now"] = 60.0
     worker.note_time({"event": "step", "run_id": "x", "step": 64})
     assert [look(now) for now in (63.0, 65.0, 96.0, 300.0)] == [
         (False, False), (True, False), (True, False), (True, False),
     ]  # fmt: skip
-    assert supervisor._patience() == pytest.approx(65 + 600 + 30 - 300, abs=1)
+    assert supervised._patience() == pytest.approx(65 + 600 + 30 - 300, abs=1)
     assert look(65 + 600 + 31) == (True, True)
     os.close(other_end)
     os.close(wakeup)

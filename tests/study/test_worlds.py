@@ -47,9 +47,9 @@ def test_godots_world_is_the_published_code(tmp_path: Path) -> None:
     assert (run.scale, run.order, run.reward, run.epochs) == ("raw", "fixed", ("godot",), 5)
 
 
-def test_the_arena_is_the_texts_with_another_reward_and_four_slots(tmp_path: Path) -> None:
+def test_the_arena_is_the_texts_with_another_reward_and_the_facing_observed(tmp_path: Path) -> None:
     run = make_run(load_study(_write(tmp_path, PLAIN), "arena").settings("low"))
-    assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaArena-v0", 4, 0.1, (128,))
+    assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaArena-v0", 1, 0.1, (128,))
     assert (run.scale, run.order, run.reward, run.epochs) == ("unit", "nearest", ("kills",), 5)
 
 

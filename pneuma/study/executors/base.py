@@ -9,8 +9,8 @@ need. Whatever one does, it keeps these promises:
   newest checkpoint lies there. Files appear whole or not at all.
 - Whoever trains a run holds its lock in the store; what another process holds is left to it, and said.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
-- A crashed run is tried once more before that counts; a time-out counts at once. One whose machine went is
-  tried again too: once by `local`, as often as docs/scaling.md says by the others.
+- A run that crashes, or whose process or node goes, is tried once more before that counts; a time-out counts
+  at once. A job of Slurm's that is lost with its node is put back into the queue by Slurm itself.
 - After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
   once. Either way the same command goes on, with this executor or another, to the same bits. Where jobs
   outlive the command, as in Slurm's queue, it is only left: `Detached`.
@@ -26,7 +26,8 @@ from importlib import import_module
 from typing import Any, Protocol, cast
 
 from pneuma.config import Run
-from pneuma.study.store import Store
+from pneuma.errors import UserError
+from pneuma.study.store import Status, Store, run_document
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
@@ -141,6 +142,27 @@ def read_event(line: bytes) -> Event | None:
     except ValueError:
         return None
     return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None
+
+
+def note_event(name: str, text: str) -> Event:
+    """Return the event that tells people something about a run."""
+    return {"event": "note", "run_id": name, "text": text}
+
+
+def end_event(name: str, status: Status) -> Event:
+    """Return the event of the end of a run that was trained."""
+    return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
+
+
+def save_end(store: Store, name: str, run: Run, status: Status, message: bytes, on_event: OnEvent) -> None:
+    """Store how a run ended that did not store it itself, unless another process trains it by now."""
+    files = {"run.json": run_document(run, name), **({"error.txt": message} if message else {})}
+    try:
+        with store.lock(name) as mine:
+            if mine:
+                store.save_run(name, status, files)
+    except (UserError, OSError) as error:
+        on_event(note_event(name, str(error)))
 
 
 def load_executor(place: Place) -> Executor:

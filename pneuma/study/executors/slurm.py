@@ -1,76 +1,314 @@
-"""The Slurm executor: groups of runs are jobs of the university's queue, on a results folder that all share.
+"""The Slurm executor: groups of runs are jobs of a queue, on a results folder that all nodes share.
 
-plan → groups → arrays of jobs (`slurm_desk.py`) → each trains its group on a node (`slurm_job.py`), and what
-they tell is collected (`slurm_collector.py`); `slurm_queue.py` speaks with sbatch and squeue
+    groups → arrays of jobs, by submitit → `Training` on a node: the local executor → results folder
+    this command ← what the queue tells of jobs, and the results folder of runs
 
-The command only submits and collects. It can be left at any moment, and jobs go on; the same command finds
-them by their names, submits none twice, and hands on what they tell.
+The command only submits and watches. It can be left at any moment, and jobs go on; the same command watches
+them again, and submits none twice, as is noted beside the results what was submitted:
+
+    RESULTS-slurm/NAME/groups.json   the runs of each of the jobs of that name
+                       jobs/         submitit's files: pickled jobs, and what they printed
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import time
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from types import FrameType
+from typing import Any
 
 from pneuma.config import Run
-from pneuma.errors import UserError
-from pneuma.study.executors import slurm_queue
-from pneuma.study.executors.base import Detached, OnEvent, Place, Supervision
-from pneuma.study.executors.slurm_collector import Collector
-from pneuma.study.executors.slurm_desk import Desk, Group, alone
-from pneuma.study.executors.submissions import open_submissions
-from pneuma.study.store import Store
+from pneuma.errors import UserError, counted, install_extra
+from pneuma.study.executors import local
+from pneuma.study.executors.base import Detached, Event, OnEvent, Place, Supervision, end_event
+from pneuma.study.executors.interrupts import Interrupts
+from pneuma.study.executors.supervisor import Supervisor
+from pneuma.study.files import replace_file, to_json
+from pneuma.study.store import Status, Store
 
 MOST_AT_ONCE = 256
+MOST_IN_ARRAY = 1000
+"""Slurm's usual MaxArraySize is 1001."""
+LOOK_SECONDS = 5.0
+"""How often the queue is asked: every user's squeue costs the controller."""
+ANSWER_SECONDS = 8.0
+"""How long Slurm's programs may take to answer."""
+USUAL_MINUTES = "60"
+MOST_REQUEUES = 10_000
+"""submitit asks for a limit; a job that gets nowhere in its time ends by itself."""
+OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
+"""What a job is made of here, and nobody else sets."""
+NOTE = "groups.json"
 
 
 def most_workers(place: Place) -> int:
-    """Return how many jobs run at once where nobody says it: one a core of the partition."""
-    slurm_queue.check_programs()
-    slurm_queue.parameters("pneuma-check", dict(place.slurm), 1, False)  # what is wrong without asking
-    return min(MOST_AT_ONCE, slurm_queue.total_cores(dict(place.slurm)))
+    """Return how many jobs of an array run at once where nobody says it."""
+    return MOST_AT_ONCE
 
 
 def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Ask sbatch whether it would take the jobs of these runs."""
-    slurm_queue.check_programs()
-    for gpu in sorted({name in supervision.on_gpu for name in runs}):
-        with TemporaryDirectory() as folder:
-            slurm_queue.check_submission(Path(folder), dict(supervision.place.slurm), gpu)
+    """Accept all runs: sbatch refuses jobs when they are submitted."""
     return ""
 
 
-def run_groups(groups: Iterable[Group], store: Store, supervision: Supervision, on_event: OnEvent) -> None:
+def run_groups(
+    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
+) -> None:
     """Train every group of runs in a job of its own, as the contract says (`base.Executor`).
 
     Raises:
         Detached: when the command is to be left, or after Ctrl-C; jobs go on.
         UserError: when jobs are refused.
     """
-    wanted = list(groups)
-    runs = {name: run for group in wanted for name, run in group.items()}
-    if not runs:
-        return _put_away(store, supervision)
-    desk = Desk(store, supervision)
-    collector = Collector(store, desk, runs, on_event)
+    wanted = [dict(group) for group in groups]
+    left, asked = {name for group in wanted for name in group}, supervision.place.detach
     try:
-        with alone(store):
-            under_way = desk.under_way()
-            fresh = [{name: run for name, run in own.items() if name not in under_way} for own in wanted]
-            desk.submit([group for group in fresh if group], 1)
-        if not supervision.place.detach:
-            return collector.work()
-        asked = True
+        if wanted:
+            _submit(wanted, store, supervision)
+        if not asked or not wanted:
+            return _watch(left, store, on_event)
     except KeyboardInterrupt:
         asked = False
-    raise Detached(desk.farewell(runs), asked)
+    jobs = [name for name, groups in _noted(store).items() for group in groups if not left.isdisjoint(group)]
+    raise Detached(
+        f"Left. {counted(len(jobs), 'job')} in Slurm's queue will go on: `pneuma study status` shows them, "
+        f"the same command watches them again, `scancel --name={','.join(sorted({*jobs}))}` stops them.",
+        asked,
+    )
 
 
-def _put_away(store: Store, supervision: Supervision) -> None:
-    """Be done with submissions whose runs all came to the store while nobody waited for them."""
-    with suppress(UserError):  # a queue that does not answer now is asked next time
-        if open_submissions(store):
-            with alone(store):
-                Desk(store, supervision).under_way()
+# --- On a node ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Training:
+    """A job, in the form that submitit asks for: it is pickled, and called on a node.
+
+    Before its time is over Slurm sends USR2, upon which submitit puts a job back into the queue; TERM tells
+    that its node is taken away, or that it is cancelled. Before either, runs come to a checkpoint.
+
+    Attributes:
+        runs: by id.
+        store: the shared results folder.
+        supervision: how runs are looked after.
+        gpu: whether the job has one.
+    """
+
+    runs: Mapping[str, Run]
+    store: Store
+    supervision: Supervision
+    gpu: bool
+
+    def __call__(self) -> None:
+        """Train the runs."""
+        local.prepare_node(self.gpu)
+        cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
+        shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
+        how, told, seen = replace(self.supervision, workers=cores), set[str](), set[int]()
+
+        def note(event: Event) -> None:
+            told.add(event["event"])
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            seen.add(number)
+            if not interrupts.count:  # a second one would end all at once
+                interrupts.interrupt()
+
+        with Interrupts() as interrupts:
+            requeue: Any = signal.signal(signal.SIGUSR2, stop)
+            signal.signal(signal.SIGTERM, stop)
+            Supervisor(shares, self.store, how, note, interrupts, _start_shielded).work()
+        if signal.SIGUSR2 in seen and "step" not in told:
+            raise RuntimeError("no run came to a checkpoint in the job's time: give it more by --slurm time=")
+        if signal.SIGUSR2 in seen:
+            requeue(signal.SIGUSR2, None)
+        if seen:
+            raise SystemExit(128 + signal.SIGTERM)
+
+    def checkpoint(self) -> Any:
+        """Return what is to be put back into the queue: the same, as checkpoints lie in the store."""
+        return import_module("submitit").helpers.DelayedSubmission(self)
+
+
+def _start_shielded(job: Mapping[str, Any]) -> local.LocalProcess:
+    """Start a worker that does not hear the signals that Slurm sends to all processes of a job."""
+    signals = signal.SIGUSR2, signal.SIGTERM
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # which it inherits
+    try:
+        return local.LocalProcess(job)
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+
+
+# --- In the command -----------------------------------------------------------------------------------
+
+
+def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision) -> None:
+    """Submit groups but for runs that are in the queue already, whoever submitted them.
+
+    Raises:
+        UserError: when the queue cannot be asked, or refuses them.
+    """
+    live = queued(store)
+    _put_away(store, live)
+    fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
+    for gpu in (False, True):
+        alike = [own for own in fresh if own and (next(iter(own)) in how.on_gpu) == gpu]
+        for first in range(0, len(alike), MOST_IN_ARRAY):
+            _submit_array(alike[first : first + MOST_IN_ARRAY], store, how, gpu)
+
+
+def _submit_array(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision, gpu: bool) -> None:
+    name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
+    folder = _folder(store) / name
+    executor = _executor(folder / "jobs", name, how, gpu)
+    shared = Store(store.root.resolve())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        replace_file(folder / NOTE, to_json([list(group) for group in groups]))  # first: no job is forgotten
+        executor.submit_array([Training(group, shared, how, gpu) for group in groups])
+    except Exception as error:  # submitit has many kinds; it has printed what sbatch said
+        shutil.rmtree(folder, ignore_errors=True)
+        raise UserError(f"--executor slurm: jobs are not submitted: {_last_line(str(error))}") from None
+
+
+def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
+    """Hand on what becomes of runs until all have ended, which is taken out of `left`."""
+    jobs = dict.fromkeys(left, Job("", "SUBMITTED"))
+    while left:
+        before = jobs
+        time.sleep(LOOK_SECONDS)
+        with suppress(UserError):  # a busy controller, say: it is asked again
+            jobs = queued(store)
+        for name in sorted(left):
+            status, job = store.status(name), jobs.get(name, before.get(name))
+            if status.finished or job is None:
+                left.discard(name)
+                on_event(_end(name, status, store))
+            elif status.step:
+                on_event({"event": "step", "run_id": name, "step": status.step})
+            elif job != before.get(name):
+                on_event({"event": "passing", "run_id": name, "text": str(job)})
+    with suppress(UserError):  # what is not put away now will be next time
+        _put_away(store, queued(store))
+
+
+def _end(name: str, status: Status, store: Store) -> Event:
+    """Return the end of a run whose job has gone."""
+    if status.finished or status.failed or status.name == "killed":
+        return end_event(name, status)
+    reason = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
+    return {**end_event(name, Status("killed")), "reason": reason}
+
+
+# --- What was submitted -------------------------------------------------------------------------------
+
+
+def _folder(store: Store) -> Path:
+    root = store.root.resolve()
+    return root.parent / f"{root.name}-slurm"
+
+
+def _noted(store: Store) -> dict[str, list[list[str]]]:
+    """Return the runs of all jobs that were submitted and not put away yet, by the name of their array."""
+    notes = sorted(_folder(store).glob(f"*/{NOTE}"))
+    return {note.parent.name: json.loads(note.read_bytes()) for note in notes}
+
+
+def _put_away(store: Store, live: Iterable[str]) -> None:
+    """Be done with what was submitted and is not `live`; what jobs printed stays where runs failed."""
+    for name, groups in _noted(store).items():
+        runs = {run for group in groups for run in group}
+        if runs.isdisjoint(live):
+            (_folder(store) / name / NOTE).unlink(missing_ok=True)
+            if all(store.status(run).finished for run in runs):
+                shutil.rmtree(_folder(store) / name, ignore_errors=True)
+
+
+# --- The queue ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job as the queue has it: its id and state, and the node that it runs on or why it does not."""
+
+    id: str
+    state: str
+    where: str = ""
+
+    def __str__(self) -> str:
+        """Tell of it."""
+        return f"job {self.id} is {self.state.lower()} {self.where}".rstrip()
+
+
+def queued(store: Store) -> dict[str, Job]:
+    """Return the jobs that are queued or running by the ids of the runs that they train.
+
+    Raises:
+        UserError: when the queue cannot be asked.
+    """
+    noted = _noted(store)
+    if not noted:
+        return {}
+    jobs: dict[str, Job] = {}
+    names = f"--name={','.join(noted)}"
+    for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%i|%T|%R"):
+        name, place, *told = line.split("|", 4)
+        group = noted[name][int(place) if place.isdecimal() else 0]  # a single job is no array
+        jobs |= dict.fromkeys(group, Job(*told))
+    return jobs
+
+
+def _executor(folder: Path, name: str, how: Supervision, gpu: bool) -> Any:
+    """Return what submits jobs of such a name.
+
+    Raises:
+        UserError: where submitit or srun is missing, or for an option that is not for people to set.
+    """
+    options = {key: True if text == "true" else text for key, text in how.place.slurm}
+    for key in OWN:
+        if key in options:
+            raise UserError(f"--slurm {key}={options[key]}: is set by Pneuma")
+    path = f"export PYTHONPATH={shlex.quote(local.SOURCE)}${{PYTHONPATH:+:$PYTHONPATH}}"
+    cores = "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}"  # since 22.05 srun asks anew
+    setup = [path, cores, str(options.pop("setup", ""))]
+    try:
+        executor = import_module("submitit").SlurmExecutor(folder, max_num_timeout=MOST_REQUEUES)
+    except ImportError:
+        raise UserError(f"--executor slurm needs submitit: {install_extra('slurm')}") from None
+    except RuntimeError as error:
+        raise UserError(f"--executor slurm: {error}; give the command where jobs are submitted") from None
+    usual = {"requeue": True, "time": USUAL_MINUTES, **({"gres": "gpu:1"} if gpu else {})}
+    own = {"job_name": name, "array_parallelism": how.workers, "setup": setup}
+    executor.update_parameters(**own, additional_parameters={**usual, **options})
+    return executor
+
+
+def _ask(*command: str) -> list[str]:
+    """Return the lines that one of Slurm's programs prints.
+
+    Raises:
+        UserError: with its own words, when it fails or does not answer in time.
+    """
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=ANSWER_SECONDS)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UserError(f"--executor slurm: {command[0]} does not answer on this machine ({error})") from None
+    if done.returncode:
+        raise UserError(f"--executor slurm: {command[0]} failed: {_last_line(done.stderr)}")
+    return [line.strip() for line in done.stdout.splitlines()]
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or [""])[-1]

@@ -1,0 +1,203 @@
+"""The report's page: its links, its numbers, what hostile names cannot do to it, and a browser with it."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from base64 import b64decode
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from pneuma.figures import report_pictures
+from pneuma.figures.judged import Claim, Effect, Verdict
+from pneuma.figures.report import (
+    Conditions,
+    Part,
+    Report,
+    RunRow,
+    StudySection,
+    Table,
+    numbers_table,
+    report_page,
+)
+from pneuma.figures.report_pictures import Picture
+
+Read = Callable[[bytes], Any]
+
+PICTURE = "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' width='700' height='300'/%3E"
+HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{ 7*7 }} </style></title>"
+
+
+def _report(name: str = "tanh") -> Report:
+    """Return a report with every kind of thing in it: a run that two studies share, a study without runs."""
+    won = Effect("tanh against relu", "supported", 0.12, (0.05, 0.19), (10, 10), 0.004)
+    ratio = Effect("tanh against relu", "inconclusive", 1.3, (0.7, 2.4), (3, 3), 0.5, ratio=True)
+    claims = (
+        Claim(
+            f"better {name}", name, "6.2", f"activation {name}", name,
+            {
+                "text": Verdict("supported", "", (won, won), None, ("0" * 16, "f" * 16)),
+                "logs": Verdict("untestable", name),
+            },
+            name, note=name,
+        ),
+        Claim("steadier", "q", "6.2", "sizes", "", {"text": Verdict("inconclusive", "", (ratio,), 33)}),
+    )  # fmt: skip
+    part = Part(
+        f"activation {name}",
+        "In the text's world",
+        (name,),
+        name,
+        pictures=(Picture(PICTURE, name, name),),
+        numbers=Table(name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]]),
+        conditions=Conditions(name, Table(name, (name,), [[name]]), {name: (name, name)}, {name: name}),
+        runs=(RunRow("0" * 16, name, 0, name, name), RunRow("1" * 16, "relu", 0, "done", "sb3")),
+        origins=(({name: name}, 2),),
+    )
+    again = Part("again", "In the arena", runs=(RunRow("0" * 16, "tanh", 0, "done", "sb3"),))
+    empty = Part("optimizer", "In the text's world", ("No runs yet.",), "pneuma study run optimizer")
+    return Report(
+        claims,
+        (
+            StudySection(f"activation {name}", name, "6.2", name, (part,)),
+            StudySection("again", "Again", "", "", (again,)),
+            StudySection("optimizer", "Optimizer", "6.1", "", (empty,)),
+        ),
+        name,
+    )
+
+
+@pytest.fixture
+def page(read_page: Read) -> Any:
+    return read_page(report_page(_report()))
+
+
+def test_every_link_leads_to_one_place_of_the_page(page: Any) -> None:
+    links = {each.attributes["href"].removeprefix("#") for each in page.all("a")}
+    assert len(page.anchors) == len(set(page.anchors))
+    assert links <= set(page.anchors)
+    assert f"run-{'0' * 16}" in links and f"run-{'f' * 16}" not in page.anchors
+
+
+def test_verdicts_are_counted_and_shown_place_by_place(page: Any) -> None:
+    counts = [each.text for each in page.all("td", "number")]
+    assert counts[:8] == ["1", "0", "1", "0", "0", "0", "0", "1"]
+    words = " ".join(page.all("main")[0].text.split())
+    assert "✔ supported +0.120 [+0.050, +0.190]tanh against relu, n = 10 and 10, p = 0.004" in words
+    assert "ratio 1.30 [0.70, 2.40]" in words and "Seeds needed: 33 an arm" in words
+
+
+def test_the_page_asks_for_nothing_outside_of_itself(page: Any) -> None:
+    for each in page.elements:
+        for key in ("src", "href", "action", "data", "poster"):
+            assert each.attributes.get(key, "#").startswith(("#", "data:image/")), each
+    assert page.all("script") == page.all("link") == page.all("iframe") == []
+    assert "url(" not in page.all("style")[0].text and "@import" not in page.all("style")[0].text
+    (policy,) = [each for each in page.all("meta") if each.attributes.get("http-equiv")]
+    assert policy.attributes["content"].startswith("default-src 'none'; img-src data:;")
+
+
+def test_two_writes_give_the_same_bytes() -> None:
+    assert report_page(_report()) == report_page(_report())
+
+
+def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Any, read_page: Read) -> None:
+    hostile = read_page(report_page(_report(HOSTILE)))
+    assert [each.tag for each in hostile.elements] == [each.tag for each in page.elements]
+    assert [set(each.attributes) for each in hostile.elements] == [
+        set(each.attributes) for each in page.elements
+    ]
+    assert hostile.all("h2")[1].text == HOSTILE
+    assert {each.attributes["href"].removeprefix("#") for each in hostile.all("a")} <= set(hostile.anchors)
+
+
+def test_what_cannot_be_seen_is_written_as_its_code(read_page: Read) -> None:
+    shown = read_page(report_page(_report("a\u202eb\u200b\ud800")))
+    assert shown.all("h2")[1].text == r"a\u202eb\u200b\ud800"
+
+
+def test_numbers_have_a_row_for_each_condition_and_their_intervals() -> None:
+    nothing = float("nan")
+    rows = [
+        ("tanh", "final-share-killed", "mean", 0.25, 0.125, 0.5, 3),
+        ("tanh", "final-share-killed", "median", 0.2, nothing, nothing, 3),
+        ("relu", "collapsed", "share", 0.5, nothing, nothing, 2),
+    ]
+    columns = ["condition", "outcome", "statistic", "value", "low", "high", "runs"]
+    table = numbers_table("own", pd.DataFrame(rows, columns=columns))
+    assert table.columns == ["Condition", "final-share-killed\nmean", "collapsed\nshare"]
+    assert table.rows == [
+        ["tanh", "0.25 [0.12, 0.50]\nn = 3", "–"],
+        ["relu", "–", "0.500\nn = 2"],
+    ]
+
+
+@pytest.mark.parametrize(("size", "form"), [(1000, "svg+xml"), (200_000, "png")])
+def test_a_large_drawing_gives_way_to_a_small_image(size: int, form: str) -> None:
+    from PIL import Image
+
+    def draw(folder: Path, _: tuple[str, ...]) -> list[Path]:
+        (folder / "figure.svg").write_bytes(b" " * size)
+        Image.new("RGB", (20, 40)).save(folder / "figure.png", dpi=(300, 300))
+        return [folder / "figure.png", folder / "figure.svg"]
+
+    kind, _, data = report_pictures._source(draw).partition(";base64,")
+    assert kind == f"data:image/{form}" and b64decode(data)
+
+
+# --- In a browser ----------------------------------------------------------------------------------
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+QUIET = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"),
+)
+WIDTHS = (320, 768, 1600)
+MEASURED = """JSON.stringify({
+    whole: [document.documentElement.scrollWidth, document.documentElement.clientWidth],
+    boxes: [...document.querySelectorAll('.scroll')].map(e => [e.scrollWidth > e.clientWidth, e.tabIndex]),
+    pictures: [...document.images].map(image => image.complete && image.naturalWidth),
+    asked: performance.getEntriesByType('resource').filter(each => !each.name.startsWith('data:')).length,
+})"""
+
+
+def test_a_browser_opens_it_at_any_width_and_asks_for_nothing(tmp_path: Path) -> None:
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip("no Chromium here: install it (Debian: apt-get install chromium) to test the page in it")
+    measured = _measure(browser, tmp_path, report_page(_report()).decode())
+    for width, found in measured.items():
+        assert found["whole"] == [int(width), int(width)]  # the page itself never scrolls sideways
+        assert found["pictures"] == [700]
+        assert found["asked"] == 0
+    assert [True, 0] in measured["320"]["boxes"]  # a wide table does, in a box that the keyboard reaches
+
+
+def _measure(browser: str, folder: Path, page: str) -> dict[str, Any]:
+    """Return what the page measures by its width: in frames, which no window limits.
+
+    The script is put before the page's policy, which would forbid it.
+    """
+    told = f"addEventListener('load', () => parent.postMessage([innerWidth, {MEASURED}], '*'))"
+    (folder / "asked.html").write_text(page.replace("<head>", f"<head><script>{told}</script>", 1))
+    (folder / "frame.html").write_text(
+        "<!DOCTYPE html><pre></pre><script>const found = {}; addEventListener('message', event => { "
+        "found[event.data[0]] = JSON.parse(event.data[1]); "
+        "document.querySelector('pre').textContent = JSON.stringify(found); })</script>"
+        + "".join(f'<iframe src="asked.html" width="{width}" style="border: 0"></iframe>' for width in WIDTHS)
+    )
+    options = (f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=10000", "--dump-dom")
+    command = [browser, *QUIET, *options, "--window-size=1800,1000", (folder / "frame.html").as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    found = re.search("<pre>(.*?)</pre>", done.stdout, re.DOTALL)
+    assert done.returncode == 0 and found, done.stderr
+    measured: dict[str, Any] = json.loads(html.unescape(found[1]))
+    assert [*measured] == [str(width) for width in WIDTHS]
+    return measured
