@@ -119,7 +119,7 @@ TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn
 RIVALS ?= optimizers algorithms
 # What the searches find stands in RESULTS/winners-*.toml, each winner beside its search's base.
 tuned = $(foreach name,$(2),$(BIN)/pneuma search run tune-$(name) --preset paper --results "$(RESULTS)" &&) \
-rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search winners $(addprefix tune-,$(2)) \
+rm -f "$(RESULTS)/winners-$(1).toml" && $(BIN)/pneuma search promote $(addprefix tune-,$(2)) \
   --out "$(RESULTS)/winners-$(1).toml" --results "$(RESULTS)" && \
 $(BIN)/pneuma study run "$(RESULTS)/winners-$(1).toml" --steps $(3) --results "$(RESULTS)"
 

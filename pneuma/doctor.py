@@ -38,7 +38,6 @@ EXTRAS = {
     "pygame": ("play", "a window to play and watch in"),
     "imageio_ffmpeg": ("video", "MP4 videos"),
     "onnx": ("onnx", "policies exported as ONNX"),
-    "cmaes": ("cmaes", "the sampler cma-es of searches"),
     "jax_cuda13_plugin": ("cuda", "updates of the engine batched on an NVIDIA GPU"),
     "ray": ("ray", "runs on a cluster (--executor ray)"),
     "submitit": ("slurm", "jobs in a queue (--executor slurm)"),

@@ -87,7 +87,7 @@ def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None
     lines = _told("tuning").splitlines()
     assert [line for line in lines if "tune-ppo" in line] == _told("tuning", "RIVALS=algorithms").splitlines()
     searched = [re.findall(r"pneuma search run (\S+)", line) for line in lines]
-    compared = [re.findall(r"tune-\S+", line.partition("search winners")[2]) for line in lines]
+    compared = [re.findall(r"tune-\S+", line.partition("search promote")[2]) for line in lines]
     assert searched == compared
     assert sorted(name for names in searched for name in names) == [
         name for name in list_searches() if name.startswith("tune-")

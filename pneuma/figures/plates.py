@@ -68,8 +68,8 @@ def draw_published(
     for drawing, paths in _figures(data, folder):
         entries += _indexed(data, drawing, paths)
     if logs:
-        how = {"quantities": QUANTITIES_OF_LOGS, "window": THESIS_WINDOW, "band": "runs"}
-        drawing = {"figure": "curves", **asdict(settle(data, **how)), "beside": logs.study}
+        how = asdict(settle(data, "runs", THESIS_WINDOW, quantities=QUANTITIES_OF_LOGS))
+        drawing = {"figure": "curves", **how, "beside": logs.study}
         entries += _indexed(data, drawing, draw_study(data, folder, beside=logs, **how))
     ways = found and found.of_runs(data.runs)  # some may have been published anew
     if ways and len(ways.episodes) and ways.level:

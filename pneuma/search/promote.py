@@ -1,47 +1,63 @@
-"""Promote a winner: write it as a condition beside the base, train both on fresh seeds, tell what was luck.
+"""Promote winners: a study of searches' best trials, each beside what it was tuned from, on fresh seeds.
 
 The best of many trials looks better than it is, because it was picked by the same seeds that it is judged
-by. Seeds that the search never saw judge it fairly.
+by. Seeds that no search saw judge it fairly. Whether one method beats another can be told only where both
+were tuned alike, so searches that stand side by side must have had the same trials, seeds and steps.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os.path import commonprefix
 from typing import Any
 
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_settings, env_config, make_run
 from pneuma.errors import UserError, counted
-from pneuma.search.driver import Outcomes
-from pneuma.search.record import trial_values
-from pneuma.search.spec import Budget, Search
-from pneuma.search.trials import Task, objective_value
+from pneuma.search.spec import Budget
+from pneuma.search.storage import Outcomes, Searched
+from pneuma.search.trials import Task, Told, objective_value
 from pneuma.study.conditions import unread_settings
 from pneuma.study.definition import join_settings
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
+from pneuma.worlds import split_world
 
-WINNER, BASELINE = "winner", "baseline"
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Winner:
+    """A search's trial to promote; its conditions are `name`, its search's base, and `tuned`, the trial."""
+
+    searched: Searched
+    trial: Told
+    name: str
+
+    @property
+    def tuned(self) -> str:
+        """Return the condition of the trial."""
+        return f"{self.name}-tuned"
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What a search's winner gained over the baseline in one objective, in the search and on fresh seeds.
+    """What a winner gained over its base in one objective, in the search and on fresh seeds.
 
     Attributes:
         seen: winner's value in the search.
-        seen_baseline: the baseline's there; NaN where it was no trial.
+        seen_baseline: the base's there; NaN where it was no trial.
         fresh, fresh_baseline: the same over the fresh seeds.
         difference: of the means over the fresh seeds; NaN where some run has no finite value.
         interval: of that difference, 95 %; NaN there, and where the seeds are too few.
-        same_steps: whether fresh runs were trained for as long as those of the search.
-        incomparable: why the search's value cannot be held against the fresh one; empty where it can.
+        luck: by how much the search's seeds had flattered the winner; NaN where that cannot be told.
+        incomparable: why it cannot; empty where it can.
     """
 
     seen: float
@@ -50,189 +66,217 @@ class Gain:
     fresh_baseline: float
     difference: float
     interval: tuple[float, float]
-    same_steps: bool = True
-    incomparable: str = ""
-
-    @property
-    def luck(self) -> float:
-        """By how much the winner's value fell on fresh seeds; NaN where the two cannot be compared."""
-        return float("nan") if self.incomparable else self.seen - self.fresh
+    luck: float
+    incomparable: str
 
 
-def winner(record: Mapping[str, Any], number: int | None) -> dict[str, Any]:
-    """Return the trial to promote: a given one, or the best.
+def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequence[int]) -> list[Winner]:
+    """Return the trials to promote: the best of each search, or of the only one a given one.
 
     Raises:
-        UserError: where there is none, or no best among several objectives.
+        UserError: where one has none, or no best among several objectives; where searches were not tuned
+            alike; where they have seen some of the seeds.
     """
-    trials = {trial["number"]: trial for trial in record["trials"]}
-    complete = [n for n, trial in trials.items() if trial["state"] == "complete"]
-    if number is not None:
-        if number not in complete:
-            known = ", ".join(map(str, complete)) or "none"
+    names = [split_world(searched.task.search.name)[0] for searched in searches]
+    if len({*names}) < len(names):
+        raise UserError(f"{', '.join(names)}: name each search once")
+    start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""
+    short = [name[len(start) + 1 :] if start else name for name in names]
+    _check_alike(searches)
+    for searched in searches:
+        if seen := sorted({*seeds} & {*searched.task.budget.seeds}):
+            told = ", ".join(map(str, seen))
             raise UserError(
-                f"--trial {number}: no complete trial of search {record['search']}; these are: {known}"
+                f"--seeds: the search was run on {told}; give seeds that it never saw, as --seeds 10"
             )
-        return dict(trials[number])
-    if isinstance(record["best"], list):
-        front = ", ".join(map(str, record["best"])) or "none"
-        raise UserError(
-            f"search {record['search']}: has a front, not one best trial; choose with --trial: {front}"
-        )
-    if record["best"] is None:
-        raise UserError(f"search {record['search']}: no trial is complete yet; run it with more --trials")
-    return dict(trials[record["best"]])
+    return [
+        Winner(searched, _trial(searched, number), name)
+        for searched, name in zip(searches, short, strict=True)
+    ]
 
 
-def refuse_seen_seeds(seeds: Sequence[int], record: Mapping[str, Any]) -> None:
-    """Refuse seeds that the search used.
+def _trial(searched: Searched, number: int | None) -> Told:
+    name, best = searched.task.search.name, searched.best
+    complete = {trial.number: trial for trial in searched.trials if trial.state == "complete"}
+    if number is not None and number not in complete:
+        known = ", ".join(map(str, complete)) or "none"
+        raise UserError(f"--trial {number}: no complete trial of search {name}; these are: {known}")
+    if not complete:
+        raise UserError(f"search {name}: no trial is complete yet; run it with more --trials")
+    if number is None and isinstance(best, list):
+        front = ", ".join(map(str, best))
+        raise UserError(f"search {name}: has a front, not one best trial; choose with --trial: {front}")
+    return complete[number if number is not None else best]  # type: ignore[index]
 
-    Raises:
-        UserError: naming them.
-    """
-    seen = sorted({*seeds} & {*record["seeds"]})
-    if seen:
-        told = ", ".join(map(str, seen))
-        raise UserError(f"--seeds: the search was run on {told}; give seeds that it never saw, as --seeds 10")
+
+def _check_alike(searches: Sequence[Searched]) -> None:
+    first, *others = map(_conditions, searches)
+    for searched, other in zip(searches[1:], others, strict=True):
+        if unlike := [key for key in {**first, **other} if first.get(key, ...) != other.get(key, ...)]:
+            told = f"{searches[0].task.search.name} and {searched.task.search.name}"
+            raise UserError(
+                f"searches {told} are not tuned alike: {', '.join(unlike)} differ; run both the same"
+            )
 
 
-def promoted_study(search: Search, record: Mapping[str, Any], trial: Mapping[str, Any]) -> str:
-    """Return a study file of the winner beside the base, with the winner's lineage as comments."""
-    values = trial.get("values") or [trial.get("value")]
-    fixed, own = search.space.fixed, own_settings(search, trial)
-    arms = [_run(search, fixed), _run(search, {**fixed, **own})]
+def _conditions(searched: Searched) -> dict[str, Any]:
+    """Return what must be the same of searches whose winners are compared."""
+    search, budget = searched.task.search, searched.task.budget
+    run = _run(searched, search.space.fixed)
+    varied = {key for parameter in search.space.parameters for key in parameter.keys}
+    world = {key: value for key, value in as_settings(env_config(run)).items() if key not in varied}
+    return {
+        **world,
+        "env": run.env,
+        "engine": run.engine,
+        "base": search.space.base,
+        "trials": len(searched.trials),
+        "seeds": budget.seeds,
+        "steps": budget.steps,
+        "objectives": [(own.outcome, own.over_seeds, own.direction) for own in search.objectives],
+    }
+
+
+def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -> str:
+    """Return a study file of winners, each beside its search's base, with their lineage as comments."""
+    tables = {}
+    for own in winners:
+        tables[own.name] = _settings_that_count(own.searched, own.searched.task.search.space.fixed)
+        tables[own.tuned] = _settings_that_count(own.searched, own.trial.settings)
+    shared = {
+        key: value
+        for key, value in tables[winners[0].name].items()
+        if all(table.get(key, ...) == value for table in tables.values())
+    }
+    search = winners[0].searched.task.search
     lines = [
-        f"# Trial {trial['number']} of search {search.name}, promoted.",
+        "# Winners of searches, each beside what it was tuned from.",
         "#",
-        f"# Search {record['digest']}: {len(record['trials'])} trials on seeds {listed(record['seeds'])}, "
-        f"{record['steps']} steps a run, {record['identity']['sampler']['name']} sampler.",
-        f"# Value there: {', '.join(str(value) for value in values)}. Runs: {', '.join(trial['run_ids'])}.",
+        *(_comment(line) for own in winners for line in _lineage(own)),
         "",
-        f"title = {toml_value(f'Winner of search {search.name}')}",
-        f"section = {toml_value(search.section)}",
-        f"base = {toml_value(search.space.base)}",
-        f'baseline = "{BASELINE}"',
-        'worlds = ["text"]',  # its environment stands in [run]
+        f"title = {_toml('Winners of ' + ', '.join(own.searched.task.search.name for own in winners))}",
+        f"section = {_toml(search.section)}",
+        f"base = {_toml(search.space.base)}",
+        f"baseline = {_toml(winners[0].name)}",
+        'worlds = ["text"]',  # its environment stands in the tables below
         "",
         "[run]",
-        *settings_lines(without(fixed, unread_settings(arms, fixed))),
-        "",
-        f"[conditions.{BASELINE}]",
-        "",
-        f"[conditions.{WINNER}]",
-        *settings_lines(without(own, unread_settings(arms[1:], own))),
-        "",
-        "[presets.quick]",
-        "seeds = 10",
-        f"steps = {record['steps']}",
+        *_lines(shared),
     ]
+    for name, settings in tables.items():
+        own_lines = _lines({key: value for key, value in settings.items() if key not in shared})
+        lines += ["", f"[conditions.{_toml(name)}]", *own_lines]
+    lines += ["", "[presets.quick]", f"seeds = {list(seeds)}", f"steps = {steps}"]
     return "\n".join(lines) + "\n"
 
 
-def gains(
-    search: Search, record: Mapping[str, Any], trial: Mapping[str, Any], planned: Plan, store: Store
-) -> dict[str, Gain]:
-    """Return what a trial gained in every objective, by its name.
+def _lineage(own: Winner) -> list[str]:
+    task, trial = own.searched.task, own.trial
+    values = ", ".join(map(str, trial.values))
+    return [
+        f"{own.tuned}: trial {trial.number} of search {task.search.name} ({own.searched.digest}),",
+        f"which came to {values} in runs {', '.join(trial.run_ids)};",
+        f"{len(own.searched.trials)} trials by {task.search.sampler['name']}, "
+        f"seeds {', '.join(map(str, task.budget.seeds))}, {task.budget.steps} steps a run.",
+    ]
+
+
+def _comment(line: str) -> str:
+    """Return a comment of one line, whatever an untrusted record says."""
+    return "# " + " ".join(line.split())
+
+
+def _lines(settings: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {_toml(value)}" for key, value in settings.items()]
+
+
+def _toml(value: Any) -> str:
+    if value is None:
+        return '"none"'
+    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
+
+
+def _settings_that_count(searched: Searched, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of a condition's settings that its algorithm and optimizer read; no study has others."""
+    unread = unread_settings([_run(searched, settings)], settings)
+    return {key: value for key, value in settings.items() if key not in unread}
+
+
+def _run(searched: Searched, settings: Mapping[str, Any]) -> Run:
+    return make_run(join_settings(searched.task.search.space.base, settings))
+
+
+# --- What was gained -------------------------------------------------------------------------------
+
+
+def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
+    """Return what a winner gained in every objective, by its name.
 
     Args:
-        search: as it was recorded.
-        record: of the search.
-        trial: of its trials, the one that was promoted.
-        planned: the promoted study, all of whose runs have ended.
+        winner: one of those of the study.
+        planned: that study, all of whose runs have ended.
         store: the results folder.
     """
-    task = Task(search, Budget(1, planned.seeds, record["steps"]))
-    outcomes = Outcomes(task, store)  # so that a diverged run counts as it did in the search
-    arms = [[cell for cell in planned.cells if cell.condition == name] for name in (WINNER, BASELINE)]
-    base = _baseline_trial(arms[1][0].run, record)
-    same_steps = arms[0][0].run == _as_searched(arms[0][0].run, record)
+    task, trials = winner.searched.task, winner.searched.trials
+    seeds, steps = task.budget.seeds, task.budget.steps
+    fresh = Task(task.search, Budget(1, planned.seeds, steps))
+    outcomes = Outcomes(fresh, store)  # so that a diverged run counts as it did in the search
+    won, lost = (
+        [cell for cell in planned.cells if cell.condition == name] for name in (winner.tuned, winner.name)
+    )
+    base_run = make_run({**as_settings(lost[0].run), "steps": steps})
+    names = tuple(run_id(replace(base_run, seed=seed)) for seed in seeds)
+    complete = (trial for trial in trials if trial.state == "complete")
+    base = next((trial for trial in complete if trial.run_ids[-len(names) :] == names), None)
     found = {}
-    for place, objective in enumerate(search.objectives):
-        won, lost = (np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in arms)
-        fresh = [objective_value(objective, arm, outcomes.read, outcomes.diverged) for arm in arms]
-        seen = [trial_values(own)[place] if own else float("nan") for own in (trial, base)]
-        why = "" if same_steps else f"runs of the search had {record['steps']:,} steps"
-        why = why or _unlike_estimates(objective.over_seeds, len(record["seeds"]), len(planned.seeds))
-        own = gain((seen[0], seen[1]), (fresh[0], fresh[1]), won, lost, why)
-        found[objective.name] = replace(own, same_steps=same_steps)
+    for place, objective in enumerate(task.search.objectives):
+        values = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
+        why = incomparable(objective.over_seeds, len(seeds), len(planned.seeds))
+        if lost[0].run.steps != base_run.steps:
+            why = f"runs of the search had {steps:,} steps"
+        found[objective.name] = gain(
+            seen=(winner.trial.values[place], base.values[place] if base else NAN),
+            fresh=tuple(
+                objective_value(objective, arm, outcomes.read, outcomes.diverged) for arm in (won, lost)
+            ),
+            won=values[0],
+            lost=values[1],
+            sign=1 if objective.direction == "maximize" else -1,
+            why=why,
+        )
     return found
 
 
-def _unlike_estimates(over_seeds: str, seen: int, fresh: int) -> str:
+def incomparable(over_seeds: str, seen: int, fresh: int) -> str:
     """Say why a value over some seeds is none over others: the least of many is less, without any luck."""
     if seen == fresh or over_seeds not in ("least", "deviation"):
         return ""
     return f"a {over_seeds} over {counted(seen, 'seed')} and one over {fresh} differ by themselves"
 
 
-def _as_searched(run: Run, record: Mapping[str, Any]) -> Run:
-    """Return a run with as many steps as the search gave it."""
-    return make_run({**as_settings(run), "steps": record["steps"]})
-
-
-def _baseline_trial(run: Run, record: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the trial whose runs were the baseline's, if the search had it."""
-    names = [run_id(replace(_as_searched(run, record), seed=seed)) for seed in record["seeds"]]
-    complete = (trial for trial in record["trials"] if trial["state"] == "complete")
-    return next((trial for trial in complete if trial["run_ids"][-len(names) :] == names), None)
-
-
 def gain(
     seen: tuple[float, float],
-    fresh: tuple[float, float],
+    fresh: tuple[float, ...],
     won: np.ndarray,
-    base: np.ndarray,
-    incomparable: str = "",
+    lost: np.ndarray,
+    sign: int = 1,
+    why: str = "",
 ) -> Gain:
     """Return what a winner gained.
 
     Args:
-        seen: its value in the search and the baseline's, NaN where that was no trial.
+        seen: its value in the search and the base's, NaN where that was no trial.
         fresh: their values over the fresh seeds.
         won: its outcomes on these, (seeds,).
-        base: the baseline's.
-        incomparable: as `Gain` has it.
+        lost: the base's.
+        sign: 1 where more is sought, -1 where less is.
+        why: why the two values cannot be compared; empty where they can.
     """
-    if not (np.isfinite(won).all() and np.isfinite(base).all()):  # a threshold that some run never reaches
-        return Gain(*seen, *fresh, math.nan, (math.nan, math.nan), incomparable=incomparable)
-    found = difference_interval(won, base)
-    difference = float(won.mean() - base.mean())
-    return Gain(*seen, *fresh, difference, (found.low, found.high), incomparable=incomparable)
-
-
-def own_settings(search: Search, trial: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that a trial has beside those that its search fixes."""
-    fixed = search.space.fixed
-    settings = search.space.settings(trial["params"])
-    return {key: value for key, value in settings.items() if fixed.get(key, ...) != value}
-
-
-def settings_that_count(search: Search, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of a condition's settings that its algorithm and optimizer read; no study has others."""
-    return without(settings, unread_settings([_run(search, settings)], settings))
-
-
-def without(settings: Mapping[str, Any], keys: Collection[str]) -> dict[str, Any]:
-    """Return settings but for some."""
-    return {key: value for key, value in settings.items() if key not in keys}
-
-
-def _run(search: Search, settings: Mapping[str, Any]) -> Run:
-    return make_run(join_settings(search.space.base, settings))
-
-
-def settings_lines(settings: Mapping[str, Any]) -> list[str]:
-    """Return settings as a study file has them, a line each."""
-    return [f"{key} = {toml_value(value)}" for key, value in settings.items()]
-
-
-def toml_value(value: Any) -> str:
-    """Return a setting as a study file has it."""
-    if value is None:
-        return '"none"'
-    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
-
-
-def listed(values: Sequence[int]) -> str:
-    """Return seeds in a row."""
-    return ", ".join(map(str, values))
+    luck = NAN if why else sign * (seen[0] - fresh[0])
+    difference, interval = NAN, (NAN, NAN)
+    if np.isfinite(won).all() and np.isfinite(lost).all():  # not so of a threshold that is never reached
+        found = difference_interval(won, lost)
+        difference, interval = float(won.mean() - lost.mean()), (found.low, found.high)
+    if not why and not math.isfinite(luck):
+        why = "some run has no value"
+    return Gain(*seen, fresh[0], fresh[1], difference, interval, luck, why)

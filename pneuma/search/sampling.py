@@ -13,10 +13,9 @@ from typing import Any
 
 import optuna
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
-from optuna.pruners import BasePruner, HyperbandPruner, MedianPruner, NopPruner, WilcoxonPruner
+from optuna.pruners import BasePruner, MedianPruner, NopPruner, WilcoxonPruner
 from optuna.samplers import (
     BaseSampler,
-    CmaEsSampler,
     GPSampler,
     NSGAIISampler,
     RandomSampler,
@@ -30,21 +29,20 @@ from pneuma.search.space import Parameter, Params, Range, Space
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 
-def begin_study(name: str, directions: Sequence[str], pruner: Mapping[str, Any], rungs: int) -> optuna.Study:
+def begin_study(name: str, directions: Sequence[str], pruner: Mapping[str, Any]) -> optuna.Study:
     """Return an empty study in memory.
 
     Args:
-        name: of the search; a part of how Hyperband shares trials out.
+        name: of the search.
         directions: of its objectives.
         pruner: its options.
-        rungs: how often a trial is compared before its end.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         return optuna.create_study(
             storage=optuna.storages.InMemoryStorage(),
             sampler=RandomSampler(seed=0),
-            pruner=_pruner(pruner, rungs),
+            pruner=_pruner(pruner),
             study_name=name,
             directions=[StudyDirection[direction.upper()] for direction in directions],
         )
@@ -72,11 +70,6 @@ def ask(
         return trial, space.ask(lambda parameter: _suggest(trial, parameter))
 
 
-def distributions(space: Space, params: Params) -> dict[str, BaseDistribution]:
-    """Return what each of a trial's parameters was drawn from."""
-    return {name: _distribution(space.parameter(name)) for name in params}
-
-
 def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     domain = parameter.domain
     if not isinstance(domain, Range):
@@ -86,7 +79,8 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     return trial.suggest_float(parameter.name, domain.low, domain.high, log=domain.log)
 
 
-def _distribution(parameter: Parameter) -> BaseDistribution:
+def distribution(parameter: Parameter) -> BaseDistribution:
+    """Return what a parameter's values are drawn from."""
     domain = parameter.domain
     if not isinstance(domain, Range):
         return CategoricalDistribution(tuple(domain.settings_of))
@@ -100,17 +94,6 @@ def _sampler(options: Mapping[str, Any], seed: int) -> BaseSampler:
     name = options["name"]
     if name == "random":
         return RandomSampler(seed=seed)
-    if name == "cma-es":
-        return CmaEsSampler(
-            n_startup_trials=options["startup_trials"],
-            independent_sampler=RandomSampler(seed=seed),
-            warn_independent_sampling=False,
-            seed=seed,
-            consider_pruned_trials=False,
-            use_separable_cma=False,
-            with_margin=False,
-            lr_adapt=False,
-        )
     if name == "gp":
         return GPSampler(
             seed=seed,
@@ -137,18 +120,11 @@ def _sampler(options: Mapping[str, Any], seed: int) -> BaseSampler:
     )
 
 
-def _pruner(options: Mapping[str, Any], rungs: int) -> BasePruner:
+def _pruner(options: Mapping[str, Any]) -> BasePruner:
     name = options["name"]
     if name == "median":
         return MedianPruner(
             n_startup_trials=options["startup_trials"], n_warmup_steps=0, interval_steps=1, n_min_trials=1
-        )
-    if name == "hyperband":
-        return HyperbandPruner(
-            min_resource=1,
-            max_resource=options["reduction"] ** (rungs - 1),
-            reduction_factor=options["reduction"],
-            bootstrap_count=0,
         )
     if name == "wilcoxon":
         return WilcoxonPruner(p_threshold=options["threshold"], n_startup_steps=options["startup_seeds"])

@@ -6,7 +6,7 @@ network. It may hang on another: a momentum counts only where the optimizer has 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import Any
@@ -14,11 +14,20 @@ from typing import Any
 from pneuma.config import ENVIRONMENTS, Run, as_settings, make_run, read_settings
 from pneuma.env_settings import ENVIRONMENT_SETTINGS
 from pneuma.errors import UserError
+from pneuma.study.conditions import does_nothing, unread_settings
 from pneuma.study.spec import join_settings
 from pneuma.values import as_tuple
 
 Params = Mapping[str, Any]
 """What is suggested for a trial: numbers, and the names of choices."""
+
+
+class Unsound(UserError):
+    """What is wrong with a space, and at which table and key of the file."""
+
+    def __init__(self, message: str, where: tuple[str, ...], key: str = "") -> None:
+        super().__init__(message)
+        self.where, self.key = where, key
 
 
 @dataclass(frozen=True)
@@ -134,20 +143,39 @@ class Space:
         """Return a parameter by its name."""
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
-    def check(self) -> None:
-        """Refuse a space in which an end of some range, or two together, make no run.
+    def check(self, unread: Iterable[str]) -> None:
+        """Refuse a space that makes no run at some end of a range or at two, or has what does nothing.
+
+        Args:
+            unread: keys of `fixed` of which one that no run reads is refused.
 
         Raises:
-            UserError: naming the parameters, their values, and what a run allows.
+            Unsound: naming the parameters, their values, and what a run allows.
         """
-        for _ in self.corners():
-            pass
+        for parameter in self.parameters:
+            for key in parameter.keys:
+                if key in self.fixed:
+                    raise Unsound(f"{key} is searched by [space.{parameter.name}]", ("run",), key)
+        corners = list(self.corners())
+        for own, _ in corners:
+            set_by: dict[str, str] = {}
+            for name, value in own.items():
+                for key in self.parameter(name).domain.settings(name, value):
+                    if (first := set_by.setdefault(key, name)) != name:
+                        raise Unsound(f"{key} is searched by [space.{first}], too", ("space", name))
+        for parameter in self.parameters:
+            runs = [run for own, run in corners if parameter.name in own]
+            for key in unread_settings(runs, parameter.keys) if runs else ():
+                raise Unsound(does_nothing(key, runs), ("space", parameter.name))
+        runs = [run for _, run in corners]
+        for key in unread_settings(runs, unread):
+            raise Unsound(does_nothing(key, runs), ("run",), key)
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
         """Yield every end of every range, and every two together, as parameters, with the run they make.
 
         Raises:
-            UserError: as `check`.
+            Unsound: where one makes no run.
         """
         for own in self._corners():
             params = {**self._usual(), **self._enabling(own), **own}
@@ -158,7 +186,7 @@ class Space:
                 run = make_run(join_settings(self.base, settings))
             except UserError as error:
                 told = ", ".join(f"{name} = {value}" for name, value in own.items())
-                raise UserError(f"{told}: {error}") from None
+                raise Unsound(f"{told}: {error}", ("space", next(iter(own)))) from None
             yield own, run
 
     @property

@@ -146,7 +146,7 @@ def conduct(
     search, budget = task.search, task.budget
     rungs = stages(search.pruner, budget)
     directions = [objective.direction for objective in search.objectives]
-    study = begin_study(search.name, directions, search.pruner, len(rungs))
+    study = begin_study(search.name, directions, search.pruner)
     trained: list[Cell] = []
 
     def measure(cells: Sequence[Cell]) -> tuple[float, ...]:
@@ -163,18 +163,14 @@ def conduct(
 def stages(pruner: Mapping[str, Any], budget: Budget) -> tuple[Stage, ...]:
     """Return the stages in which a trial is trained; the last one has its whole budget.
 
-    Median and Hyperband compare at rungs of the budget: each an own, shorter training with all seeds.
+    The median compares at rungs of the budget: each an own, shorter training with all seeds.
     Wilcoxon's test compares seed by seed.
     """
     if pruner["name"] == "wilcoxon":
         return tuple(Stage((seed,), budget.steps, place) for place, seed in enumerate(budget.seeds))
     count = pruner.get("rungs", 1)
-    ratio = pruner.get("reduction")
-    shares = [ratio ** (k - count + 1) if ratio else (k + 1) / count for k in range(count)]
-    keys = [ratio**k if ratio else k + 1 for k in range(count)]
     return tuple(
-        Stage(budget.seeds, max(1, round(share * budget.steps)), key)
-        for share, key in zip(shares, keys, strict=True)
+        Stage(budget.seeds, max(1, round(rung / count * budget.steps)), rung) for rung in range(1, count + 1)
     )
 
 
@@ -277,6 +273,25 @@ def _last(asked: _Asked) -> list[Cell]:
     """Return the cells of a trial's longest training."""
     longest = max(cell.run.steps for cell in asked.cells)
     return [cell for cell in asked.cells if cell.run.steps == longest]
+
+
+def best_number(told: Sequence[Told], search: Search) -> int | list[int] | None:
+    """Return the number of the best trial, the first of equals; of several objectives, the Pareto front."""
+    signs = [1 if objective.direction == "maximize" else -1 for objective in search.objectives]
+    scores = {
+        trial.number: [sign * value for sign, value in zip(signs, trial.values, strict=True)]
+        for trial in told
+        if trial.state == "complete"
+    }
+    if len(signs) > 1:
+        return [number for number, own in scores.items() if not any(_beats(o, own) for o in scores.values())]
+    return max(scores, key=lambda number: (scores[number], -number), default=None)
+
+
+def _beats(other: Sequence[float], own: Sequence[float]) -> bool:
+    """Tell whether other values are nowhere worse and somewhere better (Pareto dominance)."""
+    pairs = list(zip(other, own, strict=True))
+    return all(o >= v for o, v in pairs) and any(o > v for o, v in pairs)
 
 
 def objective_value(

@@ -17,7 +17,7 @@ RIGHT, ATTACK = 3, 4
 GODOT, TEXT = "pneuma/PneumaGodot-v0", "pneuma/Pneuma-v0"
 FIRST = (204.0, -105.0)
 """Where Godot's players begin."""
-DEADLY = {"coast": "deadly", "bodies": "pass"}
+DEADLY: dict[str, Any] = {"coast": "deadly", "bodies": "pass"}
 """A sea that drowns, and no monster in the way to it."""
 
 

@@ -1,38 +1,30 @@
-"""The Optuna storage of a search: only ended trials, in order; rebuilt when lost; never another's."""
+"""A search's file for optuna-dashboard: only ended trials, in order, and nothing of what was there before."""
 
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import optuna
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.database import Database, _without_password, open_storage
-from pneuma.study.store import Store
+from pneuma.search.database import Database, open_storage
 
 from .conftest import MakeTask, Solve, flat
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "results")
-
-
-def read(database: Database) -> list[optuna.trial.FrozenTrial]:
-    return optuna.load_study(study_name=database.name, storage=open_storage(database.url)).trials
-
-
-def test_it_holds_what_was_told(make_task: MakeTask, solve: Solve, store: Store) -> None:
+def test_it_holds_what_was_told_whatever_was_there(make_task: MakeTask, solve: Solve, tmp_path: Path) -> None:
     task = make_task(8)
     told = flat(solve(task))
-    Database(task, None, store).save(told[:4])
-    database = Database(task, None, store)
-    database.save(told)
-    trials = read(database)
+    Database(task, tmp_path).save(list(reversed(told)))
+    (tmp_path / "formula.db").write_bytes(b"no database" * 500)
+    database = Database(task, tmp_path)
+    for count in (4, 8):
+        database.save(told[:count])
+    trials = optuna.load_study(study_name=database.name, storage=open_storage(database.url)).trials
     assert [(t.number, t.params, t.values) for t in trials] == [
         (t.number, dict(t.params), list(t.values)) for t in told
     ]
@@ -40,64 +32,10 @@ def test_it_holds_what_was_told(make_task: MakeTask, solve: Solve, store: Store)
     assert [t.user_attrs["runs"] for t in trials] == [list(t.run_ids) for t in told]
 
 
-@pytest.mark.parametrize("damage", [lambda p: p.unlink(), lambda p: p.write_bytes(b"no database" * 500)])
-def test_a_lost_file_is_written_anew(
-    make_task: MakeTask, solve: Solve, store: Store, damage: Callable[[Path], object]
-) -> None:
-    task = make_task(8)
-    told = flat(solve(task))
-    Database(task, None, store).save(told)
-    damage(store.root / "searches" / "formula.db")
-    again = Database(task, None, store)
-    again.save(told)
-    assert len(read(again)) == 8
-
-
-def test_another_search_of_the_name_is_refused(
-    make_task: MakeTask, solve: Solve, store: Store, tmp_path: Path
-) -> None:
-    task = make_task(8)
-    url = f"sqlite:///{tmp_path / 'shared.db'}"
-    foreign = optuna.create_study(storage=open_storage(url), study_name=Database(task, None, store).name)
-    foreign.add_trial(optuna.trial.create_trial(value=1.0))
-    with pytest.raises(UserError, match="holds another search"):
-        Database(task, url, store)
-
-
-def test_other_trials_under_its_name_are_refused(
-    make_task: MakeTask, solve: Solve, store: Store, tmp_path: Path
-) -> None:
-    task, url = make_task(8), f"sqlite:///{tmp_path / 'shared.db'}"
-    told = flat(solve(task))
-    Database(task, url, store).save(told[:4])
-    with pytest.raises(UserError, match="holds another search"):
-        Database(task, url, store).save(list(reversed(told)))
-
-
-def test_its_own_file_is_put_right(make_task: MakeTask, solve: Solve, store: Store) -> None:
-    """Runs may change beneath a search, as with a level's contents; its own file follows them."""
-    task = make_task(8)
-    told = flat(solve(task))
-    Database(task, None, store).save(list(reversed(told)))
-    database = Database(task, None, store)
-    database.save(told)
-    assert [trial.params for trial in read(database)] == [dict(t.params) for t in told]
-
-
-@pytest.mark.parametrize("name", ["formula.db", "formula.db-journal", "formula.db-wal", "formula.db-shm"])
-@pytest.mark.parametrize("make", [lambda p: p.mkdir(), lambda p: p.symlink_to("other.db")])
-def test_what_is_no_file_is_left_alone_and_so_is_what_lies_beside_it(
-    make_task: MakeTask, store: Store, make: Callable[[Path], object], name: str
-) -> None:
-    folder = store.root / "searches"
-    folder.mkdir(parents=True)
-    (folder / "other.db").touch()
-    (folder / "formula.db").touch()
-    (folder / name).unlink(missing_ok=True)
-    make(folder / name)
-    with pytest.raises(UserError, match=f"{name}: is no file; remove it, "):
-        Database(make_task(8), None, store)
-    assert {path.name for path in folder.iterdir()} == {name, "formula.db", "other.db"}
+def test_what_is_no_file_is_left_alone(make_task: MakeTask, tmp_path: Path) -> None:
+    (tmp_path / "formula.db").mkdir()
+    with pytest.raises(UserError, match="formula.db: cannot be removed"):
+        Database(make_task(8), tmp_path)
 
 
 def hot_journal(database: Path, victim: Path) -> bytes:
@@ -113,41 +51,19 @@ def hot_journal(database: Path, victim: Path) -> bytes:
     return header.ljust(512, b"\0") + locked_page + name + struct.pack(">2I", len(name), sum(name)) + magic
 
 
-def test_a_journal_beside_its_file_is_not_obeyed(make_task: MakeTask, store: Store, tmp_path: Path) -> None:
+def test_a_journal_beside_its_file_is_not_obeyed(make_task: MakeTask, tmp_path: Path) -> None:
     task, victim = make_task(8), tmp_path / "thesis.txt"
-    Database(task, None, store)
-    own = store.root / "searches" / "formula.db"
-    other = Path(shutil.copy(own, tmp_path))
-    for path, url in ((own, None), (other, f"sqlite:///{other}")):
+    Database(task, tmp_path)
+    own = tmp_path / "formula.db"
+    other = Path(shutil.copy(own, tmp_path / "other.db"))
+    for path in (own, other):
         victim.write_text("years of work")
         journal = Path(f"{path}-journal")
         journal.write_bytes(hot_journal(path, victim))
-        Database(task, url, store)
+        if path == own:
+            Database(task, tmp_path)
+        else:
+            with sqlite3.connect(path) as connection:
+                connection.execute("SELECT * FROM studies").fetchall()
         assert not journal.exists()
         assert victim.exists() == (path == own)  # the other shows that SQLite would obey
-
-
-def test_what_a_storages_driver_says_is_told_without_the_password(
-    make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(url: str, **_: object) -> None:
-        raise ConnectionError(f"nobody answers at {url}")
-
-    monkeypatch.setattr("optuna.storages.RDBStorage", refuse)
-    with pytest.raises(UserError) as caught:
-        Database(make_task(8), "postgresql://me:secret@127.0.0.1:1/none", store)
-    assert "secret" not in str(caught.value)
-    shown = "postgresql://127.0.0.1:1/none"
-    assert str(caught.value) == f"--storage {shown}: nobody answers at {shown}"
-
-
-@pytest.mark.parametrize(
-    ("url", "shown"),
-    [
-        ("postgresql://me:secret@host/db?password=more", "postgresql://host/db"),
-        ("postgresql://me:pa/s@s@host/db", "postgresql://host/db"),
-        ("sqlite:////data/me@uni/results/searches/ppo.db", "sqlite:////data/me@uni/results/searches/ppo.db"),
-    ],
-)
-def test_a_url_is_shown_without_its_password_and_a_path_as_it_is(url: str, shown: str) -> None:
-    assert _without_password(url) == shown

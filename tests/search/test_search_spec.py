@@ -9,7 +9,14 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.search.space import Parameter
-from pneuma.search.spec import Search, list_searches, load_search, read_search_seeds
+from pneuma.search.spec import (
+    Budget,
+    Search,
+    check_budget,
+    list_searches,
+    load_search,
+    read_search_seeds,
+)
 
 Load = Callable[[str], Search]
 
@@ -109,7 +116,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('optimizer = "sgd" }', "optimizer = [] }", "optimizer = [] is not allowed: one value or more"),
         ('optimizer = "sgd" }', 'activation = "tahn" }', 'activation = "tahn" is not allowed'),
         ('optimizer = "sgd" }', 'network = "small" }', "network is searched, too: [space.network]"),
-        ('base = "table-6-2"', 'base = "table-6-3"', "base: unknown base 'table-6-3'"),
+        ('base = "table-6-2"', 'base = "table-6-3"', 'base = "table-6-3" is not allowed: one of'),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
         ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
         ("trials = 4", "trials = 0", "trials = 0 is not allowed"),
@@ -118,8 +125,8 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('outcome = "final-share-killed"', 'over_seeds = "mean"', "the key 'outcome' is missing"),
         ("gradient_limit = 0.5", "smoothing = 0.5", "smoothing does nothing: adam reads"),
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing: adam reads"),
-        ("[presets.quick]", '[sampler]\nname = "tpa"\n[presets.quick]', "sampler 'tpa' (did you mean tpe?)"),
-        ("[presets.quick]", '[sampler]\nname = ["tpe"]\n[presets.quick]', "unknown sampler"),
+        ("[presets.quick]", '[sampler]\nname = "tpa"\n[presets.quick]', "(did you mean tpe?)"),
+        ("[presets.quick]", '[sampler]\nname = ["tpe"]\n[presets.quick]', "is not allowed: one of tpe"),
         ("[presets.quick]", "[sampler]\nstartup = 3\n[presets.quick]", "unknown key 'startup'"),
         ("[presets.quick]", '[pruner]\nname = "median"\nrungs = 1\n[presets.quick]', "rungs = 1 is not"),
     ],
@@ -145,7 +152,7 @@ def test_ends_that_go_together_need_not_go_with_the_base(write: Load) -> None:
 
 def test_what_is_set_beside_the_file_is_checked_with_the_space(write: Load) -> None:
     search = write(GOOD)
-    with pytest.raises(UserError, match=r"actor: is searched by \[space.network\] of mine"):
+    with pytest.raises(UserError, match=r"search mine with .*: actor is searched by \[space.network\]"):
         search.with_settings({"actor": (8,)})
     with pytest.raises(UserError, match="search mine with horizon = 32: .*minibatch = 64 is not allowed"):
         search.with_settings({"horizon": 32})
@@ -259,3 +266,29 @@ def test_every_shipped_search_is_sound(name: str) -> None:
 def test_a_count_of_seeds_leaves_those_of_studies_fresh() -> None:
     assert read_search_seeds(3) == (1000, 1001, 1002)
     assert read_search_seeds([5, 7]) == (5, 7)
+
+
+@pytest.mark.parametrize(("threshold", "least"), [(0.1, 5), (0.0625, 6), (0.01, 8)])
+def test_wilcoxon_wants_as_many_seeds_as_can_give_a_trial_up(
+    write: Load, threshold: float, least: int
+) -> None:
+    """By hand: before the last of n seeds, n - 1 pairs, whose least p-value is 2^-(n-1)."""
+    search = write(GOOD + f'[pruner]\nname = "wilcoxon"\nthreshold = {threshold}')
+    assert 0.5 ** (least - 1) < threshold <= 0.5 ** (least - 2)
+    check_budget(search, Budget(8, tuple(range(least)), 512))
+    with pytest.raises(UserError, match=f"it needs {least} at least"):
+        check_budget(search, Budget(8, tuple(range(least - 1)), 512))
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('[pruner]\nname = "median"\n[objectives.again]\noutcome = "final-return"', "one objective alone"),
+        ('over_seeds = "deviation"', "a deviation needs --seeds 2 at least"),
+        ('over_seeds = "deviation"\n[pruner]\nname = "wilcoxon"', "they have no deviation"),
+    ],
+)
+def test_what_objectives_cannot_do_with_is_refused(write: Load, more: str, told: str) -> None:
+    outcome = 'outcome = "final-share-killed"\n'
+    with pytest.raises(UserError, match=told):
+        check_budget(write(GOOD.replace(outcome, outcome + more + "\n")), Budget(8, (1,), 512))
