@@ -20,6 +20,7 @@ worlds = Worlds(1)
 print(len(worlds.level.starts), worlds.monsters.shape[1])
 main(["study", "list"])
 main(["study", "show", "activation"])
+main(["report", "activation", "--out", sys.argv[1] + "/report.html", "--results", "none", "--quiet"])
 """
 
 
@@ -56,3 +57,4 @@ def test_wheel_from_sdist_works_away_from_the_source(tmp_path: Path) -> None:
     assert printed.startswith("6 14\n")
     assert "activation " in printed
     assert "activation: tanh (tanh)" in printed
+    assert "report.html: " in printed

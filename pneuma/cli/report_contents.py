@@ -10,6 +10,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,6 @@ from pneuma.figures.report import (
     Conditions,
     Part,
     Report,
-    RunRow,
     StudySection,
     Table,
     factors_table,
@@ -117,10 +117,8 @@ def _section(store: Store, study: str) -> StudySection:
 
 def _recorded_title(store: Store, study: str, worlds: Sequence[str]) -> str:
     for world in worlds:
-        try:
+        with suppress(UserError):  # which its part tells of
             return str(study_record(store, in_world(study, world), None)["title"])
-        except UserError:  # which its part tells of
-            continue
     return study
 
 
@@ -151,7 +149,7 @@ def _part(store: Store, study: str, world: str) -> Part:
         "" if done == len(states) else _same_again(study, record, states),
         _extent(record),
         conditions=_conditions(study, name, record),
-        runs=[_run_row(state) for state in states],
+        runs=[_run(state) for state in states],
     )
     return _with_data(store, part, record) if done else part
 
@@ -165,10 +163,10 @@ def _where(record: Mapping[str, Any], usual: str) -> str:
     return f"In {titles.get(names[0] if len(names) == 1 else '', ', '.join(names))}" if names else usual
 
 
-def _run_row(state: RunState) -> RunRow:
+def _run(state: RunState) -> tuple[str, str, int, str, str]:
     run = state.run
     engine = str(run["run"].get("engine") or "unknown")
-    return RunRow(run["run_id"], run["condition"], run["seed"], state.status, engine)
+    return run["run_id"], run["condition"], run["seed"], state.status, engine
 
 
 def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:

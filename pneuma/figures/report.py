@@ -39,17 +39,6 @@ class Table:
 
 
 @dataclass(frozen=True)
-class RunRow:
-    """One run of a study as it stands."""
-
-    run_id: str
-    condition: str
-    seed: int
-    status: str
-    engine: str
-
-
-@dataclass(frozen=True)
 class Conditions:
     """What a study's conditions set.
 
@@ -79,7 +68,7 @@ class Part:
         numbers: the outcomes that matter most.
         statistics: every row of its summary.
         effects: of a crossed study's factors.
-        runs: every run of the selection.
+        runs: of every run its id, condition, seed, status and engine.
         origins: what produced those that are finished: facts by name, and how many runs they hold for.
     """
 
@@ -93,13 +82,13 @@ class Part:
     statistics: Table | None = None
     effects: Table | None = None
     conditions: Conditions | None = None
-    runs: Sequence[RunRow] = ()
+    runs: Sequence[tuple[str, str, int, str, str]] = ()
     origins: Sequence[tuple[Mapping[str, str], int]] = ()
 
     @property
     def statuses(self) -> Mapping[str, int]:
         """How many runs have each status."""
-        return Counter(run.status for run in self.runs)
+        return Counter(status for *_, status, _ in self.runs)
 
 
 @dataclass(frozen=True)
@@ -164,8 +153,8 @@ def _run_places(report: Report) -> dict[str, tuple[str, int]]:
     places: dict[str, tuple[str, int]] = {}
     for study in report.studies:
         for part in study.parts:
-            for row, run in enumerate(part.runs):
-                places.setdefault(run.run_id, (part.record, row))
+            for row, (run_id, *_) in enumerate(part.runs):
+                places.setdefault(run_id, (part.record, row))
     return places
 
 

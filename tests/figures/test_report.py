@@ -21,7 +21,6 @@ from pneuma.figures.report import (
     Conditions,
     Part,
     Report,
-    RunRow,
     StudySection,
     Table,
     numbers_table,
@@ -58,10 +57,10 @@ def _report(name: str = "tanh") -> Report:
         pictures=(Picture(PICTURE, name, name),),
         numbers=Table(name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]]),
         conditions=Conditions(name, Table(name, (name,), [[name]]), {name: (name, name)}, {name: name}),
-        runs=(RunRow("0" * 16, name, 0, name, name), RunRow("1" * 16, "relu", 0, "done", "sb3")),
+        runs=(("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")),
         origins=(({name: name}, 2),),
     )
-    again = Part("again", "In the arena", runs=(RunRow("0" * 16, "tanh", 0, "done", "sb3"),))
+    again = Part("again", "In the arena", runs=(("0" * 16, "tanh", 0, "done", "sb3"),))
     empty = Part("optimizer", "In the text's world", ("No runs yet.",), "pneuma study run optimizer")
     return Report(
         claims,
