@@ -166,15 +166,19 @@ def margin(players: np.ndarray, monsters: np.ndarray) -> float:
     return float(max(reach))
 
 
+def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
+    """Return the greatest speed of anybody who walks or flies, in pixels a tick."""
+    speeds = [stats[name] for stats in (players, monsters) for name in ("speed", "knock_speed")]
+    return float(max(each.max(initial=0.0) for each in speeds))
+
+
 def crowd(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return how far apart, on an axis, two bodies are at most that can meet within a step."""
-    widest = fastest = 0.0
+    """Return how far apart, on an axis, two positions are at most whose bodies can meet within a step."""
+    widest = 0.0
     for stats in (players, monsters):
         for half, at in (("half_width", "body_x"), ("half_height", "body_y")):
             widest = max(widest, float((stats[half] + np.abs(stats[at])).max(initial=0.0)))
-        for speed in ("speed", "knock_speed"):
-            fastest = max(fastest, float(stats[speed].max(initial=0.0)))
-    return 2 * (widest + fastest * TICKS_PER_STEP) + 1.0
+    return 2 * (widest + fastest(players, monsters) * TICKS_PER_STEP) + 1.0
 
 
 # --- Filling the rows -----------------------------------------------------------------------------
@@ -328,10 +332,16 @@ def _is_number(value: object) -> bool:
 def _check_complete(
     path: Path, group: str, member: str, values: Mapping[str, Any], known: Sequence[str]
 ) -> None:
-    """Refuse a new character that lacks something, and half a knock-back."""
+    """Refuse a new character that lacks something, half a knock-back, and a position outside the body."""
     lacking = [key for key in _FORM[group] if key not in values and key not in _OPTIONAL.get(group, ())]
     if lacking:
         keys = f"the key{'s' if len(lacking) > 1 else ''} {', '.join(map(repr, lacking))}"
         raise UserError(f"{path}: [{group}.{member}] is new{nearest_name(member, known)} and lacks {keys}")
     if ("knock_back" in values) != ("knock_back_time" in values) and group == "monsters":
         raise UserError(f"{path}: [{group}.{member}] knock_back and knock_back_time go together")
+    away, sides = values.get("body_at", _MIDDLE), values.get("body", (1.0, 1.0))
+    if any(abs(at) >= side / 2 for at, side in zip(away, sides, strict=True)):  # it may lie off the grid
+        raise UserError(
+            f"{path}: [{group}.{member}] body_at = {list(away)} with body = {list(sides)} is not allowed: "
+            "the position must lie inside the body"
+        )

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pneuma.env.characters import FACINGS
+from pneuma.env import rules
+from pneuma.env.characters import FACINGS, fastest
 from pneuma.env.level import Level
 
 
@@ -25,19 +26,43 @@ def checked(given: np.ndarray, shape: int | tuple[int, ...], kinds: str, what: s
     return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
 
 
-def refuse_nowhere(level: Level, players: np.ndarray, monsters: np.ndarray) -> None:
-    """Refuse living bodies, (N, P) and (N, M), that are nowhere on a level's grid, or face nowhere.
+def refuse_nowhere(
+    level: Level, players: np.ndarray, player_stats: np.ndarray, monsters: np.ndarray, kinds: np.ndarray
+) -> None:
+    """Refuse bodies that are nowhere on a level's grid, face nowhere or fly faster than anybody can.
+
+    Dead monsters may be anywhere. Dead players may not: their masks are written as if they lived.
+
+    Args:
+        level: the level, or any of several: they share a grid.
+        players: (N, P) `state.PLAYER`.
+        player_stats: (P,) `state.PLAYER_STATS`.
+        monsters: (N, M) `state.MONSTER`.
+        kinds: (N, M) `state.MONSTER_STATS`.
 
     Raises:
-        ValueError: saying which, and where the grid is.
+        ValueError: saying which, and what they may be.
     """
+    alive = monsters["hp"] > 0
+    _refuse_off_grid(level, "players", players, player_stats)
+    _refuse_off_grid(level, "monsters", monsters[alive], kinds[alive])
+    if players["facing"].min() < 0 or players["facing"].max() >= len(FACINGS):
+        raise ValueError("players: facing is none of 0 to 3")
+    limit = fastest(player_stats, kinds)
+    flying = monsters[alive & (monsters["knocked"] > 0)]
+    for axis in ("knock_x", "knock_y"):
+        if not (np.abs(flying[axis]) <= limit + rules.HAIR).all():  # nor NaN
+            raise ValueError(f"monsters: {axis} is beyond {limit:g} pixels a tick: nobody is faster")
+
+
+def _refuse_off_grid(level: Level, name: str, bodies: np.ndarray, stats: np.ndarray) -> None:
+    """Refuse a position, or the middle of a body, that lies on no tile; NaN does on none."""
     left, top, right, bottom = level.grid
-    for name, bodies in (("players", players), ("monsters", monsters)):
-        x, y = bodies["x"], bodies["y"]
-        on_grid = (left <= x) & (x < right) & (top <= y) & (y < bottom)  # NaN is nowhere
-        if not (on_grid | (bodies["hp"] <= 0)).all():
+    for x, y in (
+        (bodies["x"], bodies["y"]),
+        (bodies["x"] + stats["body_x"], bodies["y"] + stats["body_y"]),
+    ):
+        if not ((left <= x) & (x < right) & (top <= y) & (y < bottom)).all():
             raise ValueError(
                 f"{name}: x or y lies off the grid, {left:g} to {right:g}, {top:g} to {bottom:g}"
             )
-    if players["facing"].min() < 0 or players["facing"].max() >= len(FACINGS):
-        raise ValueError("players: facing is none of 0 to 3")

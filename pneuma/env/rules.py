@@ -1,4 +1,4 @@
-"""The rules of the world: every compiled kernel, in one module.
+"""The rules of the world, compiled.
 
 N worlds x P players x M monsters advance here by agent steps of several ticks of 1/60 s, and are
 observed. State lies in plain arrays (`state.py`), which `worlds.py` owns and hands in; nothing here
@@ -7,7 +7,6 @@ allocates. Sources: thesis sections 5.1 to 5.3 and the constants of the publishe
 A tick goes: every player acts; every monster is struck, senses, bites and moves; every player gets what
 the tick brought. Living bodies and terrain stop whoever moves, x first, then y; nobody pushes.
 
-All kernels stay in this file because the compile cache watches only the file that a kernel is in.
 The dynamics use only + - * / and square root, without fast-math, so that every processor gives
 the same bits.
 """
@@ -59,7 +58,7 @@ merged: Any = njit(**_UNCOUNTED, inline="always")  # by numba, before compiling:
 typed_intrinsic: Any = intrinsic
 
 
-# --- The three calls ------------------------------------------------------------------------------
+# --- The calls from outside -----------------------------------------------------------------------
 
 
 @entry
@@ -640,9 +639,9 @@ def _moved(
     if not (near_tiles or crowded):
         return x + dx, y + dy
     if dx != 0.0:
-        x = _moved_on_x(s, w, me, x, y, shape, dx, stops, near_tiles, crowded)
+        x = _moved_along(s, w, me, True, x, y, shape, dx, stops, near_tiles, crowded)
     if dy != 0.0:
-        y = _moved_on_y(s, w, me, x, y, shape, dy, stops, near_tiles, crowded)
+        y = _moved_along(s, w, me, False, x, y, shape, dy, stops, near_tiles, crowded)
     return x, y
 
 
@@ -656,75 +655,73 @@ def _has_room(s: State, level: int, x: float, y: float) -> bool:
 
 
 @kernel
-def _moved_on_x(
-    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, stops: int, near_tiles: bool,
-    crowded: int,
+def _moved_along(
+    s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: Array, distance: float, stops: int,
+    near_tiles: bool, crowded: int,
 ) -> float:  # fmt: skip
-    """Return x after moving by dx, stopped flush at whatever is first in the way."""
-    middle_x, middle_y = x + shape.body_x, y + shape.body_y
-    way = 1.0 if dx > 0.0 else -1.0
+    """Return x, or y, after moving along it by a distance, stopped flush at whatever is first in the way."""
+    start, _ = _turned(on_x, x, y)
+    offset, _ = _turned(on_x, shape.body_x, shape.body_y)
+    middle, aside = _turned(on_x, x + shape.body_x, y + shape.body_y)
+    half, breadth = _turned(on_x, shape.half_width, shape.half_height)
+    way = 1.0 if distance > 0.0 else -1.0
     stop = math.inf  # of the box's centre, times `way`
     if near_tiles:
-        settings = s.settings[0]
-        left, top, tile = settings.left, settings.top, settings.tile
-        first = math.floor((middle_y - shape.half_height - top) / tile)
-        last = math.ceil((middle_y + shape.half_height - top) / tile) - 1
-        if dx > 0.0:
-            column = math.ceil((middle_x + dx + shape.half_width - left) / tile) - 1
-            edge = left + column * tile - shape.half_width
-        else:
-            column = math.floor((middle_x + dx - shape.half_width - left) / tile)
-            edge = left + (column + 1) * tile + shape.half_width
-        for row in range(first, last + 1):
-            if _blocked(s.terrain, s.worlds[w].level, column, row, stops):
-                stop = way * edge
+        stop = _stop_at_tiles(s, w, on_x, way, middle + distance, half, aside, breadth, stops)
     if crowded:
-        for other in range(s.monsters.shape[1] + s.players.shape[1]):
-            if other != me and _is_alive(s, w, other):
-                there_x, there_y, half_width, half_height = _box(s, w, other)
-                reach = shape.half_width + half_width
-                beside = abs(middle_y - there_y) >= shape.half_height + half_height - HAIR
-                if not beside and way * (there_x - middle_x) >= reach - HAIR:
-                    stop = min(stop, way * there_x - reach)
-    if way * (middle_x + dx) <= stop:
-        return x + dx
-    return max(x, stop - shape.body_x) if dx > 0.0 else min(x, -stop - shape.body_x)
+        stop = min(stop, _stop_at_bodies(s, w, me, on_x, way, middle, half, aside, breadth))
+    if way * (middle + distance) <= stop:
+        return start + distance
+    return max(start, stop - offset) if distance > 0.0 else min(start, -stop - offset)
 
 
-@kernel
-def _moved_on_y(
-    s: State, w: int, me: int, x: float, y: float, shape: Array, dy: float, stops: int, near_tiles: bool,
-    crowded: int,
+@part
+def _turned(on_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return what lies along the axis of a move, then what lies across; and back again."""
+    return (x, y) if on_x else (y, x)
+
+
+@part
+def _stop_at_tiles(
+    s: State, w: int, on_x: bool, way: float, end: float, half: float, aside: float, breadth: float,
+    stops: int,
 ) -> float:  # fmt: skip
-    """Return y after moving by dy, stopped flush at whatever is first in the way."""
-    middle_x, middle_y = x + shape.body_x, y + shape.body_y
-    way = 1.0 if dy > 0.0 else -1.0
-    stop = math.inf  # of the box's centre, times `way`
-    if near_tiles:
-        settings = s.settings[0]
-        left, top, tile = settings.left, settings.top, settings.tile
-        first = math.floor((middle_x - shape.half_width - left) / tile)
-        last = math.ceil((middle_x + shape.half_width - left) / tile) - 1
-        if dy > 0.0:
-            row = math.ceil((middle_y + dy + shape.half_height - top) / tile) - 1
-            edge = top + row * tile - shape.half_height
-        else:
-            row = math.floor((middle_y + dy - shape.half_height - top) / tile)
-            edge = top + (row + 1) * tile + shape.half_height
-        for column in range(first, last + 1):
-            if _blocked(s.terrain, s.worlds[w].level, column, row, stops):
-                stop = way * edge
-    if crowded:
-        for other in range(s.monsters.shape[1] + s.players.shape[1]):
-            if other != me and _is_alive(s, w, other):
-                there_x, there_y, half_width, half_height = _box(s, w, other)
-                reach = shape.half_height + half_height
-                beside = abs(middle_x - there_x) >= shape.half_width + half_width - HAIR
-                if not beside and way * (there_y - middle_y) >= reach - HAIR:
-                    stop = min(stop, way * there_y - reach)
-    if way * (middle_y + dy) <= stop:
-        return y + dy
-    return max(y, stop - shape.body_y) if dy > 0.0 else min(y, -stop - shape.body_y)
+    """Return where a box's centre, times `way`, is flush to the tiles that its leading edge would enter."""
+    settings = s.settings[0]
+    tile = settings.tile
+    corner, corner_aside = _turned(on_x, settings.left, settings.top)
+    first = math.floor((aside - breadth - corner_aside) / tile)
+    last = math.ceil((aside + breadth - corner_aside) / tile) - 1
+    if way > 0.0:
+        line = math.ceil((end + half - corner) / tile) - 1
+        flush = corner + line * tile - half
+    else:
+        line = math.floor((end - half - corner) / tile)
+        flush = corner + (line + 1) * tile + half
+    for other in range(first, last + 1):
+        column, row = _turned(on_x, line, other)
+        if _blocked(s.terrain, s.worlds[w].level, column, row, stops):
+            return way * flush
+    return math.inf
+
+
+@part
+def _stop_at_bodies(
+    s: State, w: int, me: int, on_x: bool, way: float, middle: float, half: float, aside: float,
+    breadth: float,
+) -> float:  # fmt: skip
+    """Return where a box's centre, times `way`, touches the first body ahead; who is inside is not ahead."""
+    stop = math.inf
+    for other in range(s.monsters.shape[1] + s.players.shape[1]):
+        if other != me and _is_alive(s, w, other):
+            there_x, there_y, half_width, half_height = _box(s, w, other)
+            there, there_aside = _turned(on_x, there_x, there_y)
+            other_half, other_breadth = _turned(on_x, half_width, half_height)
+            reach = half + other_half
+            beside = abs(aside - there_aside) >= breadth + other_breadth - HAIR
+            if not beside and way * (there - middle) >= reach - HAIR:
+                stop = min(stop, way * there - reach)
+    return stop
 
 
 @part

@@ -106,6 +106,7 @@ class Worlds:
             count, np.uint64
         )  # until they are seeded
         self.players = np.zeros((count, players), state.PLAYER)
+        self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
         self.monsters = np.zeros((count, monsters), state.MONSTER)
         self.events = np.zeros((count, players), state.EVENTS)
         self.events["distance"] = np.inf
@@ -191,7 +192,7 @@ class Worlds:
         row["deadly_coast"] = config.coast == "deadly"
         trees = (config.trees == "wall") << rules.SOLID
         row["player_stops"] = trees | (config.coast == "wall") << rules.COAST
-        row["monster_stops"] = trees | 1 << rules.COAST if config.terrain_stops == "all" else 0
+        row["monster_stops"] = (trees | 1 << rules.COAST) if config.terrain_stops == "all" else 0
         row["bodies_block"] = config.bodies == "block"
         row["crowd"] = characters.crowd(self.player_stats, self.monster_stats.ravel())
         row["bite_while_knocked"] = config.bite_while_knocked
@@ -200,9 +201,7 @@ class Worlds:
         row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
         row["magic"] = config.magic
-        fastest = max(self.player_stats["speed"].max(), self.player_stats["knock_speed"].max())
-        for name in ("speed", "knock_speed"):
-            fastest = max(fastest, self.monster_stats[name].max(initial=0.0))
+        fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
@@ -359,9 +358,10 @@ class Worlds:
         What the state counts, who is left, is counted anew.
 
         Raises:
-            ValueError: for living bodies that are nowhere on the grid, or face nowhere.
+            ValueError: for bodies that are nowhere on the grid, face nowhere or fly too fast.
         """
-        refuse_nowhere(self.level, self.players, self.monsters)
+        kinds = self.monster_stats[self.worlds["level"]]
+        refuse_nowhere(self.level, self.players, self.player_stats, self.monsters, kinds)
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
         self._observe()

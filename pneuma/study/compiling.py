@@ -27,7 +27,7 @@ WAITS = "waiting while another run compiles for the first time"
 WAIT_SECONDS = 0.2
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
-    "optimizer", "env", "players", "observation", "perceive", "magic",
+    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic",
 )  # fmt: skip
 """Settings by which a run's programs are others."""
 

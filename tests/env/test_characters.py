@@ -230,6 +230,7 @@ def complaint(file: str, **settings: object) -> str:
         ('[players.base]\nhp = "full"', "[players.base]", "hp = 'full' is not allowed"),
         ("[players.base]\nbody = [47]", "[players.base]", "body = [47] is not allowed: 2 of"),
         ("[players.base]\nbody_at = [1]", "[players.base]", "body_at = [1] is not allowed: 2 of"),
+        ("[monsters.bamboo]\nbody_at = [12, 0]", "[monsters.bamboo]", "the position must lie inside"),
         ("[players.base]\nweapon = 3", "[players.base]", "weapon = 3 is not allowed"),
         (
             "[weapons.axe]\nreach = 50",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from .arena import (
     player_hp,
     stage,
     state_bits,
+    write_level,
 )
 
 
@@ -263,6 +265,7 @@ def test_what_the_rules_could_not_take_is_refused(asked: Callable[[Worlds], obje
         ("players", "x", np.nan, "players: x or y lies off the grid"),
         ("players", "y", 1e9, "players: x or y lies off the grid"),
         ("monsters", "x", -1e5, "monsters: x or y lies off the grid"),
+        ("monsters", "y", 1599.0, "monsters: x or y lies off the grid"),  # but not the middle of its body
         ("players", "facing", 4, "players: facing is none of 0 to 3"),
     ],
 )
@@ -271,6 +274,37 @@ def test_bodies_that_are_nowhere_are_refused(bodies: str, field: str, value: flo
     getattr(worlds, bodies)[field][1] = value
     with pytest.raises(ValueError, match=told):
         worlds.observe()
+
+
+def test_dead_players_are_somewhere_too() -> None:
+    """Their masks are written as if they lived."""
+    worlds = begin(1, players=2)
+    worlds.players[0, 1] = (np.nan, *worlds.players[0, 1].tolist()[1:])
+    worlds.players["hp"][0, 1] = 0.0
+    with pytest.raises(ValueError, match="players: x or y lies off the grid"):
+        worlds.observe()
+
+
+@pytest.mark.parametrize("speed", [5.1, -1e9, np.nan])
+def test_flights_faster_than_anybody_are_refused(speed: float) -> None:
+    """The fastest is the player, who walks 5 pixels a tick."""
+    worlds = begin(1)
+    worlds.monsters["knocked"][0, 0], worlds.monsters["knock_y"][0, 0] = 5, -5.0
+    worlds.observe()
+    worlds.monsters["knock_y"][0, 0] = speed
+    with pytest.raises(ValueError, match="monsters: knock_y is beyond 5 pixels a tick"):
+        worlds.observe()
+
+
+def test_before_its_first_reset_a_world_is_on_the_grid(tmp_path: Path) -> None:
+    """Whichever is reset, all are observed; this grid begins a long way from the origin."""
+    level = Path(write_level(tmp_path, [(58_000_000.0, 58_000_000.0)], []))
+    (level / "level.toml").write_text("origin = [-906240, -906240]\n")
+    worlds = Worlds(2, make_env_config({"level": str(level)}))
+    worlds.reset(np.array([True, False]))
+    left, top, right, bottom = worlds.level.grid
+    x, y = worlds.players["x"], worlds.players["y"]
+    assert ((left < x) & (x < right) & (top < y) & (y < bottom)).all()
 
 
 def test_who_is_left_is_counted_anew() -> None:
