@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -20,6 +19,7 @@ from pneuma.analysis.curves import Curve, curve_names, study_curves
 from pneuma.analysis.references import PLAYERS, have_one_return, shared_levels
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
 from pneuma.figures.captions import caption_of, headline_of, legend_title_of
 from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
 from pneuma.figures.multiples import draw_multiples
@@ -96,8 +96,10 @@ def draw_study(
 
     Raises:
         UserError: for a quantity or window that the study's data does not have, data without curves, or
-            more panels than a slide has room for.
+            more panels than a slide has room for, or another study beside a panel for each condition.
     """
+    if beside and len(data.conditions) > MOST_IN_A_PANEL:
+        raise UserError(f"{beside.study} cannot be drawn beside {data.study}: each condition has a panel")
     drawing = settle(data, band, window, quantities=quantities, layout=layout, size=size)
     curves = study_curves(data, drawing.quantities, drawing.window)
     caption = caption_of(data, curves, drawing.band, drawing.window)
@@ -211,11 +213,11 @@ def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], 
 
 
 def _curves_beside(beside: StudyData, drawing: Drawing) -> dict[str, list[Curve]]:
-    """Return a curve of all runs of another study, under its title, for each quantity that it has."""
+    """Return the curves of another study, all under its title, for each quantity that it has."""
     window = drawing.window if drawing.window in beside.windows else beside.windows[0]
     names = [name for name in drawing.quantities if name in beside.quantities]
     return {
-        name: [Curve(beside.title, group[0].step, np.concatenate([curve.runs for curve in group]))]
+        name: [Curve(beside.title, curve.step, curve.runs) for curve in group]
         for name, group in study_curves(beside, names, window).items()
     }
 

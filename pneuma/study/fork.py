@@ -33,8 +33,8 @@ from pneuma.study.trust import own_things
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
-    "magic", "observation", "perceive", "slots", "learners", "horizon", "actor", "critic", "buffer_size",
-    "learning_starts", "seed",
+    "magic", "observation", "observe_facing", "perceive", "slots", "learners", "horizon", "actor",
+    "critic", "buffer_size", "learning_starts", "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""
 OF_TRANSITIONS = tuple(own.name for own in fields(EnvConfig))

@@ -201,6 +201,7 @@ def test_another_parent_or_step_makes_another_fork(store: Store) -> None:
         ({"parent": "0" * 16}, "cannot change at a fork"),
         ({"learning_starts": 150_000}, "cannot change at a fork"),
         ({"characters": "pygame"}, "cannot change at a fork"),
+        ({"observe_facing": True}, "cannot change at a fork"),
         ({"learning_rat": 1}, "did you mean learning_rate"),
         ({"optimizer": "sgd"}, "needs --reset optimizer"),
         ({"steps": 640}, "a fork ends where its parent does, at step 320"),
