@@ -21,7 +21,7 @@ PLAYERS = ("random", "hunter")
 
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
-    "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewards by events, XP kept for ever",
+    "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
     "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost, the facing observed",
     "pneuma/mo-Pneuma-v0": "Pneuma-v0 with its reward as a vector of six parts",
     "pneuma/mo-PneumaGodot-v0": "PneumaGodot-v0 with its reward as a vector of six parts",
