@@ -135,7 +135,7 @@ def observation_space(
             (top - settings["middle_y"]) * settings["scale_y"],
             (bottom - settings["middle_y"]) * settings["scale_y"],
         ),
-        "hp": (0.0, _most_hp(player, monsters, config) * player["hp_scale"]),
+        "hp": (0.0, most_hp(player, monsters, config) * player["hp_scale"]),
         "energy": (0.0, player["energy"] * player["energy_scale"]),
         "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
         "facing_x": (-1.0, 1.0),
@@ -161,7 +161,7 @@ def observation_space(
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
-def _most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:
+def most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:
     """Return the HP of who kills everything unhurt."""
     healed = 0.0 if config.healing_cap else monsters["heal"].sum(axis=-1).max(initial=0.0)
     return float(player["hp"] + healed)

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env.characters import TICKS_PER_STEP
-from pneuma.env.observation import MOST_XP
+from pneuma.env.observation import MOST_XP, most_hp
 from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.showing import ShowsWorld
@@ -177,9 +177,10 @@ def parts_space(state: Worlds) -> spaces.Box:
     most = MOST_XP if config.xp_scope == "forever" else worth
     least = -MOST_XP if config.xp_scope == "forever" else -config.ending_cost
     circles = float(state.monsters.shape[1] * TICKS_PER_STEP)
+    hp = max(most_hp(row, state.monster_stats, config) / float(row["hp"]) for row in state.player_stats)
     low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
-    bites = float(TICKS_PER_STEP)  # who is healed in between may lose all HP at every tick
-    high = np.array([most, 1.0, worth, bites, circles, circles], np.float32)
+    lost = hp * TICKS_PER_STEP  # who is healed in between may lose all HP at every tick
+    high = np.array([most, hp, worth, lost, circles, circles], np.float32)
     return spaces.Box(low, high, dtype=np.float32)
 
 

@@ -38,7 +38,13 @@ perceive = "nearest:4"
 order = "fixed"
 scale = "raw"
 start = "first"
+observe_facing = true
+bodies = "pass"
 coast = "deadly"
+trees = "pass"
+terrain_stops = "players"
+bite_while_knocked = true
+healing_cap = true
 kill_credit = "near"
 xp_scope = "forever"
 ending_cost = 1.5
@@ -186,7 +192,13 @@ WRONG: dict[str, tuple[tuple[str, ...], ...]] = {
     "order": _one_of("nearest", "fixed", empty=True),
     "scale": _one_of("unit", "map", "raw", near="uint", empty=True),
     "start": _one_of("random", "first"),
+    "observe_facing": _flag(),
+    "bodies": _one_of("block", "pass"),
     "coast": _one_of("wall", "deadly", near="wal"),
+    "trees": _one_of("wall", "pass", near="wal"),
+    "terrain_stops": _one_of("all", "players"),
+    "bite_while_knocked": _flag(),
+    "healing_cap": _flag(),
     "kill_credit": _one_of("striker", "near"),
     "xp_scope": _one_of("episode", "forever"),
     "ending_cost": _number("at least 0", "at most 1000", "-0.1", "1000.1"),
