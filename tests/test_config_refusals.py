@@ -86,9 +86,10 @@ LISTS: dict[str, list[Any]] = {
 WORDS = (
     *("level", "env", "engine", "algorithm", "activation", "clip", "optimizer", "learners"),
     *("observation", "start", "coast", "kill_credit", "xp_scope", "time_limit"),
+    *("bodies", "trees", "terrain_stops"),
 )
 WORDS_OR_NOTHING = ("characters", "perceive", "order", "scale", "parent", "fork_reset")
-FLAGS = ("end_on_clear", "magic", "value_baseline")
+FLAGS = ("end_on_clear", "magic", "value_baseline", "observe_facing", "bite_while_knocked", "healing_cap")
 
 
 def _assert_refused(key: str, value: Any, shown: str) -> str:
