@@ -10,6 +10,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from pneuma.analysis.sources import open_study
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.looks import MOST_IN_A_PANEL
@@ -50,6 +51,18 @@ def test_other_numbers_give_other_bytes(study: HandMade, tmp_path: Path) -> None
     study.add("tanh", 0, evaluations=(0.1, 0.2, 0.3, 0.9))
     (second,) = study.draw(tmp_path / "second", formats=("svg",))
     assert first.read_bytes() != second.read_bytes()
+
+
+def test_every_run_of_another_study_is_drawn_beside(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    other = open_study(study.store, {**study.record, "study": "other", "title": "Another"})
+    study.draw(tmp_path, quantities=("return",))
+    (path, _) = study.draw(tmp_path, quantities=("return",), beside=other)
+    alone, beside = (figure.axes[0] for figure in drawn)
+    assert path.name == "fig-mine-return-beside-other.png"
+    assert len(beside.lines) == len(alone.lines) + len(other.runs) == len(alone.lines) + 4
+    assert "Another" in legend(drawn[1])
 
 
 # --- What it says --------------------------------------------------------------------------------
