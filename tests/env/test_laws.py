@@ -9,15 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from pneuma.config import make_env_config
-from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
 
 from .oracle_cases import Case, cases, make_worlds
@@ -133,19 +130,3 @@ def test_who_chases_one_that_stands_arrives_and_bites(tmp_path: Path) -> None:
         assert worlds.players["hp"][0, 0] < 100
 
     check()
-
-
-# --- The hunter --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("env_id", ["pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0"])
-@pytest.mark.parametrize("level", ["thesis", "random:test:0", "random:test:4", "random:train:8"])
-def test_the_hunter_clears_the_level(level: str, env_id: str) -> None:
-    chosen: dict[str, Any] = {"level": level, "end_on_clear": True, "episode_steps": 1000}
-    worlds = Worlds(6, make_env_config(chosen, env_id))
-    worlds.seed(range(6))
-    worlds.reset(starts=np.arange(6))
-    hunter = Hunter(worlds)
-    while (worlds.worlds["ending"] == 0).any():
-        worlds.step(hunter.act(worlds))
-    assert [worlds.ending(world) for world in range(6)] == ["cleared"] * 6
