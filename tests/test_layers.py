@@ -70,7 +70,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
     "pneuma.figures.paper": ("pneuma.figures", "pneuma.analysis", "pneuma.study.files", "pneuma.study.cores"),
     # what judges claims by the runs of a results folder:
-    "pneuma.figures.judged": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
+    "pneuma.figures.verdict_words": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study", "pneuma.analysis.checksums"),
