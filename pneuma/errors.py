@@ -25,7 +25,7 @@ def install_extra(name: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Return a text with each character that cannot be seen written as its code, such as `\\u202e`.
+    """Return a text with each character that cannot be seen written as its code, as JSON does.
 
     For terminals and figures: titles and names may come from untrusted files, and control characters could
     drive a terminal, reverse the direction of writing, or make an SVG that is no XML.
