@@ -24,8 +24,8 @@ from typing import Any
 from pneuma.analysis.checksums import is_whole
 from pneuma.errors import UserError, install_extra
 from pneuma.study import spec
-from pneuma.study.cores import available_cores
 from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store, read_whole
 
 GOOD, NOTE, BROKEN = "good", "note", "broken"

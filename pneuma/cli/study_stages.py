@@ -48,7 +48,7 @@ def run_stages(
     """Train a study in stages, telling after each what is decided; return the exit code."""
     from pneuma.until_decided import look_document, run_until_decided
 
-    outcomes: list[execute.Outcome] = []
+    outcomes: list[execute.CellResult] = []
     trained: set[str] = set()
     code = 0
 
