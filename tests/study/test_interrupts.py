@@ -8,7 +8,6 @@ import signal
 import threading
 
 import pytest
-
 from pneuma.study.executors.interrupts import Interrupts
 
 

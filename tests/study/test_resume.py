@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pneuma.study.resume import Resume
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress
@@ -16,7 +17,6 @@ from pneuma.errors import UserError
 from pneuma.study import provenance, resume
 from pneuma.study.checkpoints import checkpoint_files
 from pneuma.study.provenance import Attempt, finished_provenance
-from pneuma.study.resume import Resume
 from pneuma.study.store import Store
 
 NAME = "0123456789abcdef"
