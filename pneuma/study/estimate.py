@@ -63,8 +63,9 @@ class Paces:
 
     def add(self, settings: Mapping[str, Any], seconds: float) -> None:
         """Take a run's fields, and the seconds that a step of it took."""
+        slower = seconds / _usual(settings)
         self.like.setdefault(_kind(settings), []).append(seconds)
-        self.slower.setdefault(str(settings["engine"]), []).append(seconds / _usual(settings))
+        self.slower.setdefault(settings["engine"], []).append(slower)
 
     def knows(self, run: Run) -> bool:
         """Tell whether a run like this one was timed."""

@@ -44,7 +44,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunCheckpoints:
-    return RunCheckpoints(store, NAME, RUN, 15.0, keep, [].append if said is None else said.append)
+    return RunCheckpoints(store, NAME, RUN, 15.0, keep, (said if said is not None else list[str]()).append)
 
 
 def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:

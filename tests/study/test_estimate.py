@@ -1,7 +1,8 @@
-"""The runtime estimate: from runs like it, else from a table by network size times this machine's slowness."""
+"""The runtime estimate: from runs like it, else from a table, times this machine's slowness."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,7 @@ def test_calibrating_measures_what_is_unknown_and_leaves_out_what_compiled(
             on_event({"event": "step", "run_id": "x", "step": 256 * update})
 
     monkeypatch.setattr(estimate, "run_groups", train)
-    monkeypatch.setattr(estimate.time, "monotonic", lambda: clock["now"])
+    monkeypatch.setattr(time, "monotonic", lambda: clock["now"])
     paces, said = Paces(), list[str]()
     estimate.calibrate([RUN, replace(RUN, seed=1)], paces, said.append)
     assert len(said) == 1

@@ -134,7 +134,7 @@ def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
 # --- Plans of one run ------------------------------------------------------------------------------
 
 
-def stored(store: Store, steps: Sequence[int] = (AT,), about: object = None, **settings: object) -> str:
+def stored(store: Store, steps: Sequence[int] = (AT,), about: object = None, **settings: Any) -> str:
     """Store a run as finished, with checkpoints; return its id."""
     run = make_run({**SMALL, **settings})
     name = run_id(run)
@@ -242,7 +242,7 @@ def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
 
 
 def test_the_control_of_a_forks_fork_resets_nothing_and_its_parent_is_named(store: Store) -> None:
-    about_parent = {"parent": "0" * 16, "fork_step": 64, "fork_reset": "optimizer"}
+    about_parent: dict[str, Any] = {"parent": "0" * 16, "fork_step": 64, "fork_reset": "optimizer"}
     name = stored(store, **about_parent)
     assert {(cell.run.fork_reset, cell.run.fork_step) for cell in plan(store, gamma=0.9).cells} == {("", AT)}
     (file,) = checkpoint_files(store.run_folder(name))

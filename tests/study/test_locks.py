@@ -6,6 +6,7 @@ import fcntl
 import os
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -71,11 +72,12 @@ def test_a_link_a_pipe_or_a_folder_in_the_locks_place_is_refused_and_not_waited_
     folder = store.run_folder(name)
     folder.mkdir(parents=True)
     path = folder / ".lock"
-    for make, undo, why in (
+    cases: list[tuple[Callable[[], object], Callable[[], object], str]] = [
         (lambda: path.symlink_to(tmp_path / "elsewhere"), path.unlink, "symbolic links"),
         (lambda: os.mkfifo(path), path.unlink, "is no ordinary file; remove it"),
         (path.mkdir, path.rmdir, "directory"),
-    ):
+    ]
+    for make, undo, why in cases:
         make()
         with pytest.raises(OSError, match=why), RunLock(folder):
             pass
