@@ -8,13 +8,12 @@ import shutil
 import sys
 from collections.abc import Iterable, Sequence
 
+from pneuma.errors import plain
+
+__all__ = ["command", "plain", "print_table"]
+
 WIDEST = 10_000
 """Characters of a line where nobody reads at a terminal: tables are not folded there."""
-
-
-def plain(text: str) -> str:
-    """Return a text without control characters, which could drive a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def command(*words: object) -> str:

@@ -30,8 +30,8 @@ from pneuma.cli.plain_text import command, plain, print_table
 from pneuma.cli.study_output import open_data, tell_written
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
-from pneuma.study.cause_forks import plan_cause_forks
 from pneuma.study.executors.base import Supervision
+from pneuma.study.fork import plan_cause_forks
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
