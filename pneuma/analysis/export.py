@@ -85,8 +85,10 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
 
 def _unrunnable(frame: pd.DataFrame) -> pd.DataFrame:
     """Return a table in which a spreadsheet runs no text: names may be untrusted."""
-    texts = frame.select_dtypes(include=["object", "string"])
-    return frame.assign(**{str(name): [_as_text(cell) for cell in texts[name]] for name in texts})
+    safe = frame.copy()
+    for name in safe.select_dtypes(include=["object", "string"]):
+        safe[name] = safe[name].map(_as_text)
+    return safe
 
 
 def _as_text(cell: object) -> object:

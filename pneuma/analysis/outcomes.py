@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from pneuma.analysis.collapse import Diagnosis, diagnose
+from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.run_view import RunView, Series, ends_before, mean_height, view
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import ACTION_NAMES
@@ -144,11 +144,44 @@ def _no_sign(data: StudyData, run: FinishedRun, name: str, at_step: float | None
     return f"the run had not collapsed by step {at_step:,.0f}" if early else "the run never collapsed"
 
 
-# --- From evaluations ------------------------------------------------------------------------------
+# --- Measures --------------------------------------------------------------------------------------
+
+Measure = Callable[[RunView], float]
+Take = Callable[[np.ndarray], float]
+"""From values in the order of their steps, (points,) of which there is at least one, to a number."""
 
 
-def _final_evaluation(seen: RunView, column: str) -> float:
-    return _last(seen.evaluations(column))
+def _evaluations(column: str, take: Take) -> Measure:
+    return lambda seen: _taken(seen.evaluations(column), take)
+
+
+def _curve(quantity: str, take: Take) -> Measure:
+    return lambda seen: _taken(seen.curve(quantity), take)
+
+
+def _peaks(quantity: str, take: Take) -> Measure:
+    return lambda seen: _taken(seen.peaks(quantity), take)
+
+
+def _taken(series: Series, take: Take) -> float:
+    _, values = series
+    return float(take(values)) if len(values) else NAN
+
+
+def _last(values: np.ndarray) -> float:
+    return float(values[-1])
+
+
+def _fall(values: np.ndarray) -> float:
+    return float(values.max() - values[-1])
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Return how far a curve goes up and down beyond its net change, a point: monotone, 0."""
+    if len(values) < 3:
+        return NAN
+    travelled = np.abs(np.diff(values)).sum()
+    return float((travelled - abs(values[-1] - values[0])) / (len(values) - 1))
 
 
 def _share_area(seen: RunView) -> float:
@@ -158,30 +191,9 @@ def _share_area(seen: RunView) -> float:
 
 
 def _steps_to(seen: RunView, share: float) -> float:
-    step, values = seen.evaluations("share_killed")
-    if not len(values):
-        return NAN
-    reached = step[values >= share]
-    return float(reached[0]) if len(reached) else np.inf
-
-
-def _fall(seen: RunView) -> float:
-    _, values = seen.evaluations("share_killed")
-    return float(values.max() - values[-1]) if len(values) else NAN
-
-
-def _best_score(seen: RunView) -> float:
-    _, values = seen.evaluations("score")
-    return float(values.max()) if len(values) else NAN
-
-
-def _roughness(seen: RunView) -> float:
-    """Return how far the curve goes up and down beyond its net change, an evaluation: monotone, 0."""
-    _, values = seen.evaluations("share_killed")
-    if len(values) < 3:
-        return NAN
-    travelled = np.abs(np.diff(values)).sum()
-    return float((travelled - abs(values[-1] - values[0])) / (len(values) - 1))
+    steps, values = seen.evaluations("share_killed")
+    reached = steps[values >= share]
+    return float(reached[0]) if len(reached) else np.inf if len(values) else NAN
 
 
 def _overestimation(seen: RunView) -> float:
@@ -192,52 +204,15 @@ def _overestimation(seen: RunView) -> float:
     return float(estimates[of_estimate[-1]] - true[of_true[-1]]) if len(of_true) else NAN
 
 
-# --- From training curves --------------------------------------------------------------------------
+def _diagnosed(part: str) -> Measure:
+    """Return one attribute of the diagnosis of collapse; NaN where it is none or no sign can be seen."""
 
+    def measure(seen: RunView) -> float:
+        found = diagnose(seen.data, seen.run, seen.until)
+        value = None if found.blind else getattr(found, part)
+        return NAN if value is None else float(value)
 
-def _final_point(seen: RunView, quantity: str) -> float:
-    return _last(seen.curve(quantity))
-
-
-def _area(seen: RunView, quantity: str) -> float:
-    return mean_height(seen.curve(quantity), seen.until)
-
-
-def _of_curve(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floating]) -> float:
-    _, values = seen.curve(quantity)
-    return float(take(values)) if len(values) else NAN
-
-
-def _of_peaks(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floating]) -> float:
-    _, values = seen.peaks(quantity)
-    return float(take(values)) if len(values) else NAN
-
-
-# --- From signs of collapse ------------------------------------------------------------------------
-
-
-def _diagnosis(seen: RunView) -> Diagnosis | None:
-    """Return the run's diagnosis; None where its records tell of no sign at all."""
-    found = diagnose(seen.data, seen.run, seen.until)
-    return None if found.blind else found
-
-
-def _collapsed(seen: RunView) -> float:
-    found = _diagnosis(seen)
-    return NAN if found is None else float(found.collapsed)
-
-
-def _collapse_step(seen: RunView) -> float:
-    found = _diagnosis(seen)
-    return NAN if found is None or found.onset_step is None else float(found.onset_step)
-
-
-def _relearned(seen: RunView) -> float:
-    found = _diagnosis(seen)
-    return NAN if found is None or found.relearned is None else float(found.relearned)
-
-
-# --- From the clock --------------------------------------------------------------------------------
+    return measure
 
 
 def _wall_seconds(seen: RunView) -> float:
@@ -251,99 +226,121 @@ def _pace(seen: RunView) -> float:
     return (seen.run.end - seen.run.begun) / seconds if seconds else NAN
 
 
-def _last(series: Series) -> float:
-    _, values = series
-    return float(values[-1]) if len(values) else NAN
-
-
 # --- The list --------------------------------------------------------------------------------------
 
 
-def _evaluated(words: str, column: str, better: str, bounds: tuple[float, float], unit: str = "") -> Outcome:
-    measure = partial(_final_evaluation, column=column)
-    alike = NEAR_AN_END if column.endswith("share_killed") else Outcome.alike
-    return Outcome(words, unit, better, bounds, "evaluations", measure, alike=alike)
-
-
-def _from_share(
-    words: str, measure: Callable[[RunView], float], better: str, bounds: tuple[float, float] = SHARE
+def _evaluated(
+    words: str, measure: Measure, better: str = "higher", bounds: tuple[float, float] = ANYTHING
 ) -> Outcome:
-    return Outcome(words, "share", better, bounds, "evaluations", measure, alike=NEAR_AN_END)
+    """Return an outcome that is taken from evaluations; within 0 and 1 it is a share."""
+    return Outcome(words, "share" if bounds == SHARE else "", better, bounds, "evaluations", measure)
 
 
-def _of_risen(words: str, measure: Callable[[RunView], float]) -> Outcome:
-    """Return an outcome that is 0 of a run that never learned anything."""
-    return Outcome(words, "share", "lower", SHARE, "evaluations", measure, supposes_rise=True)
+def _of_kills(words: str, measure: Measure, better: str = "higher", supposes_rise: bool = False) -> Outcome:
+    """Return an outcome that is a share of the monsters."""
+    return replace(
+        _evaluated(words, measure, better, SHARE),
+        supposes_rise=supposes_rise,
+        alike=Outcome.alike if supposes_rise else NEAR_AN_END,
+    )
 
 
 def _trained(
     words: str,
     quantity: str,
-    measure: Callable[..., float] = _final_point,
     better: str = "",
     bounds: tuple[float, float] = ANYTHING,
     unit: str = "",
-    **more: object,
+    measure: Measure | None = None,
 ) -> Outcome:
-    return Outcome(words, unit, better, bounds, quantity, partial(measure, quantity=quantity, **more))
+    """Return an outcome that is taken from a training curve, from its last point unless told otherwise."""
+    return Outcome(words, unit, better, bounds, quantity, measure or _curve(quantity, _last))
 
 
 POSITIVE = (0.0, np.inf)
 
 OUTCOMES: dict[str, Outcome] = {
-    "final-share-killed": _evaluated(
-        "monsters killed, last evaluation", "share_killed", "higher", SHARE, "share"
+    "final-share-killed": _of_kills("monsters killed, last evaluation", _evaluations("share_killed", _last)),
+    "auc-share-killed": _of_kills("monsters killed, mean over all evaluations", _share_area),
+    "argmax-share-killed": _of_kills(
+        "monsters killed by the most probable actions", _evaluations("argmax_share_killed", _last)
     ),
-    "auc-share-killed": _from_share("monsters killed, mean over all evaluations", _share_area, "higher"),
-    "argmax-share-killed": _evaluated(
-        "monsters killed by the most probable actions", "argmax_share_killed", "higher", SHARE, "share"
+    "normalised-score": _evaluated(
+        "score (0 random player, 1 scripted hunter)", _evaluations("score", _last)
     ),
-    "normalised-score": _evaluated("score (0 random player, 1 scripted hunter)", "score", "higher", ANYTHING),
-    "best-score": Outcome("best score of any evaluation", "", "higher", ANYTHING, "evaluations", _best_score),
-    "evaluated-return": _evaluated("return, last evaluation", "return", "higher", ANYTHING),
-    "final-return": _trained("return at the end of training", "return", better="higher"),
-    "auc-return": _trained("return, mean over training", "return", _area, "higher"),
-    "best-return": _trained("best return of training", "return", _of_curve, "higher", take=np.max),
-    "final-length": _trained("episode length at the end", "length", bounds=POSITIVE, unit="steps"),
-    "final-hp": _trained(
-        "HP at the end of an episode", "hp", better="higher", bounds=POSITIVE, unit="points"
+    "best-score": _evaluated("best score of any evaluation", _evaluations("score", np.max)),
+    "evaluated-return": _evaluated("return, last evaluation", _evaluations("return", _last)),
+    "final-return": _trained("return at the end of training", "return", "higher"),
+    "auc-return": _trained(
+        "return, mean over training",
+        "return",
+        "higher",
+        measure=lambda seen: mean_height(seen.curve("return"), seen.until),
     ),
-    "final-died": _evaluated("evaluation episodes that ended in death", "died", "lower", SHARE, "share"),
-    "final-entropy": _trained("entropy of the policy at the end", "entropy", bounds=POSITIVE, unit="nats"),
+    "best-return": _trained("best return of training", "return", "higher", measure=_curve("return", np.max)),
+    "final-length": _trained("episode length at the end", "length", "", POSITIVE, "steps"),
+    "final-hp": _trained("HP at the end of an episode", "hp", "higher", POSITIVE, "points"),
+    "final-died": _evaluated(
+        "evaluation episodes that ended in death", _evaluations("died", _last), "lower", SHARE
+    ),
+    "final-entropy": _trained("entropy of the policy at the end", "entropy", "", POSITIVE, "nats"),
     "least-entropy": _trained(
-        "least entropy of any update", "entropy", _of_peaks, bounds=POSITIVE, unit="nats", take=np.min
+        "least entropy of any update", "entropy", "", POSITIVE, "nats", _peaks("entropy", np.min)
     ),
     "max-grad-norm": _trained(
-        "greatest gradient norm of any update", "grad_norm", _of_peaks, "lower", POSITIVE, take=np.max
+        "greatest gradient norm of any update",
+        "grad_norm",
+        "lower",
+        POSITIVE,
+        "",
+        _peaks("grad_norm", np.max),
     ),
     "median-grad-norm": _trained(
-        "median of the curve of gradient norms", "grad_norm", _of_curve, "lower", POSITIVE, take=np.median
+        "median of the curve of gradient norms",
+        "grad_norm",
+        "lower",
+        POSITIVE,
+        "",
+        _curve("grad_norm", np.median),
     ),
-    "final-dead-units": _trained(
-        "dead hidden units at the end", "dead_units", better="lower", bounds=SHARE, unit="share"
-    ),
+    "final-dead-units": _trained("dead hidden units at the end", "dead_units", "lower", SHARE, "share"),
     **{
         f"final-action-{i}": _trained(
-            f"share of the action {name} at the end", f"action_{i}", bounds=SHARE, unit="share"
+            f"share of the action {name} at the end", f"action_{i}", "", SHARE, "share"
         )
         for i, name in enumerate(ACTION_NAMES)
     },
-    "collapsed": Outcome("the run collapsed (1) or not (0)", "", "lower", SHARE, "signs", _collapsed),
-    "collapse-step": Outcome("onset of its collapse", "steps", "", POSITIVE, "signs", _collapse_step),
-    "relearned": Outcome(
-        "a collapsed run played as before again (1) or not (0)", "", "higher", SHARE, "signs", _relearned
+    "collapsed": Outcome(
+        "the run collapsed (1) or not (0)", "", "lower", SHARE, "signs", _diagnosed("collapsed")
     ),
-    "fall-from-best": _of_risen("best evaluation less the last, in monsters killed", _fall),
-    "curve-roughness": _of_risen(
-        "ups and downs of monsters killed beyond the net change, per evaluation", _roughness
+    "collapse-step": Outcome(
+        "onset of its collapse", "steps", "", POSITIVE, "signs", _diagnosed("onset_step")
+    ),
+    "relearned": Outcome(
+        "a collapsed run played as before again (1) or not (0)",
+        "",
+        "higher",
+        SHARE,
+        "signs",
+        _diagnosed("relearned"),
+    ),
+    "fall-from-best": _of_kills(
+        "best evaluation less the last, in monsters killed",
+        _evaluations("share_killed", _fall),
+        "lower",
+        supposes_rise=True,
+    ),
+    "curve-roughness": _of_kills(
+        "ups and downs of monsters killed beyond the net change, per evaluation",
+        _evaluations("share_killed", _roughness),
+        "lower",
+        supposes_rise=True,
     ),
     "wall-seconds": Outcome("time that training took", "s", "lower", POSITIVE, "times", _wall_seconds),
     "steps-per-second": Outcome(
         "agent steps trained per second", "steps/s", "higher", POSITIVE, "times", _pace
     ),
-    "q-overestimation": Outcome(
-        "estimated value of play less what it returned", "", "lower", ANYTHING, "evaluations", _overestimation
-    ),
+    "q-overestimation": _evaluated("estimated value of play less what it returned", _overestimation, "lower"),
 }
 """By name; `find_outcome` also knows steps-to:X."""
 

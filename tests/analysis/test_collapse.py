@@ -86,7 +86,8 @@ def test_a_run_that_learns_has_not_collapsed(tmp_path: Path) -> None:
 
 def returns_of(points: list[tuple[float, float]]) -> np.ndarray:
     """Return the returns of a hundred updates, straight between points of update and return."""
-    return np.interp(np.arange(1, 101), *zip(*points, strict=True))
+    updates, returns = np.array(points).T
+    return np.interp(np.arange(1, 101), updates, returns)
 
 
 def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_never_reset(

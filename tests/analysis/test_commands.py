@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -26,22 +27,15 @@ def results(tmp_path: Path) -> Path:
 
 
 def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(results: Path) -> None:
-    lines = printed("study", "collapse", "mine", "--results", results).splitlines()
-    assert lines[0].split("  ")[-1] == "update 61, step 6,100: no entropy, one action, dead units"
-    assert "a1" * 8 in lines[0]
-    assert lines[1].endswith("1 of 2 runs collapsed, 95 % interval 1% to 99%")
-    assert lines[2].endswith("0 of 2 runs collapsed, 95 % interval 0% to 84%")
-    assert lines[3:] == []  # nothing to fork from
+    told = printed("study", "collapse", "mine", "--results", results)
+    (row,) = (line for line in told.splitlines() if "a1" * 8 in line)
+    assert re.split(r"  +", row)[3:] == ["6,100", "no entropy, one action, dead units", "never"]
+    assert "1 of 2 runs  1% to 99%" in told and "0 of 2 runs  0% to 84%" in told
+    assert "To show the cause" not in told  # nothing to fork from
     Store(results).write(Store(results).run_folder("a1" * 8) / "checkpoints" / "one", b"")
-    assert printed("study", "collapse", "mine", "--results", results).splitlines() == [
-        *lines, f"To show the cause: pneuma study collapse mine --fork --results {results}"
-    ]  # fmt: skip
-    assert printed("study", "collapse", "mine", "--quiet", "--results", results).splitlines() == lines
-
-
-def test_collapse_as_json(results: Path) -> None:
+    again = f"To show the cause: pneuma study collapse mine --fork --results {results}\n"
+    assert printed("study", "collapse", "mine", "--results", results) == told + again
     document = described("study", "collapse", "mine", "--json", "--results", results)
-    assert document["schema"] == 1
     assert [run["onset_update"] for run in document["runs"]] == [None, 61, None, None]
     assert [row["collapsed"] for row in document["incidence"]] == [1, 0]
 
@@ -51,16 +45,16 @@ def test_a_condition_without_a_value_is_said_to_have_none(tmp_path: Path) -> Non
     save_run(store, "a0" * 8, healthy(), learning())
     save_run(store, "b0" * 8, healthy(), learning(), end=400)  # evaluated from 500 on
     store.save_selection("mine", study_record(cells))
-    lines = printed("study", "summary", "mine", "--results", store.root).splitlines()
+    lines = printed("study", "summary", "mine", "--all", "--results", store.root).splitlines()
     place = lines.index("final-share-killed: monsters killed, last evaluation")
-    early = "the run diverged at step 400 has no value of its evaluations to take final-share-killed from"
-    assert lines[place + 2] == f"  gone   n = 0   {early}"
+    assert lines[place + 3].split()[:2] == ["gone", "0"] and "diverged at step 400" in lines[place + 3]
 
 
-def test_summary_in_words_and_as_json(results: Path) -> None:
-    out = printed("study", "summary", "mine", "--results", results)
-    assert "final-share-killed: monsters killed, last evaluation" in out
-    assert "median never" not in out and "collapsed 0.50" in out
+def test_a_summary_is_a_table_of_three_means_and_failures(results: Path) -> None:
+    heads, relu = printed("study", "summary", "mine", "--results", results).splitlines()[2:4]
+    names = ["final-share-killed (share)", "auc-share-killed (share)", "argmax-share-killed (share)"]
+    assert re.split(r"  +", heads) == ["condition", "runs", *names, "collapsed", "diverged"]
+    assert re.split(r"  +", relu)[:3] == ["relu", "2", "0.600"]
     rows = described("study", "summary", "mine", "--json", "--results", results)["summary"]
     assert rows[0] == {
         "condition": "relu", "outcome": "runs", "statistic": "count", "value": 2.0, "low": None, "high": None,
@@ -101,10 +95,13 @@ def test_a_collapsed_run_with_a_reward_of_its_owners_is_forked_if_trusted(
     assert "kept no checkpoints" in refused(*fork, "--trust")  # which is the next thing looked at
 
 
-@pytest.mark.parametrize("form", ["csv", "parquet", "latex", "markdown"])
-def test_the_summary_can_be_exported(results: Path, tmp_path: Path, form: str) -> None:
-    paths = [tmp_path / name for name in ("one", "two")]
-    for path in paths:
-        options = ("--table", "summary", "--format", form, "--out", path, "--results", results)
-        printed("study", "export", "mine", *options)
-    assert paths[0].read_bytes() == paths[1].read_bytes()
+def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
+    store, names = Store(tmp_path / "results"), ("=cmd|' /C calc'!A0", "-2+3", "-0.5", "tanh")
+    cells = {(name, 0): f"{place:016x}" for place, name in enumerate(names)}
+    for own in cells.values():
+        save_run(store, own, healthy(), learning())
+    store.save_selection("mine", study_record(cells))
+    out = tmp_path / "summary.csv"
+    printed("study", "export", "mine", "--table", "summary", "--out", out, "--results", store.root)
+    told = dict.fromkeys(line.split(",")[0] for line in out.read_text().splitlines()[1:])
+    assert list(told) == ["'=cmd|' /C calc'!A0", "'-2+3", "-0.5", "tanh"]
