@@ -146,11 +146,6 @@ def endings(found: StudyTrajectories) -> pd.DataFrame:
 # --- The table that is kept ------------------------------------------------------------------------
 
 
-def studies_with_trajectories(results: Path) -> list[str]:
-    """Return the names of the studies whose trajectories are published."""
-    return sorted(path.stem for path in (results / "published" / FOLDER).glob("*.parquet"))
-
-
 def trajectories_path(results: Path, study: str) -> Path:
     """Return where a study's trajectories lie."""
     return results / "published" / FOLDER / f"{study}.parquet"

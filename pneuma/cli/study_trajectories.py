@@ -22,21 +22,19 @@ from pneuma.cli.options import (
     say,
     selects,
 )
-from pneuma.cli.plain_text import plain
-from pneuma.cli.study_output import open_data
+from pneuma.cli.plain_text import plain, print_table
+from pneuma.cli.study_output import open_data, tell_written
 from pneuma.cli.study_summary import records
 from pneuma.env_settings import is_own_level, is_random_level
 from pneuma.errors import UserError
 from pneuma.study.store import Store
 from pneuma.study.trust import REWARD, own_things
-from pneuma.worlds import split_world, world_option
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.tables import FinishedRun, StudyData
     from pneuma.analysis.trajectories import StudyTrajectories
-    from pneuma.engines.trajectories import Trajectories
 
 RESULTS = Path("results")
 EPISODES = 50
@@ -100,12 +98,10 @@ def trajectories(
         told = {"episodes": found.per_run, "endings": records(table), "files": list(map(str, files))}
         return print_json({**document, **told})
     print(f"{plain(data.title)}: {found.per_run} episodes of each run, trained for {data.budget:,} steps")
-    _print(data, table)
+    _print(table)
     if not files:
         say("Draw them on the map with --out DIR.", aside=True, quiet=quiet)
-    for path in files:
-        print(f"wrote {plain(str(path))}")
-    return None
+    return tell_written(files)
 
 
 def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
@@ -122,32 +118,21 @@ def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
     found = read_trajectories(results, data.study)
     own = found and found.of_runs(data.runs)
     if own is None or not len(own.episodes):
-        raise UserError(
-            f"study {data.study}: its policies are not in {results}; " + _told_elsewhere(data, found, results)
-        )
+        other = "those of other runs are published; pick them, or " if found else ""
+        raise UserError(f"study {data.study}: its policies are not in {results}; {other}{data.how_to_train}")
     runs = own.episodes["run_id"].nunique()
     if runs < len(data.runs):
         say(f"Note: trajectories are published of {runs} of these {len(data.runs)} runs.", aside=True)
     return own
 
 
-def _told_elsewhere(data: StudyData, found: StudyTrajectories | None, results: Path) -> str:
-    """Say of which other runs or studies trajectories are published."""
-    from pneuma.analysis.trajectories import studies_with_trajectories
-
-    train = data.how_to_train
-    if found is not None:
-        seeds = sorted(set(found.episodes["seed"]))
-        of = f"seeds {seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"seed {seeds[0]}"
-        whose = f"{', '.join(found.conditions)}, {of}, but not of these runs"
-        return f"trajectories are published of {whose}; pick those, or {train}"
-    studies = [split_world(name) for name in studies_with_trajectories(results)]
-    known = ", ".join(" ".join([name, *world_option(world)]) for name, world in studies)
-    return f"trajectories are published of {known}; or {train}" if known else train
-
-
 def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool) -> StudyTrajectories:
-    """Let every run's policy play."""
+    """Let every run's policy play.
+
+    Raises:
+        UserError: where no run left a policy, or one would read files of its owner's without trust. A reward
+            of its own is not needed.
+    """
     from pneuma.analysis.trajectories import gathered
 
     runs = [run for run in data.runs if run.status != "diverged"]
@@ -157,20 +142,11 @@ def _play(store: Store, data: StudyData, episodes: int, trust: bool, quiet: bool
         gone = len(data.runs) - len(runs)
         say(f"Note: {gone} of {len(data.runs)} runs diverged, and left no policy to play.", aside=True)
     for run in runs:
-        _refuse_strangers(data, run, trust)
+        own = own_things({key: value for key, value in data.settings(run).items() if key != REWARD})
+        if own and not trust:
+            told = plain(" and ".join(own.values()))
+            raise UserError(f"run {run.run_id}: would {told}; if you trust where it is from, give --trust")
     return gathered(_level(data), _played(store, data, runs, episodes, quiet))
-
-
-def _refuse_strangers(data: StudyData, run: FinishedRun, trust: bool) -> None:
-    """Refuse files of a run's own, whose names may be a stranger's; a reward of its own is not needed.
-
-    Raises:
-        UserError: without trust.
-    """
-    own = own_things({key: value for key, value in data.settings(run).items() if key != REWARD})
-    if own and not trust:
-        told = " and ".join(own.values())
-        raise UserError(f"run {run.run_id}: would {plain(told)}; if you trust where it is from, give --trust")
 
 
 def _level(data: StudyData) -> str:
@@ -203,27 +179,22 @@ def _played(
             found = play_trajectories(make_run(settings), policy, episodes)
         except UserError as error:
             raise UserError(f"the policy of run {run.run_id} {error}") from None
-        yield from _rows(run, found)
+        for episode, ending in enumerate(found.endings):
+            walk = found.places[: found.steps[episode] + 1, episode]  # (steps + 1, players, 2)
+            for player in range(walk.shape[1]):
+                yield {
+                    "condition": run.condition,
+                    "seed": run.seed,
+                    "run_id": run.run_id,
+                    "episode": episode,
+                    "player": player,
+                    "steps": found.steps[episode],
+                    "kills": found.kills[episode],
+                    "ending": ending,
+                    "places": walk[:, player],
+                }
         if not quiet and number % 10 == 0:
             say(f"{number} of {len(runs)} runs have played", aside=True)
-
-
-def _rows(run: FinishedRun, found: Trajectories) -> Iterator[dict[str, Any]]:
-    """Yield a row for each player in each episode of a run."""
-    for episode, ending in enumerate(found.endings):
-        walk = found.places[: found.steps[episode] + 1, episode]  # (steps + 1, players, 2)
-        for player in range(walk.shape[1]):
-            yield {
-                "condition": run.condition,
-                "seed": run.seed,
-                "run_id": run.run_id,
-                "episode": episode,
-                "player": player,
-                "steps": found.steps[episode],
-                "kills": found.kills[episode],
-                "ending": ending,
-                "places": walk[:, player],
-            }
 
 
 def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...]) -> list[Path]:
@@ -243,19 +214,17 @@ def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[
     return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats, drawer)
 
 
-def _print(data: StudyData, table: pd.DataFrame) -> None:
-    """Print a line for each condition: the shares of endings, then steps and kills, with intervals.
-
-    Endings that no condition has are left out.
-    """
+def _print(table: pd.DataFrame) -> None:
+    """Print each condition's shares of endings, then steps and kills; endings that none has are left out."""
     from pneuma.analysis.rounding import shown_with_interval
 
-    seen = set(table["outcome"][table["value"] > 0])
-    width = max(len(plain(condition)) for condition in data.conditions) + 1
+    heads = list(dict.fromkeys(table["outcome"][table["value"] > 0]))
+    rows = []
     for condition, own in table.groupby("condition", sort=False):
         cells = [
-            f"{row['outcome']} {shown_with_interval(row['value'], row['low'], row['high'])}"
+            shown_with_interval(row["value"], row["low"], row["high"])
             for row in own.to_dict("records")
-            if row["outcome"] in seen
+            if row["outcome"] in heads
         ]
-        print(f"  {plain(str(condition)):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")
+        rows.append((condition, own["runs"].iloc[0], *cells))
+    print_table(("condition", "runs", *(name for name in own["outcome"] if name in heads)), rows)

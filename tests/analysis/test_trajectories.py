@@ -119,19 +119,13 @@ def test_a_whole_table_of_what_no_episodes_are_is_refused(tmp_path: Path, strang
         read_trajectories(tmp_path, "mine")
 
 
-def test_a_condition_without_a_first_player_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "rows", [(), (row("a", "0", 0, "killed"), row("b", "0", 0, "killed", player=1))], ids=["none", "second"]
+)
+def test_a_table_without_a_first_player_is_refused(tmp_path: Path, rows: tuple[dict[str, Any], ...]) -> None:
     path = trajectories_path(tmp_path, "mine")
     path.parent.mkdir(parents=True)
-    rows = row("a", "0", 0, "killed"), row("b", "0", 0, "killed", player=1)
     path.write_bytes(encode_trajectories(make(*rows)))
-    with pytest.raises(UserError, match="damaged"):
-        read_trajectories(tmp_path, "mine")
-
-
-def test_a_table_of_no_episodes_is_refused(tmp_path: Path) -> None:
-    path = trajectories_path(tmp_path, "mine")
-    path.parent.mkdir(parents=True)
-    path.write_bytes(encode_trajectories(make()))
     with pytest.raises(UserError, match="damaged"):
         read_trajectories(tmp_path, "mine")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from PIL import Image
 
@@ -18,7 +17,7 @@ from pneuma.cli.study_output import open_data
 from pneuma.env.level import LEVELS
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
-from pneuma.figures.trajectories import _told, draw_trajectories
+from pneuma.figures.trajectories import draw_trajectories
 from pneuma.study.store import Status, Store
 
 from .calls import call, described, printed, refused
@@ -85,16 +84,14 @@ def test_where_neither_policies_nor_trajectories_are_it_says_so(trained: Path, t
     assert line == nowhere + train
     folder = results / "published" / "trajectories"
     folder.mkdir()
-    (folder / "sigmoid-godot.parquet").touch()
-    told = "trajectories are published of sigmoid --world godot; or "
-    assert refused("study", "trajectories", *GODOT, "--results", results) == nowhere + told + train
     other = {"condition": "tanh", "seed": 3, "run_id": "f" * 16, "episode": 0, "player": 0, "steps": 1}
     rows = [{**other, "kills": 0, "ending": "killed", "places": np.zeros((2, 2))}]
     (folder / "activation-godot.parquet").write_bytes(encode_trajectories(gathered("thesis", rows)))
-    told = "trajectories are published of tanh, seed 3, but not of these runs; pick those, or "
+    told = "those of other runs are published; pick them, or "
     assert refused("study", "trajectories", *GODOT, "--results", results) == nowhere + told + train
 
 
+@pytest.mark.slow
 def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path) -> None:
     level = shutil.copytree(LEVELS / "thesis", tmp_path / "island")
     told = ["activation", "--results", str(tmp_path / "results")]
@@ -114,6 +111,7 @@ def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path) -> None
     )
 
 
+@pytest.mark.slow
 def test_the_map_of_a_level_of_ones_own_is_drawn_too_where_its_file_may_be_opened(
     trained: Path, tmp_path: Path
 ) -> None:
@@ -152,14 +150,3 @@ def test_a_run_that_diverged_is_left_out_and_said(trained: Path, tmp_path: Path)
     assert "every run diverged, and left no policy" in refused(
         "study", "trajectories", *GODOT, "--results", results
     )
-
-
-def test_what_stands_below_a_panel_keeps_to_its_width() -> None:
-    means = {"killed": 0.26, "drowned": 0.1, "cleared": 0.1, "time-limit": 0.54, "steps": 5309, "kills": 0.04}
-    table = pd.DataFrame({"outcome": list(means), "value": list(means.values())})
-    lines = _told(table, 40).splitlines()
-    assert lines == [
-        "26 % die of bites, 10 % drown, 10 % kill",
-        "every monster, 54 % run out of time",
-        "5,309 steps an episode, 0.04 monsters killed",
-    ]
