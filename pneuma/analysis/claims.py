@@ -346,8 +346,9 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
     counted = "an incidence, and nothing else, counts runs by above or below, a number"
     check(given == (kind == "incidence"), "", counted)
     four = [claim.a, claim.b, claim.c, claim.d]
-    effects = not claim.c and not claim.d or (kind == "mean" and all(len(own) == 1 for own in four))
-    check(effects, "c", "a difference of two effects is of means, with one condition in each of a, b, c, d")
+    effects = kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
+    told = "a difference of two effects is of means, with another condition in each of a, b, c, d"
+    check(effects or not (claim.c or claim.d), "c", told)
     for outcome in claim.outcomes:
         margin = claim.of("margin", outcome)
         lacks = "the key 'margin' is missing: within it, a difference counts as none"
