@@ -41,7 +41,11 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.compiling": ("pneuma.env.compiled",),
     # what measures how fast they train:
     "pneuma.study.calibration": ("pneuma.engines.base",),
-    "pneuma.study.checkpoints": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.records"),
+    "pneuma.study.checkpoints": (
+        "pneuma.engines.base",
+        "pneuma.engines.checkpoint",
+        "pneuma.engines.records",
+    ),
     # what reads records, and what produced them:
     "pneuma.analysis": (
         "pneuma.study.store",
@@ -67,7 +71,12 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
-    "pneuma.figures.paper": ("pneuma.figures", "pneuma.analysis", "pneuma.study.files", "pneuma.study.provenance"),
+    "pneuma.figures.paper": (
+        "pneuma.figures",
+        "pneuma.analysis",
+        "pneuma.study.files",
+        "pneuma.study.provenance",
+    ),
     # what judges claims by the runs of a results folder:
     "pneuma.figures.judged": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
