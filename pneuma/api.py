@@ -45,7 +45,7 @@ def run_study(
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
     workers: int | None = None,
-    on_progress: Callable[[execute.Progress], None] = lambda progress: None,
+    on_progress: Callable[[execute.CellProgress], None] = lambda progress: None,
 ) -> StudyData:
     """Train what a study lacks, and open it. Runs that are stored are not trained again.
 

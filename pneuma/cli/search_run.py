@@ -269,7 +269,7 @@ def train(
         say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
         noted.add(note)
     if todo.runs:
-        with ProgressDisplay(planned, todo.runs, how.workers, quiet, todo.kept) as display:
+        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
             execute.execute(planned, todo.runs, store, how, display.update)
     for cell in planned.cells:
         status = store.status(cell.run_id)
