@@ -80,7 +80,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study",),
-    "pneuma.notebook": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
+    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
     "pneuma.until_decided": ("pneuma.study", "pneuma.analysis"),  # joins both: design section 1
     "pneuma.cli": ("pneuma",),
 }
