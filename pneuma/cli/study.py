@@ -8,8 +8,7 @@ from typing import Any
 import typer
 
 from pneuma.cli import (
-    study_effects,
-    study_map,
+    study_crossed,
     study_output,
     study_plot,
     study_run,
@@ -39,8 +38,8 @@ app.command()(study_output.export)
 app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
-app.command(short_help="Say in which other settings a contrast holds.")(study_map.robustness)
-app.command(short_help="Test what matters where settings are crossed.")(study_effects.effects)
+app.command(short_help="Say in which other settings a contrast holds.")(study_crossed.robustness)
+app.command(short_help="Test what matters where settings are crossed.")(study_crossed.effects)
 app.command(short_help="Say where trained policies go, and how that ends.")(study_trajectories.trajectories)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
