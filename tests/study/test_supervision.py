@@ -138,7 +138,7 @@ def test_a_command_that_waits_for_another_is_stopped_by_one_ctrl_c(tmp_path: Pat
     first = begin(tmp_path, study)
     wait_until(lambda: checkpoints(tmp_path))
     second = begin(tmp_path, study)
-    wait_for_words(second, "waiting for it")
+    wait_for_words(second, "waiting for it to let go of")
     second.send_signal(signal.SIGINT)
     assert second.wait(timeout=30) == 130
     first.send_signal(signal.SIGINT)
