@@ -76,11 +76,11 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "pneuma.study.provenance",
     ),
     # what judges claims by the runs of a results folder:
-    "pneuma.figures.judged": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
+    "pneuma.figures.verdict_words": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study",),
-    "pneuma.notebook": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
+    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
     "pneuma.until_decided": ("pneuma.study", "pneuma.analysis"),  # joins both: design section 1
     "pneuma.cli": ("pneuma",),
 }

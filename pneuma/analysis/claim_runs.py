@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from pneuma.analysis.claims import Claim, ClaimList
+from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.partly_published import PartlyPublished
 from pneuma.analysis.published import PublishedRuns, published_path, published_studies, read_published
@@ -24,8 +24,8 @@ from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 
-MEND = "train with:"
-"""What the part of a reason begins with that names the command."""
+TRAIN_WITH = "train with:"
+"""How the part of a reason begins that names the command."""
 
 RISEN = 0.1
 """The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
@@ -36,16 +36,15 @@ class Arm:
     """One arm of a contrast.
 
     Attributes:
-        values: (seeds,) the outcome of each run that counts, in the order of the seeds.
+        values: (seeds,) the outcome of each run that counts, in the order of the seeds; 1 or 0 where runs
+            with an event are counted.
         run_ids: of the same runs.
-        blank: why a run has no value; empty where all have one.
-        idle: that the arm never rose above the random player, where the outcome supposes that; else empty.
+        reason: why it cannot be compared: a run has no value, or the arm did not learn.
     """
 
     values: np.ndarray
     run_ids: tuple[str, ...]
-    blank: str = ""
-    idle: str = ""
+    reason: str = ""
 
 
 class ClaimRuns:
@@ -59,11 +58,10 @@ class ClaimRuns:
         self._data = cache(self._open)
         self._tables = cache(self._read_tables)
         self._unread: list[str] = []
-        self._arms: dict[tuple[str, str, str], Arm] = {}
+        self._arms: dict[tuple[str, str, str, str], Arm] = {}
 
-    def hindrance(self, claim: Claim, world: str, a: str, b: str | None) -> str:
+    def hindrance(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
         """Say why arms cannot be compared, before any value is looked at; empty where they can."""
-        names = [name for name in (a, b) if name is not None]
         runs = [self._cells(claim, world, name)[0].run for name in names]
         if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
@@ -72,10 +70,10 @@ class ClaimRuns:
             return f"engines are mixed: {told}"
         missing = [*filter(None, (self._missing(claim, world, name) for name in names))]
         if not missing:
-            return self._machines(claim, world, names)
+            return self._machines(claim, world, outcome, names)
         command = training_command(self.study(claim.study, world), self._claims.path)
         rest = " --unpublished" if published_studies(self._store) else ""
-        return "; ".join([*missing, *([f"{MEND} {command}{rest}"] if command else [])])
+        return "; ".join([*missing, *([f"{TRAIN_WITH} {command}{rest}"] if command else [])])
 
     def undefined(self, claim: Claim, world: str) -> str:
         """Say why a claim is not judged in a world at all."""
@@ -83,16 +81,15 @@ class ClaimRuns:
             return f"world not defined: the claim is not about {world}"
         return f"world not defined: the study {claim.study} is not run in {world}"
 
-    def arm(self, claim: Claim, world: str, condition: str) -> Arm:
+    def arm(self, claim: Claim, world: str, outcome: str, condition: str) -> Arm:
         """Return an arm whose runs have all finished."""
-        key = claim.name, world, condition
+        key = claim.name, world, outcome, condition
         if key not in self._arms:
-            self._arms[key] = self._measure(claim, world, condition)
+            self._arms[key] = self._measure(claim, world, outcome, condition)
         return self._arms[key]
 
-    def known_ids(self, claim: Claim, world: str, a: str, b: str | None) -> tuple[str, ...]:
+    def known_ids(self, claim: Claim, world: str, names: Sequence[str]) -> tuple[str, ...]:
         """Return the ids of what runs there are."""
-        names = [name for name in (a, b) if name is not None]
         found = [self._finished(claim, world, name).values() for name in names]
         return tuple(run.run_id for runs in found for run in runs)
 
@@ -124,7 +121,7 @@ class ClaimRuns:
             cell.run_id: cell
             for claim in self._claims.claims.values()
             if world in claim.worlds and self._group(claim, world) == group
-            for condition in dict.fromkeys((*claim.a, *claim.b))
+            for condition in claim.conditions
             for cell in self._cells(claim, world, condition)
         }
         record = _record(self.study(study, world), [*cells.values()])
@@ -201,9 +198,9 @@ class ClaimRuns:
         }
         return max((steps for name, steps in lower.items() if status(name).finished), default=0)
 
-    def _machines(self, claim: Claim, world: str, names: list[str]) -> str:
+    def _machines(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
         """Refuse to compare times of different machines, or of one that had other work beside."""
-        if find_outcome(claim.outcome).source != "times":
+        if all(find_outcome(part).source != "times" for part in outcome.split(MINUS)):
             return ""
         data = self._data(*self._group(claim, world))
         runs = [run for name in names for run in self._finished(claim, world, name).values()]
@@ -217,7 +214,7 @@ class ClaimRuns:
 
     # --- Values ----------------------------------------------------------------------------------
 
-    def _measure(self, claim: Claim, world: str, condition: str) -> Arm:
+    def _measure(self, claim: Claim, world: str, name: str, condition: str) -> Arm:
         data = self._data(*self._group(claim, world))
         if data is None:
             raise ValueError(f"claim {claim.name}: no runs of {condition}")
@@ -225,45 +222,52 @@ class ClaimRuns:
         steps = {*claim.steps.values()}
         at_step = float(min(steps)) if len(steps) > 1 else None
         runs = [found[seed] for seed in claim.seeds[condition]]
-        unknown = ""
+        reasons = []
         if claim.only:
             counts = _values(data, runs, claim.only, at_step)
-            unknown = _first(condition, runs, np.isnan(counts), lambda run: f"its {claim.only} is not known")
+            if np.isnan(counts).any():
+                seed = runs[int(np.isnan(counts).argmax())].seed
+                reasons.append(f"{condition} seed {seed}: its {claim.only} is not known")
             runs = [run for run, own in zip(runs, counts, strict=True) if own == 1]
             if not runs:
                 none = f"no run of {condition} counts: {claim.only} is 0 in all"
-                return Arm(np.array([]), (), unknown or none)
-        values = _values(data, runs, claim.outcome, at_step)
+                return Arm(np.array([]), (), "; ".join(reasons) or none)
+        values = _values(data, runs, name, at_step)
         # What is never reached is endless: no number to compare, but one to count.
         missing = np.isnan(values) if claim.event else ~np.isfinite(values)
-        blank = _first(
-            condition, runs, missing,
-            lambda run: reason(data, run, claim.outcome, at_step) or f"it never gets to its {claim.outcome}",
-        )  # fmt: skip
-        idle = _idle(condition, data, runs, at_step) if find_outcome(claim.outcome).supposes_rise else ""
-        return Arm(values, tuple(run.run_id for run in runs), unknown or blank, idle)
+        if missing.any():
+            run = runs[int(missing.argmax())]
+            why = next(filter(None, (reason(data, run, part, at_step) for part in name.split(MINUS))), "")
+            reasons.append(f"{condition} seed {run.seed}: {why or f'it never gets to its {name}'}")
+        if any(find_outcome(part).supposes_rise for part in name.split(MINUS)):
+            reasons += _idle(condition, data, runs, at_step)
+        if claim.event:
+            over = values > claim.event.threshold if claim.event.above else values < claim.event.threshold
+            values = over.astype(float)
+        return Arm(values, tuple(run.run_id for run in runs), reasons[0] if reasons else "")
+
+
+def bounds_of(name: str) -> tuple[tuple[float, float], float]:
+    """Return the least and greatest value of an outcome, and how near to them a run counts as there."""
+    if MINUS in name:
+        return (-np.inf, np.inf), 0.0
+    found = find_outcome(name)
+    return found.bounds, found.alike
 
 
 def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:
-    """Return an outcome of each run, (runs,)."""
-    return np.array([outcome(data, run, name, at_step) for run in runs], float)
+    """Return an outcome of each run, or how far the first of two exceeds the second, (runs,)."""
+    first, *second = (
+        np.array([outcome(data, run, part, at_step) for run in runs], float) for part in name.split(MINUS)
+    )
+    return first - second[0] if second else first
 
 
-def _first(
-    condition: str, runs: Sequence[FinishedRun], missing: np.ndarray, told: Callable[[FinishedRun], str]
-) -> str:
-    """Tell of the first run that something is missing of; empty where none is."""
-    if not missing.any():
-        return ""
-    run = runs[int(missing.argmax())]
-    return f"{condition} seed {run.seed}: {told(run)}"
-
-
-def _idle(condition: str, data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> str:
-    """Tell of an arm of which half never learns, where an outcome supposes that runs do; empty otherwise."""
+def _idle(condition: str, data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> list[str]:
+    """Tell of an arm of which half never learns."""
     if (_values(data, runs, "best-score", at_step) > RISEN).mean() > 0.5:
-        return ""
-    return f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"
+        return []
+    return [f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"]
 
 
 def _stored(store: Store, record: Mapping[str, Any]) -> StudyData | None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import Judged, judge
+from pneuma.analysis.judgement import Verdict, judge
 from pneuma.analysis.published import published_path
 from pneuma.analysis.published_times import encode_times, times_path
 from pneuma.analysis.publishing import encode_study
@@ -145,12 +145,12 @@ def published_alone(
     return clone
 
 
-def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Judged]:
+def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Verdict]:
     """Write study and claims into a folder, and judge these by the runs of a store."""
     return judge(load_claims(write_files(folder, claims)), store)
 
 
-def judge_one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Judged:
+def judge_one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Verdict:
     """Judge the one claim that there is in one place."""
     (one,) = [own for own in judge_claims(store, folder, claims) if own.place == place]
     return one

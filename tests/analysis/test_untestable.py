@@ -66,16 +66,6 @@ def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
     assert "budget not reached: high has runs of 512 steps, not of 1,024 steps" in reason
 
 
-def test_runs_that_were_never_trained_reach_no_budget(store: Store, tmp_path: Path) -> None:
-    """A selection is recorded before its first run is."""
-    write_files(tmp_path)
-    study = load_study(str(tmp_path / "mine.toml"))
-    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
-    store.save_selection("mine", selection_record(plan))
-    reason = _untestable(store, tmp_path)
-    assert "no runs: high, 8 seeds of 1,024 steps" in reason and "budget" not in reason
-
-
 @pytest.mark.parametrize(("share", "end"), [(0.0, "floor"), (1.0, "ceiling")])
 def test_arms_at_the_floor_or_ceiling(share: float, end: str, store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)

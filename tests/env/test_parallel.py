@@ -219,7 +219,7 @@ def test_the_last_ones_death_ends_the_episode(arena: str) -> None:
 def test_a_living_player_without_an_action_is_named() -> None:
     env = parallel_env(players=2)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="no action for player_1"):
+    with pytest.raises(ValueError, match="action None of player_1"):
         env.step({"player_0": np.int64(ATTACK)})
 
 
