@@ -235,7 +235,11 @@ Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, k
 
 
 @pytest.mark.parametrize(
-    ("numbers", "told"), [(["SIGTERM"], ""), (["SIGTERM", "SIGUSR2"], "back into the queue")]
+    ("numbers", "told"),
+    [
+        pytest.param(["SIGTERM"], "", marks=pytest.mark.slow),
+        (["SIGTERM", "SIGUSR2"], "back into the queue"),
+    ],
 )
 def test_a_job_comes_to_checkpoints_before_it_goes(numbers: list[str], told: str, store: Store) -> None:
     """Slurm signals all processes of a job: workers outlive it, and a second signal ends nothing at once.

@@ -77,6 +77,7 @@ def reward(events, players, stats):
 """
 
 
+@pytest.mark.slow
 def test_a_crash_is_tried_once_more_and_told_with_its_traceback(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(REWARD)
     study = write_study(tmp_path, settings='reward = "broken:reward"')
@@ -133,6 +134,7 @@ def test_a_lock_dies_with_its_holder(tmp_path: Path) -> None:
     wait_until(lambda: store.status(name).name == "partial", 2.0)
 
 
+@pytest.mark.slow
 def test_a_command_that_waits_for_another_is_stopped_by_one_ctrl_c(tmp_path: Path) -> None:
     study = write_study(tmp_path, FOR_EVER)
     first = begin(tmp_path, study)
