@@ -5,7 +5,6 @@ crashes, a full disk, two commands at once.
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -118,20 +117,6 @@ def test_two_commands_on_one_folder_share_the_work(tmp_path: Path) -> None:
     rows = [json.loads(out)["runs"] for out, _ in told]
     assert all(row["status"] == "done" for one in rows for row in one)
     assert [one["trained"] + other["trained"] for one, other in zip(*rows, strict=True)] == [1, 1, 1]
-
-
-def test_a_lock_dies_with_its_holder(tmp_path: Path) -> None:
-    study = write_study(tmp_path, FOR_EVER)
-    process = begin(tmp_path, study)
-    wait_until(lambda: checkpoints(tmp_path))
-    workers = list(children(process.pid))
-    store = Store(tmp_path / "results")
-    (name,) = store.runs()
-    assert store.status(name).name == "running"
-    os.kill(process.pid, signal.SIGKILL)
-    process.communicate()
-    assert wait_for_end(workers) < 2
-    wait_until(lambda: store.status(name).name == "partial", 2.0)
 
 
 @pytest.mark.slow
