@@ -250,7 +250,7 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
 def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 200)  # not over before
+    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 60)  # not over before
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
     seen: list[CellProgress] = []
 
@@ -266,7 +266,7 @@ def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     assert b"killed by SIGKILL" in store.read_file(name, "error.txt")
 
     (result,) = _run(plan, store, 1, lambda _: None)
-    assert (result.status.name, result.status.step, result.trained) == ("done", 64 * 200, True)
+    assert (result.status.name, result.status.step, result.trained) == ("done", 64 * 60, True)
     assert {path.name for path in store.run_folder(name).iterdir()} == FILES
 
 

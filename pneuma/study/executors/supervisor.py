@@ -248,7 +248,8 @@ class Supervisor:
             worker.busy.add(name)
             if name not in self._told_busy:
                 self._told_busy.add(name)
-                self._note(name, "another process trains this run; waiting for it")
+                lock = self._store.run_folder(name) / ".lock"
+                self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
             return
         if event["event"] == "end":
             worker.ended.add(name)
