@@ -139,12 +139,8 @@ def run(
         str,
         typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
     ] = "15",
-    timeout: Annotated[
-        str | None,
-        typer.Option("--timeout", metavar="S", help="The longest that one run may train, in seconds."),
-    ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try runs again that crashed or timed out before.")
+        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
     until_decided: Annotated[
         bool,
@@ -175,7 +171,6 @@ def run(
     supervision = Supervision(
         workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
-        timeout_seconds=None if timeout is None else read_seconds("--timeout", timeout),
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )

@@ -10,6 +10,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -104,6 +105,10 @@ def calibrate(runs: Iterable[Run], paces: Paces, say: Callable[[str], None]) -> 
                 paces.add(as_settings(run), pace)
 
 
+class _EnoughError(Exception):
+    """A run was watched for long enough."""
+
+
 def _measure(run: Run) -> float | None:
     """Return the seconds that a step of a run takes, after its first; None where that fails."""
     moments: list[tuple[float, int]] = []
@@ -111,9 +116,11 @@ def _measure(run: Run) -> float | None:
     def note(event: Event) -> None:
         if event["event"] == "step":
             moments.append((time.monotonic(), event["step"]))
+            if len(moments) > 2 and moments[-1][0] - moments[1][0] > CALIBRATION_SECONDS:
+                raise _EnoughError
 
-    with tempfile.TemporaryDirectory() as folder:
-        how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=CALIBRATION_SECONDS)
+    with tempfile.TemporaryDirectory() as folder, suppress(_EnoughError):
+        how = Supervision(workers=1, checkpoint_seconds=1e9)
         run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
     parts = [
         (then - before) / (late - early)

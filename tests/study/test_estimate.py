@@ -81,7 +81,7 @@ def test_calibrating_measures_what_is_unknown_and_leaves_out_what_compiled(
     clock = {"now": 0.0}
 
     def train(groups: object, store: object, how: object, on_event: Any) -> None:
-        for update, seconds in enumerate([0.0, 30.0, 0.256, 0.256, 0.512, 20.0, 0.256]):
+        for update, seconds in enumerate([0.0, 30.0, 0.256, 0.256, 0.512, 0.256, 20.0]):
             clock["now"] += seconds
             on_event({"event": "step", "run_id": "x", "step": 256 * update})
 

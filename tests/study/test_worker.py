@@ -101,15 +101,6 @@ def test_a_run_is_timed_by_itself_and_not_with_those_before_it(
     assert told[0] >= 0.6 > told[1]
 
 
-def test_a_run_past_its_time_out_is_stored_as_such_with_a_checkpoint_and_the_next_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, store, events = _train(_Engine(after=0.5), tmp_path, monkeypatch, timeout_seconds=0.4)
-    assert store.status(FIRST) == Status("timeout", 512)
-    assert list((store.run_folder(FIRST) / "checkpoints").iterdir())
-    assert [event["status"] for event in events if event["event"] == "end"] == ["timeout", "diverged"]
-
-
 def test_after_a_stop_the_runs_that_wait_are_not_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
