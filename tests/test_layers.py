@@ -39,8 +39,6 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.team"),
     # what says that programs have to be compiled:
     "pneuma.study.compiling": ("pneuma.env.compiled",),
-    # what measures how fast they train:
-    "pneuma.study.calibration": ("pneuma.engines.base",),
     "pneuma.study.checkpoints": (
         "pneuma.engines.base",
         "pneuma.engines.checkpoint",
@@ -81,8 +79,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.figures.verdict_words": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
-    "pneuma.doctor": ("pneuma.study", "pneuma.analysis.checksums"),
-    "pneuma.notebook": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
+    "pneuma.doctor": ("pneuma.study",),
+    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
     "pneuma.until_decided": ("pneuma.study", "pneuma.analysis"),  # joins both: design section 1
     "pneuma.cli": ("pneuma",),
 }

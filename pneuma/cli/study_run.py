@@ -139,12 +139,8 @@ def run(
         str,
         typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
     ] = "15",
-    timeout: Annotated[
-        str | None,
-        typer.Option("--timeout", metavar="S", help="The longest that one run may train, in seconds."),
-    ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try runs again that crashed or timed out before.")
+        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
     until_decided: Annotated[
         bool,
@@ -175,7 +171,6 @@ def run(
     supervision = Supervision(
         workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
-        timeout_seconds=None if timeout is None else read_seconds("--timeout", timeout),
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )
@@ -192,11 +187,11 @@ def train(
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
     try:
-        outcomes, code = train_cells(planned, store, how, retry_failed, json, quiet)
+        results, code = train_cells(planned, store, how, retry_failed, json, quiet)
     except Detached:  # as was asked
-        outcomes, code = _as_stored(planned, store), 0
+        results, code = _as_stored(planned, store), 0
     if json:
-        print_json({"schema": 1, "study": planned.study.name, "runs": outcome_rows(outcomes)})
+        print_json({"schema": 1, "study": planned.study.name, "runs": result_rows(results)})
     return code
 
 
@@ -213,7 +208,7 @@ def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> l
 def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> tuple[list[execute.CellResult], int]:
-    """Train what a plan lacks and tell how it went; return the cells' outcomes and the exit code.
+    """Train what a plan lacks and tell how it went; return the cells' results and the exit code.
 
     Raises:
         Detached: where the runs were left to go on, as --detach asks.
@@ -223,7 +218,7 @@ def train_cells(
         say(f"Note: {note}.", aside=True, quiet=quiet)
     try:
         with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
-            outcomes = execute.execute(planned, todo.runs, store, how, display.update)
+            results = execute.execute(planned, todo.runs, store, how, display.update)
     except Detached as left:
         say(str(left), aside=True)
         if left.asked:
@@ -232,8 +227,8 @@ def train_cells(
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
         return _as_stored(planned, store, todo.runs), STOPPED
-    _tell_outcomes(planned, outcomes, store, json, quiet)
-    return outcomes, int(any(outcome.status.name in UNWELL for outcome in outcomes))
+    _tell_results(planned, results, store, json, quiet)
+    return results, int(any(result.status.name in UNWELL for result in results))
 
 
 def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
@@ -258,9 +253,9 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
     return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
 
 
-def outcome_rows(outcomes: list[execute.CellResult]) -> list[dict[str, Any]]:
+def result_rows(results: list[execute.CellResult]) -> list[dict[str, Any]]:
     """Return the runs of a JSON document."""
-    return [{**_cell(o.cell), "status": o.status.name, "trained": o.trained} for o in outcomes]
+    return [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:
@@ -285,36 +280,26 @@ def by_value(values: Mapping[str, Any]) -> str:
     return "; ".join(f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
 
 
-def _tell_outcomes(
-    planned: plan.Plan, outcomes: list[execute.CellResult], store: Store, as_json: bool, quiet: bool
+def _tell_results(
+    planned: plan.Plan, results: list[execute.CellResult], store: Store, as_json: bool, quiet: bool
 ) -> None:
-    for outcome in outcomes:
-        told, state = f"{outcome.cell.condition} seed {outcome.cell.seed}", outcome.status
-        trace = store.run_folder(outcome.cell.run_id) / "error.txt"
+    for result in results:
+        told, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
         if state.name == "diverged":
             say(f"{told} diverged at step {state.step:,}; its records count", as_json)
-        elif state.name in UNWELL and outcome.reason:  # what an error.txt has may be older
-            say(f"{told} {state.name}: {plain(outcome.reason)}{_traced(trace)}", as_json)
-        elif state.name in ("crashed", "killed") and trace.is_file():
-            say(f"{told} {state.name}: {plain(_cause(trace))}{_traced(trace)}", as_json)
         elif state.name in UNWELL:
-            say(f"{told} {state.name} at step {state.step:,}", as_json)
-    trained = sum(outcome.trained for outcome in outcomes)
-    counts = Counter(outcome.status.name for outcome in outcomes)
+            trace = store.run_folder(result.cell.run_id) / "error.txt"
+            kept = trace.is_file()
+            why = result.reason  # else what is kept, which may be of an earlier try
+            if not why and kept and state.name in ("crashed", "killed"):
+                why = trace.read_text(errors="replace").strip().rpartition("\n")[2]
+            at = f" at step {state.step:,}" if not why else f": {plain(why)}{f' ({trace})' if kept else ''}"
+            say(f"{told} {state.name}{at}", as_json)
+    trained = sum(result.trained for result in results)
+    counts = Counter(result.status.name for result in results)
     states = ", ".join(f"{n} {state}" for state, n in counts.items()) or "nothing to train"
-    kept = len(outcomes) - trained
-    say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
-    if outcomes and not any(counts[name] for name in UNWELL):
+    stored = f"{trained} trained now, {len(results) - trained} were stored"
+    say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
+    if results and not any(counts[name] for name in UNWELL):
         drawn = command("study", "plot", planned.study.name, "--results", store.root)
         say(f"Draw it with: {drawn}", as_json, quiet)
-
-
-def _cause(trace: Path) -> str:
-    """Return the last line of a traceback."""
-    lines = trace.read_text(errors="replace").strip().splitlines()
-    return lines[-1] if lines else ""
-
-
-def _traced(trace: Path) -> str:
-    """Return where the whole of a traceback is, if it was kept."""
-    return f" ({trace})" if trace.is_file() else ""

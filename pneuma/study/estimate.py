@@ -10,6 +10,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -27,14 +28,18 @@ from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
 
 SECONDS_PER_STEP = {
-    "batched": ((1e3, 1e-4), (1e4, 2e-4), (1e5, 1e-3), (1e6, 1e-2), (1e7, 1e-1)),
-    "sb3": ((1e3, 1.5e-3), (1e4, 1.5e-3), (1e5, 2e-3), (1e6, 1e-2), (1e7, 1e-1)),
-    "tabular": ((1e3, 1e-5),),
+    "batched": ((1e3, 1.5e-4), (3e4, 2.5e-4), (1e5, 5e-4), (1e6, 1.5e-3), (1e7, 8e-3)),
+    "sb3": ((1e3, 1.2e-3), (1e5, 1.8e-3), (1e6, 5e-3), (1e7, 4e-2)),
+    "tabular": ((1e3, 2e-5),),
 }
 """By engine: what an agent step takes on a usual core, evaluations included, with so many weights."""
 SAMPLE = 100
 """Of how many other runs in the results folder the pace is read."""
+START_SECONDS = 4.0
+"""What a worker takes to start, programs being compiled."""
 CALIBRATION_SECONDS = 4.0
+SLOW = 10.0
+"""How many times as long as most steps took one is no step's time: something was compiled."""
 BYTES_PER_STEP = 3.0
 """Room that the records of one agent step take, compressed."""
 OF_PACE = (
@@ -59,8 +64,9 @@ class Paces:
 
     def add(self, settings: Mapping[str, Any], seconds: float) -> None:
         """Take a run's fields, and the seconds that a step of it took."""
+        slower = seconds / _usual(settings)
         self.like.setdefault(_kind(settings), []).append(seconds)
-        self.slower.setdefault(str(settings["engine"]), []).append(seconds / _usual(settings))
+        self.slower.setdefault(settings["engine"], []).append(slower)
 
     def knows(self, run: Run) -> bool:
         """Tell whether a run like this one was timed."""
@@ -70,7 +76,8 @@ class Paces:
         """Return about how long a run takes for so many agent steps."""
         settings = as_settings(run)
         like, slower = self.like.get(_kind(settings)), self.slower.get(run.engine, [1.0])
-        return steps * (statistics.fmean(like) if like else _usual(settings) * statistics.median(slower))
+        pace = statistics.fmean(like) if like else _usual(settings) * statistics.median(slower)
+        return START_SECONDS + steps * pace
 
 
 def stored_paces(store: Store, own: Iterable[str]) -> Paces:
@@ -79,7 +86,8 @@ def stored_paces(store: Store, own: Iterable[str]) -> Paces:
     here, elsewhere, cpu = Paces(), Paces(), machine(threads=1)["cpu"]
     for name, origin in stored_origins(store, names):
         try:
-            settings, seconds = stored_settings(store, name), origin["wall_seconds"]
+            settings = stored_settings(store, name)
+            seconds = origin.get("training_seconds", origin["wall_seconds"])
             pace = seconds / (origin["attempts"][-1]["step"] - settings["fork_step"])
             if pace > 0 and len(processors(origin)) == 1:
                 (here if origin.get("cpu") == cpu else elsewhere).add(settings, pace)
@@ -97,6 +105,10 @@ def calibrate(runs: Iterable[Run], paces: Paces, say: Callable[[str], None]) -> 
                 paces.add(as_settings(run), pace)
 
 
+class _EnoughError(Exception):
+    """A run was watched for long enough."""
+
+
 def _measure(run: Run) -> float | None:
     """Return the seconds that a step of a run takes, after its first; None where that fails."""
     moments: list[tuple[float, int]] = []
@@ -104,16 +116,19 @@ def _measure(run: Run) -> float | None:
     def note(event: Event) -> None:
         if event["event"] == "step":
             moments.append((time.monotonic(), event["step"]))
+            if len(moments) > 2 and moments[-1][0] - moments[1][0] > CALIBRATION_SECONDS:
+                raise _EnoughError
 
-    with tempfile.TemporaryDirectory() as folder:
-        how = Supervision(workers=1, checkpoint_seconds=1e9, timeout_seconds=CALIBRATION_SECONDS)
+    with tempfile.TemporaryDirectory() as folder, suppress(_EnoughError):
+        how = Supervision(workers=1, checkpoint_seconds=1e9)
         run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
     parts = [
         (then - before) / (late - early)
         for (before, early), (then, late) in pairwise(moments[1:])
         if late > early
     ]
-    return statistics.fmean(parts) if parts else None
+    most = SLOW * statistics.median(parts) if parts else 0.0
+    return statistics.fmean(part for part in parts if part <= most) if parts else None
 
 
 def total_seconds(seconds: Iterable[float], workers: int) -> float:
