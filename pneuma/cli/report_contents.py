@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma import __version__
-from pneuma.analysis.effects import effects_table, study_effects
+from pneuma.analysis.crossed import effects_table, study_effects
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.summaries import summary_table

@@ -13,9 +13,10 @@ from pettingzoo import ParallelEnv
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.options import chosen_starts, read_options
+from pneuma.env.saving import Snapshot
 from pneuma.env.slots import ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):

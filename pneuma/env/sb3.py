@@ -14,10 +14,11 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.env import rules
 from pneuma.env.options import chosen_starts, read_options
+from pneuma.env.saving import Snapshot
 from pneuma.env.slots import Slots, ending_info
 from pneuma.env.state import LAYOUT_DIGEST
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 

@@ -14,9 +14,10 @@ from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP, most_hp
 from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
+from pneuma.env.saving import Snapshot
 from pneuma.env.slots import ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 

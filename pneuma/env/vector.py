@@ -15,10 +15,11 @@ from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
+from pneuma.env.saving import Snapshot
 from pneuma.env.single import parts_space, refuse_reward
 from pneuma.env.slots import Slots, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 

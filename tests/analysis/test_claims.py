@@ -59,7 +59,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "unknown study": ('"mine.toml"', '"activaton"', 17, ("'activaton'", "did you mean activation?")),
     "unknown condition": ('"low"', '"lwo"', 19, ("b: ", "'lwo'", "did you mean low?")),
     "unknown outcome": ("final-share-killed", "final-share-kiled", 20, ("did you mean final-share-killed?",)),
-    "unknown kind": ('"mean"', '"median"', 21, ("kind", "'median'", "mean, spread, incidence")),
+    "unknown kind": ('"mean"', '"median"', 21, ('kind = "median"', "mean, spread, incidence")),
     "margin of a ratio": ('"mean"', '"spread"', 23, ("margin = 0.04", "above 1 for spread")),
     "margin of a wrong type": ("margin = 0.04", 'margin = "0.04"', 23, ('margin = "0.04"',)),
     "unknown world": ('["text"]', '["txet"]', 24, ("worlds", "text, godot, arena")),
