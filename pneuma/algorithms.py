@@ -37,7 +37,7 @@ _DQN = (
 )  # fmt: skip
 _TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
 
-ALGORITHM_SETTINGS: dict[str, tuple[str, ...]] = {
+ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs", "learners"),
     "a2c": (*_ACTOR_CRITIC, *_GRADIENT),
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
@@ -48,7 +48,7 @@ ALGORITHM_SETTINGS: dict[str, tuple[str, ...]] = {
 }
 """Which settings each algorithm reads, beside those that all read; an optimizer's own come on top."""
 
-OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_SETTINGS.values() for key in keys)
+OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
 _DQN_DEFAULTS: dict[str, Any] = {
     "buffer_size": 100_000,

@@ -2,7 +2,7 @@
 
 A `Run` is one training, complete and frozen: the environment's settings, the learner's, a budget
 and a seed. Studies resolve to runs, engines train them, the store is keyed by them. The environment's
-part is in `env_settings.py`, the algorithms' in `algorithms.py`. Nothing heavy is imported, so that every
+part is in `env_fields.py`, the algorithms' in `algorithms.py`. Nothing heavy is imported, so that every
 command can read it.
 """
 
@@ -17,15 +17,15 @@ from typing import Any
 from pneuma.algorithms import (
     ALGORITHM_DEFAULTS,
     ALGORITHM_ENGINES,
-    ALGORITHM_SETTINGS,
+    ALGORITHM_FIELDS,
     ALGORITHMS,
     MAILMAN,
     OF_ALGORITHMS,
     TABULAR,
 )
-from pneuma.env_settings import (
+from pneuma.env_fields import (
     ACTION_NAMES,
-    ENVIRONMENT_SETTINGS,
+    ENVIRONMENT_FIELDS,
     ENVIRONMENT_SLOTS,
     ENVIRONMENTS,
     OBSERVATIONS,
@@ -37,8 +37,8 @@ from pneuma.env_settings import (
     SPELL_NAMES,
     EnvConfig,
     make_env_config,
-    read_setting,
-    read_settings,
+    read_field,
+    read_fields,
     resolve_world,
     setting,
 )
@@ -47,10 +47,10 @@ from pneuma.values import Choice, Flag, Matching, Number, Several
 
 __all__ = [
     "ACTIVATIONS", "ACTION_NAMES", "BASES", "CLIPPINGS", "ENGINES", "ENGINE_VERSIONS", "ENVIRONMENTS",
-    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_SETTINGS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
-    "OPTIMIZER_SETTINGS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
-    "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_settings", "beyond_engine", "env_config",
-    "make_env_config", "make_run", "read_setting", "read_settings", "settings_read", "stream_seed",
+    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
+    "OPTIMIZER_FIELDS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
+    "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_fields", "beyond_engine", "env_config",
+    "make_env_config", "make_run", "read_field", "read_fields", "fields_read", "stream_seed",
 ]  # fmt: skip
 
 RULES_VERSION = 3
@@ -67,10 +67,10 @@ ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
 """What a fork may begin anew: the optimizer's moments, the players' XP, or the critic's weights."""
-FORK_SETTINGS = ("parent", "fork_step", "fork_reset")
+FORK_FIELDS = ("parent", "fork_step", "fork_reset")
 MAX_SLOTS = 1024
 
-OPTIMIZER_SETTINGS: dict[str, tuple[str, ...]] = {
+OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
     "adam": ("betas", "epsilon"),
     "sgd": ("momentum", "dampening"),
     "rmsprop": ("smoothing", "epsilon", "momentum"),
@@ -158,7 +158,7 @@ class Run(EnvConfig):
     reward_noise: float | None = setting(None, Number(0, 1e6))
     """Mailman's: standard deviation of normal noise on every reward."""
 
-    optimizer: str = setting("adam", Choice(tuple(OPTIMIZER_SETTINGS)))
+    optimizer: str = setting("adam", Choice(tuple(OPTIMIZER_FIELDS)))
     betas: tuple[float, ...] | None = setting(None, Several(Number(0, 1, below=True), 2, 2))
     epsilon: float | None = setting(None, Number(0, 1, above=True))
     momentum: float | None = setting(None, Number(0, 1, below=True))
@@ -241,10 +241,10 @@ def make_run(settings: Mapping[str, object]) -> Run:
     Raises:
         UserError: for an unknown key, a value out of range, or two values that do not go together.
     """
-    env = read_setting(Run, "env", settings.get("env", ENVIRONMENTS[0]))
+    env = read_field(Run, "env", settings.get("env", ENVIRONMENTS[0]))
     left_open = {key for key in _left_to_the_learner() if settings.get(key, ...) is None}
-    settings = {**ENVIRONMENT_SETTINGS.get(env, {}), **settings}
-    values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
+    settings = {**ENVIRONMENT_FIELDS.get(env, {}), **settings}
+    values = read_fields(Run, {k: v for k, v in settings.items() if k not in left_open})
     values = _resolve_learner(resolve_world(values))
     values["engine"] = _engine(values)
     run = Run(**values)
@@ -253,7 +253,7 @@ def make_run(settings: Mapping[str, object]) -> Run:
     return run if whole == run.steps else Run(**{**values, "steps": whole})
 
 
-def settings_read(run: Run) -> frozenset[str]:
+def fields_read(run: Run) -> frozenset[str]:
     """Return the names of the settings that the training of a run hangs on, by algorithm and optimizer."""
     return _read_by(run.algorithm, run.optimizer)
 
@@ -302,7 +302,7 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
-    if run.fork_reset == "critic" and "critic" not in settings_read(run):
+    if run.fork_reset == "critic" and "critic" not in fields_read(run):
         raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
 
 
@@ -313,14 +313,14 @@ def _left_to_the_learner() -> set[str]:
 
 def _read_by(algorithm: str, optimizer: str) -> frozenset[str]:
     """Return the names of the settings that an algorithm reads, with an optimizer if it has one."""
-    own = ALGORITHM_SETTINGS[algorithm]
+    own = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
         return frozenset(own) | _READ_BY_ALL
-    return frozenset((*own, *OPTIMIZER_SETTINGS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
+    return frozenset((*own, *OPTIMIZER_FIELDS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
 
 
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
-_OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_SETTINGS.values() for key in own)
+_OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_FIELDS.values() for key in own)
 _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - {*_OF_WORLDS, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
 
 
@@ -344,7 +344,7 @@ def env_config(run: Run) -> EnvConfig:
     return EnvConfig(**{item.name: getattr(run, item.name) for item in fields(EnvConfig)})
 
 
-def as_settings(config: EnvConfig) -> dict[str, Any]:
+def as_fields(config: EnvConfig) -> dict[str, Any]:
     """Return a configuration as a flat dictionary that JSON can hold; `make_run` reads it back."""
     return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(config).items()}
 

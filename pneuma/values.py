@@ -12,10 +12,10 @@ MOST_NAMES = 8
 """As many as there can be players in a world."""
 
 
-def shown_setting(value: object) -> str:
+def shown_value(value: object) -> str:
     """Return a setting's value as people read it: a list without its brackets, nothing as "none"."""
     if isinstance(value, list | tuple):
-        return ", ".join(map(shown_setting, value)) or "none"
+        return ", ".join(map(shown_value, value)) or "none"
     if isinstance(value, bool):
         return str(value).lower()
     return "none" if value in (None, "") else str(value)
@@ -23,7 +23,7 @@ def shown_setting(value: object) -> str:
 
 def shown_level(value: object) -> str:
     """Return a setting's value where others stand beside it, between commas: a list in brackets."""
-    shown = shown_setting(value)
+    shown = shown_value(value)
     return f"[{shown}]" if "," in shown else shown
 
 

@@ -12,14 +12,14 @@ import pytest
 from pneuma.algorithms import ALGORITHMS, MAILMAN, TABULAR
 from pneuma.config import (
     BASES,
-    OPTIMIZER_SETTINGS,
+    OPTIMIZER_FIELDS,
     EnvConfig,
     Run,
-    as_settings,
+    as_fields,
     env_config,
     make_env_config,
     make_run,
-    read_settings,
+    read_fields,
 )
 from pneuma.errors import UserError
 
@@ -121,7 +121,7 @@ def test_an_algorithm_has_its_own_settings_and_no_others(algorithm: str) -> None
         "engine": "batched" if algorithm == "ppo" else "tabular" if algorithm in TABULAR else "sb3",
     }
     assert {key: getattr(run, key) for key in expected} == expected
-    assert make_run(as_settings(run)) == run
+    assert make_run(as_fields(run)) == run
 
 
 @pytest.mark.parametrize(
@@ -177,14 +177,14 @@ def test_a_minibatch_is_at_most_a_rollout(horizon: int, slots: int, most: int) -
         make_run({**settings, "minibatch": most + 1})
 
 
-@pytest.mark.parametrize(("base", "optimizer"), list(itertools.product(BASES, OPTIMIZER_SETTINGS)))
+@pytest.mark.parametrize(("base", "optimizer"), list(itertools.product(BASES, OPTIMIZER_FIELDS)))
 def test_a_run_comes_back_from_its_settings(base: str, optimizer: str) -> None:
     run = make_run({**BASES[base], "optimizer": optimizer, "seed": 7})
-    assert make_run(as_settings(run)) == run
+    assert make_run(as_fields(run)) == run
 
 
 def test_settings_hold_only_what_json_can() -> None:
-    for value in as_settings(make_run(BASES["table-6-1"])).values():
+    for value in as_fields(make_run(BASES["table-6-1"])).values():
         assert value is None or isinstance(value, (bool, int, float, str, list))
 
 
@@ -196,4 +196,4 @@ def test_the_environment_of_a_run_is_its_part_of_the_settings() -> None:
 
 def test_the_environment_knows_no_settings_of_the_learner() -> None:
     with pytest.raises(UserError, match="unknown key 'gamma'"):
-        read_settings(EnvConfig, {"gamma": 0.9})
+        read_fields(EnvConfig, {"gamma": 0.9})

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.config import ACTIVATIONS, Run, make_run, read_setting
+from pneuma.config import ACTIVATIONS, Run, make_run, read_field
 from pneuma.errors import UserError
 
 KEYS = [item.name for item in fields(Run)]
@@ -114,7 +114,7 @@ def test_a_number_beyond_either_end_is_refused(key: str) -> None:
 @pytest.mark.parametrize("key", NUMBERS)
 def test_the_last_numbers_within_are_taken(key: str) -> None:
     for value in NUMBERS[key][2:]:
-        assert read_setting(Run, key, value) == value
+        assert read_field(Run, key, value) == value
 
 
 @pytest.mark.parametrize("key", NUMBERS)

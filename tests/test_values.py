@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pneuma.values import shown_level, shown_setting
+from pneuma.values import shown_level, shown_value
 
 
 @pytest.mark.parametrize(
@@ -16,7 +16,7 @@ from pneuma.values import shown_level, shown_setting
     ],
 )  # fmt: skip
 def test_a_setting_is_shown_without_brackets_and_nothing_as_none(value: object, shown: str) -> None:
-    assert shown_setting(value) == shown
+    assert shown_value(value) == shown
 
 
 def test_a_list_beside_other_levels_is_told_from_them() -> None:

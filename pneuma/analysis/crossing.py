@@ -16,7 +16,7 @@ from typing import Any
 
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
-from pneuma.values import as_tuple, shown_setting
+from pneuma.values import as_tuple, shown_value
 
 _NO_FACTORS = ("seed", "steps", "engine")
 
@@ -84,7 +84,7 @@ def condition_settings(data: StudyData) -> dict[str, dict[str, Any]]:
 def _shown_settings(data: StudyData) -> dict[str, dict[str, str]]:
     """Return every condition's settings that may be factors, as people read them."""
     return {
-        condition: {key: shown_setting(value) for key, value in own.items() if key not in _NO_FACTORS}
+        condition: {key: shown_value(value) for key, value in own.items() if key not in _NO_FACTORS}
         for condition, own in condition_settings(data).items()
     }
 

@@ -27,9 +27,9 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
 from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
-from pneuma.config import Run, read_setting, stream_seed
+from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
-from pneuma.values import as_tuple, shown_level, shown_setting
+from pneuma.values import as_tuple, shown_level, shown_value
 
 LEVEL = 0.05
 """Error rate over all cells of a map."""
@@ -103,16 +103,14 @@ def robustness_map(
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
         raise UserError(f"outcome {outcome}: is neither better high nor better low")
-    values = as_tuple(read_setting(Run, setting, better)), as_tuple(read_setting(Run, setting, worse))
+    values = as_tuple(read_field(Run, setting, better)), as_tuple(read_field(Run, setting, worse))
     if values[0] == values[1]:
-        raise UserError(
-            f"{setting}: {shown_setting(values[0])} against itself is no contrast; name two values"
-        )
+        raise UserError(f"{setting}: {shown_value(values[0])} against itself is no contrast; name two values")
     pairs = _pairs(data, setting, *values)
     if not pairs:
         raise UserError(
             f"study {data.study}: no two conditions differ in {setting} alone, "
-            f"{shown_setting(values[0])} in one and {shown_setting(values[1])} in the other"
+            f"{shown_value(values[0])} in one and {shown_value(values[1])} in the other"
             + _told_differences(data)
         )
     for one, other, _ in pairs:
@@ -145,7 +143,7 @@ def map_table(found: Map) -> pd.DataFrame:
         contrast = cell.contrast
         rows.append(
             {
-                **{key: shown_setting(level) for key, level in cell.levels},
+                **{key: shown_value(level) for key, level in cell.levels},
                 "better": cell.better,
                 "worse": cell.worse,
                 "outcome": found.outcome,

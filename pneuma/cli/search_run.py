@@ -114,13 +114,13 @@ def read_budget(
 
 def _with_options(search: Search, over: Mapping[str, Any]) -> Search:
     """Return a search with fields of the run that are set over every trial."""
-    from pneuma.config import Run, read_setting
+    from pneuma.config import Run, read_field
     from pneuma.search.spec import FIXABLE
 
     for key in over:
         if key not in FIXABLE:
             raise unknown_name("key of --set", key, FIXABLE)
-    return search.with_settings({key: read_setting(Run, key, value) for key, value in over.items()}, over)
+    return search.with_settings({key: read_field(Run, key, value) for key, value in over.items()}, over)
 
 
 def _search(

@@ -22,10 +22,10 @@ from pneuma.cli.options import Json, Results, StudyName, WorldName, print_json
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, study_record
 from pneuma.cli.study_run import by_value
-from pneuma.config import as_settings, make_run
+from pneuma.config import as_fields, make_run
 from pneuma.study import claimed, plan, spec
 from pneuma.study.store import Store
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -77,7 +77,7 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
                 "world": study.world,
                 "worlds": list(study.worlds),
                 "baseline": study.baseline,
-                "conditions": {c: study.settings(c) for c in study.conditions},
+                "conditions": {c: study.fields(c) for c in study.conditions},
                 "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
             }
         )
@@ -90,9 +90,9 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
     print(f"Compared with: {study.baseline}")
     print(f"Runs in: {', '.join(study.worlds)} (here {study.world})")
     print("\nAll conditions share:")
-    for key, value in as_settings(make_run(study.settings(study.baseline))).items():
+    for key, value in as_fields(make_run(study.fields(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):
-            print(f"  {key} = {shown_setting(value)}")
+            print(f"  {key} = {shown_value(value)}")
     print("\nPresets:")
     for preset, amount in study.presets.items():
         print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import Run, as_settings, env_config, make_run
+from pneuma.config import Run, as_fields, env_config, make_run
 from pneuma.errors import UserError, counted
 from pneuma.search.spec import Budget
 from pneuma.search.storage import Outcomes, Searched
 from pneuma.search.trials import Task, Told, objective_value
-from pneuma.study.conditions import unread_settings
-from pneuma.study.definition import join_settings
+from pneuma.study.conditions import unread_fields
+from pneuma.study.definition import join_fields
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
@@ -124,7 +124,7 @@ def _conditions(searched: Searched) -> dict[str, Any]:
     search, budget = searched.task.search, searched.task.budget
     run = _run(searched, search.space.fixed)
     varied = {key for parameter in search.space.parameters for key in parameter.keys}
-    world = {key: value for key, value in as_settings(env_config(run)).items() if key not in varied}
+    world = {key: value for key, value in as_fields(env_config(run)).items() if key not in varied}
     return {
         **world,
         "env": run.env,
@@ -198,12 +198,12 @@ def _toml(value: Any) -> str:
 
 def _settings_that_count(searched: Searched, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of a condition's settings that its algorithm and optimizer read; no study has others."""
-    unread = unread_settings([_run(searched, settings)], settings)
+    unread = unread_fields([_run(searched, settings)], settings)
     return {key: value for key, value in settings.items() if key not in unread}
 
 
 def _run(searched: Searched, settings: Mapping[str, Any]) -> Run:
-    return make_run(join_settings(searched.task.search.space.base, settings))
+    return make_run(join_fields(searched.task.search.space.base, settings))
 
 
 # --- What was gained -------------------------------------------------------------------------------
@@ -224,7 +224,7 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     won, lost = (
         [cell for cell in planned.cells if cell.condition == name] for name in (winner.tuned, winner.name)
     )
-    base_run = make_run({**as_settings(lost[0].run), "steps": steps})
+    base_run = make_run({**as_fields(lost[0].run), "steps": steps})
     names = tuple(run_id(replace(base_run, seed=seed)) for seed in seeds)
     complete = (trial for trial in trials if trial.state == "complete")
     base = next((trial for trial in complete if trial.run_ids[-len(names) :] == names), None)

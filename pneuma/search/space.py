@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import Any
 
-from pneuma.config import ENVIRONMENTS, Run, as_settings, make_run, read_settings
-from pneuma.env_settings import ENVIRONMENT_SETTINGS
+from pneuma.config import ENVIRONMENTS, Run, as_fields, make_run, read_fields
+from pneuma.env_fields import ENVIRONMENT_FIELDS
 from pneuma.errors import UserError
-from pneuma.study.conditions import does_nothing, unread_settings
-from pneuma.study.spec import join_settings
+from pneuma.study.conditions import does_nothing, unread_fields
+from pneuma.study.spec import join_fields
 from pneuma.values import as_tuple
 
 Params = Mapping[str, Any]
@@ -165,10 +165,10 @@ class Space:
                         raise Unsound(f"{key} is searched by [space.{first}], too", ("space", name))
         for parameter in self.parameters:
             runs = [run for own, run in corners if parameter.name in own]
-            for key in unread_settings(runs, parameter.keys) if runs else ():
+            for key in unread_fields(runs, parameter.keys) if runs else ():
                 raise Unsound(does_nothing(key, runs), ("space", parameter.name))
         runs = [run for _, run in corners]
-        for key in unread_settings(runs, unread):
+        for key in unread_fields(runs, unread):
             raise Unsound(does_nothing(key, runs), ("run",), key)
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
@@ -183,7 +183,7 @@ class Space:
                 continue
             settings = self.settings({p.name: params[p.name] for p in self.parameters if p.name in params})
             try:
-                run = make_run(join_settings(self.base, settings))
+                run = make_run(join_fields(self.base, settings))
             except UserError as error:
                 told = ", ".join(f"{name} = {value}" for name, value in own.items())
                 raise Unsound(f"{told}: {error}", ("space", next(iter(own)))) from None
@@ -191,7 +191,7 @@ class Space:
 
     @property
     def _start(self) -> dict[str, Any]:
-        return usual_settings(self.base, self.fixed)
+        return usual_fields(self.base, self.fixed)
 
     def _known(self, params: Params) -> dict[str, Any]:
         """Return what a `when` may name: fields as they are beside parameters, and these themselves."""
@@ -229,11 +229,11 @@ class Space:
         return found
 
 
-def usual_settings(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
+def usual_fields(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
     """Return every field of the run as a base and what is fixed have it, not yet checked as one run."""
-    own = join_settings(base, fixed)
-    brought = ENVIRONMENT_SETTINGS.get(own.get("env", ENVIRONMENTS[0]), {})
-    return {**as_settings(Run()), **brought, **read_settings(Run, own)}
+    own = join_fields(base, fixed)
+    brought = ENVIRONMENT_FIELDS.get(own.get("env", ENVIRONMENTS[0]), {})
+    return {**as_fields(Run()), **brought, **read_fields(Run, own)}
 
 
 def _agree(own: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, FORK_SETTINGS, Run
+from pneuma.config import BASES, FORK_FIELDS, Run
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
-from pneuma.search.space import Choices, Parameter, Range, Space, Unsound, usual_settings
+from pneuma.search.space import Choices, Parameter, Range, Space, Unsound, usual_fields
 from pneuma.search.table import By, Table
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, studies_folder
 from pneuma.study.toml_file import TomlFile, read_toml, shown
@@ -31,7 +31,7 @@ from pneuma.worlds import TEXT, check_world, chosen_world, in_world, split_world
 OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
-SETTABLE = tuple(f.name for f in fields(Run) if f.name not in ("seed", "steps", "engine", *FORK_SETTINGS))
+SETTABLE = tuple(f.name for f in fields(Run) if f.name not in ("seed", "steps", "engine", *FORK_FIELDS))
 """Fields of a run that a search may vary."""
 FIXABLE = (*SETTABLE, "engine")
 """Those that it may fix for all its trials."""
@@ -243,7 +243,7 @@ def read_search(file: TomlFile) -> Search:
 
 def _start_params(names: Sequence[str], space: Space) -> tuple[Mapping[str, Any], ...]:
     """Return the trials of bases, as far as the space holds them; the sampler gives the rest."""
-    return tuple(space.params_of(usual_settings(name, space.fixed)) for name in names)
+    return tuple(space.params_of(usual_fields(name, space.fixed)) for name in names)
 
 
 def _read_objective(table: Table) -> Objective:

@@ -19,7 +19,7 @@ import numpy as np
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import StudyData
-from pneuma.config import Run, read_settings
+from pneuma.config import Run, read_fields
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.search.database import Database
 from pneuma.search.space import Choices, Parameter, Range, Space
@@ -251,7 +251,7 @@ def _read(path: Path, name: str) -> Searched:
         identity, trials = document["identity"], document["trials"]
         space = Space(
             tuple(map(_read_parameter, identity["space"])),
-            read_settings(Run, identity["fixed"]),
+            read_fields(Run, identity["fixed"]),
             str(identity["base"]),
         )
         search = Search(
@@ -283,7 +283,7 @@ def _read_parameter(own: Mapping[str, Any]) -> Parameter:
     domain: Range | Choices
     if "settings_of" in own["domain"]:
         bundles = own["domain"]["settings_of"]
-        domain = Choices({name: read_settings(Run, bundle) for name, bundle in bundles.items()})
+        domain = Choices({name: read_fields(Run, bundle) for name, bundle in bundles.items()})
     else:
         domain = Range(**own["domain"])
     when = {name: tuple(map(as_tuple, values)) for name, values in own["when"].items()}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pneuma.config import Run, read_setting
+from pneuma.config import Run, read_field
 from pneuma.errors import UserError, nearest_name
 from pneuma.study.toml_file import TomlFile, Where, shown
 from pneuma.values import Choice, Reader
@@ -60,7 +60,7 @@ class Table:
     def setting(self, key: str, name: str, value: Any) -> Any:
         """Return a value of a key as the field `name` of a run has it."""
         try:
-            return read_setting(Run, name, value)
+            return read_field(Run, name, value)
         except UserError as error:
             raise self.mistake(str(error), key) from None
 

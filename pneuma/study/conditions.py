@@ -16,18 +16,18 @@ from dataclasses import dataclass, fields
 from itertools import product
 from typing import Any
 
-from pneuma.algorithms import ALGORITHM_SETTINGS
+from pneuma.algorithms import ALGORITHM_FIELDS
 from pneuma.config import (
-    FORK_SETTINGS,
-    OPTIMIZER_SETTINGS,
+    FORK_FIELDS,
+    OPTIMIZER_FIELDS,
     Run,
     env_config,
+    fields_read,
     make_run,
-    read_setting,
-    settings_read,
+    read_field,
 )
 from pneuma.errors import UserError
-from pneuma.study.definition import is_shipped_file, join_settings
+from pneuma.study.definition import is_shipped_file, join_fields
 from pneuma.study.faults import (
     JUDGED_BY_THE_ENVIRONMENT,
     Check,
@@ -43,7 +43,7 @@ CONDITION = "condition"
 """The factor that the file's own conditions are the values of, in a crossed study."""
 
 _PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromkeys(
-    FORK_SETTINGS, "`pneuma run fork`"
+    FORK_FIELDS, "`pneuma run fork`"
 )
 """Fields of a run that are not a study's to set, and what sets them."""
 
@@ -90,21 +90,21 @@ def read_settings_table(file: TomlFile, where: Where) -> dict[str, Any]:
     return {key: _read_value(file, where, key, key, value) for key, value in settings.items()}
 
 
-def unread_settings(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
+def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
     """Return those of `keys` that none of the runs' algorithms and optimizers reads."""
-    read = {key for run in runs for key in settings_read(run)}
+    read = {key for run in runs for key in fields_read(run)}
     return [key for key in keys if key not in read]
 
 
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
     """Say which settings the runs' optimizers do read, or the algorithms where the key is none of those."""
     runs = list(runs)
-    of_optimizers = any(key in own for own in OPTIMIZER_SETTINGS.values())
-    optimizers = {run.optimizer for run in runs if "optimizer" in settings_read(run)}
+    of_optimizers = any(key in own for own in OPTIMIZER_FIELDS.values())
+    optimizers = {run.optimizer for run in runs if "optimizer" in fields_read(run)}
     if of_optimizers and optimizers:
-        told = {name: OPTIMIZER_SETTINGS[name] for name in optimizers}
+        told = {name: OPTIMIZER_FIELDS[name] for name in optimizers}
     else:
-        told = {run.algorithm: ALGORITHM_SETTINGS[run.algorithm] for run in runs}
+        told = {run.algorithm: ALGORITHM_FIELDS[run.algorithm] for run in runs}
     read = "; ".join(f"{name} reads {', '.join(told[name])}" for name in sorted(told))
     return f"{key} does nothing: {read}"
 
@@ -119,7 +119,7 @@ def _refuse_planned(file: TomlFile, where: Where, key: str) -> None:
 
 def _read_value(file: TomlFile, where: Where, line_key: str, key: str, value: object) -> Any:
     try:
-        return read_setting(Run, key, value)
+        return read_field(Run, key, value)
     except UserError as error:
         raise file.mistake(where, str(error), line_key) from None
 
@@ -139,10 +139,10 @@ def _read_named(file: TomlFile, base: str, shared: Mapping[str, Any]) -> dict[st
         _refuse_underscore(file, where)
         conditions[name] = read_settings_table(file, where)
         _refuse_faults(file, base, shared, name, conditions[name], check_run)
-        runs.append(make_run(join_settings(base, {**shared, **conditions[name]})))
-        for key in unread_settings(runs[-1:], conditions[name]):
+        runs.append(make_run(join_fields(base, {**shared, **conditions[name]})))
+        for key in unread_fields(runs[-1:], conditions[name]):
             raise file.mistake(where, does_nothing(key, runs[-1:]), key)
-    for key in unread_settings(runs, file.table(("run",)) if runs else ()):
+    for key in unread_fields(runs, file.table(("run",)) if runs else ()):
         raise file.mistake(("run",), does_nothing(key, runs), key)
     return conditions
 
@@ -161,7 +161,7 @@ def _check_environments(
         return
     seen = set()
     for name, own in conditions.items():
-        config = env_config(make_run(join_settings(base, {**shared, **own})))
+        config = env_config(make_run(join_fields(base, {**shared, **own})))
         if {*shared, *own} & {*JUDGED_BY_THE_ENVIRONMENT} and config not in seen:
             seen.add(config)
             _refuse_faults(file, base, shared, name, own, check_environment)
@@ -173,7 +173,7 @@ def _refuse_faults(
     """Refuse a condition whose settings do not go together, at the line of the one at fault."""
 
     def joined(settings: Mapping[str, Any]) -> object:
-        return check(join_settings(base, settings))
+        return check(join_fields(base, settings))
 
     settings = {**shared, **own}
     error = fault(settings, joined)
@@ -290,6 +290,6 @@ def _refuse_crossed_faults(
     file: TomlFile, base: str, shared: Mapping[str, Any], name: str, own: Mapping[str, Any]
 ) -> None:
     _refuse_faults(file, base, shared, name, own, check_run)
-    runs = [make_run(join_settings(base, {**shared, **own}))]
-    for key in unread_settings(runs, own):
+    runs = [make_run(join_fields(base, {**shared, **own}))]
+    for key in unread_fields(runs, own):
         raise file.mistake(("factors",), f"{does_nothing(key, runs)} (in {name})", key)

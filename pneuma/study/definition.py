@@ -77,9 +77,9 @@ class Study:
     worlds: tuple[str, ...] = tuple(WORLDS)
     by_world: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
-    def settings(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return what a condition sets, base and shared settings included, `over` on top of all."""
-        return join_settings(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
+        return join_fields(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
 
     def in_world(self, world: str) -> Study:
         """Return the study as it is run in one of `WORLDS`, with a name and a figure of its own there.
@@ -125,7 +125,7 @@ class Study:
         return self.presets[name]
 
 
-def join_settings(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
+def join_fields(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
     """Lay settings over a base and over what the environment they choose brings along."""
     env = own.get("env")
     slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}

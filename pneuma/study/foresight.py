@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.study.execute import Progress
 from pneuma.study.files import read_sealed, seal
 from pneuma.study.origins import processors, stored_origins
@@ -124,7 +124,7 @@ def _paces(rates: Mapping[str, list[float]]) -> dict[str, Pace]:
 
 def kind(run: Run) -> str:
     """Return a digest of all that decides how long a step of a run takes."""
-    settings = {key: value for key, value in as_settings(run).items() if key not in _SCALARS}
+    settings = {key: value for key, value in as_fields(run).items() if key not in _SCALARS}
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -11,15 +11,15 @@ from typing import Any
 
 from pneuma.config import (
     ENGINES,
+    FORK_FIELDS,
     FORK_RESETS,
-    FORK_SETTINGS,
-    OPTIMIZER_SETTINGS,
+    OPTIMIZER_FIELDS,
     EnvConfig,
     Run,
-    as_settings,
+    as_fields,
     beyond_engine,
     make_run,
-    read_setting,
+    read_field,
 )
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
@@ -89,7 +89,7 @@ def control_run(store: Store, parent: str, at: int, trust: bool = False) -> tupl
     """
     whole = _parent_run(store, parent, trust)
     step = _checkpoint_step(store, parent, at, whole)
-    return whole, make_run({**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
+    return whole, make_run({**as_fields(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
 
 
 def changed_run(whole: Run, control: Run, settings: Mapping[str, Any], reset: str) -> Run:
@@ -103,7 +103,7 @@ def changed_run(whole: Run, control: Run, settings: Mapping[str, Any], reset: st
         raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
     if reset == "optimizer" and not settings and whole.optimizer == "sgd" and not whole.momentum:
         raise UserError("--reset optimizer: changes nothing, because SGD without momentum keeps nothing")
-    changed = _forked(as_settings(control), changes)
+    changed = _forked(as_fields(control), changes)
     if settings and replace(changed, fork_reset="") == control:
         raise UserError(f"--set {', '.join(settings)}: changes nothing, because nothing in this run reads it")
     return changed
@@ -188,13 +188,13 @@ def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
             "fork earlier, or train the parent's study with more --steps"
         )
     for key in settings:
-        if key in (*FIXED, *FORK_SETTINGS):
+        if key in (*FIXED, *FORK_FIELDS):
             raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
         if run.buffer_size and key in OF_TRANSITIONS:
             raise UserError(
                 f"--set {key}: cannot change at a fork, because transitions of before are replayed"
             )
-    read = {key: read_setting(Run, key, value) for key, value in settings.items()}
+    read = {key: read_field(Run, key, value) for key, value in settings.items()}
     for key, value in read.items():
         if getattr(run, key) == value:
             raise UserError(f"--set {key}: is {_shown(value)} in run {run_id(run)} already")
@@ -210,7 +210,7 @@ def _forked(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
     if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **changes}))):
         keys = ", ".join(key for key in changes if key != "fork_reset")
         raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
-    own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
+    own = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
     run = make_run({**base, **dict.fromkeys(own), **changes})
     if kept and bool(run.momentum) != bool(base["momentum"]):
         raise UserError("--set momentum: from or to 0 needs --reset optimizer")

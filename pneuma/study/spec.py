@@ -13,14 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import BASES, Run, read_setting
+from pneuma.config import BASES, Run, read_field
 from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.study.conditions import does_nothing, read_conditions, read_settings_table, unread_settings
+from pneuma.study.conditions import does_nothing, read_conditions, read_settings_table, unread_fields
 from pneuma.study.definition import (
     PRESETS,
     Preset,
     Study,
-    join_settings,
+    join_fields,
     run_command,
     studies_folder,
 )
@@ -30,8 +30,8 @@ from pneuma.values import Number
 from pneuma.worlds import TEXT, WORLDS, chosen_world, split_world
 
 __all__ = [
-    "PRESETS", "SEEDS_ALLOWED", "Preset", "Study", "does_nothing", "join_settings", "list_studies",
-    "load_study", "read_seeds", "run_command", "studies_folder", "unread_settings",
+    "PRESETS", "SEEDS_ALLOWED", "Preset", "Study", "does_nothing", "join_fields", "list_studies",
+    "load_study", "read_seeds", "run_command", "studies_folder", "unread_fields",
 ]  # fmt: skip
 
 MOST_SEEDS = 10_000
@@ -96,7 +96,7 @@ def read_seeds(value: object) -> tuple[int, ...]:
     if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SEEDS:
         return tuple(range(value))
     if isinstance(value, (list, tuple)) and value and len(set(value)) == len(value):
-        return tuple(read_setting(Run, "seed", seed) for seed in value)
+        return tuple(read_field(Run, "seed", seed) for seed in value)
     raise ValueError
 
 
@@ -169,7 +169,7 @@ def _check_worlds(file: TomlFile, study: Study) -> None:
     for world in study.worlds:
         there = study.in_world(world)
         for name in there.conditions if world != TEXT else ():
-            if error := fault(there.settings(name), check_run):
+            if error := fault(there.fields(name), check_run):
                 where = ("worlds", world) if world in study.by_world else ("conditions", name)
                 mend = f'; worlds = ["{TEXT}"] at the top runs it in the text\'s world alone'
                 raise file.mistake(where, f"in the world {world}, {name}: {error}{mend}")
@@ -253,6 +253,6 @@ def _preset_seeds(file: TomlFile, where: Where, table: Mapping[str, Any]) -> tup
 
 def _preset_steps(file: TomlFile, where: Where, table: Mapping[str, Any]) -> int:
     try:
-        return int(read_setting(Run, "steps", table["steps"]))
+        return int(read_field(Run, "steps", table["steps"]))
     except UserError as error:
         raise file.mistake(where, str(error), "steps") from None

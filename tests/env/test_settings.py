@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneuma import env_settings, values
+from pneuma import env_fields, values
 from pneuma.config import EnvConfig, make_env_config
 from pneuma.env import state
 from pneuma.env.worlds import Worlds
@@ -75,4 +75,4 @@ def test_characters_may_lie_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_there_is_one_greatest_number_of_players() -> None:
-    assert state.MAX_PLAYERS == values.MOST_NAMES == env_settings.MAX_PLAYERS
+    assert state.MAX_PLAYERS == values.MOST_NAMES == env_fields.MAX_PLAYERS

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from pneuma.cli.study_records import study_record
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.execute import (
@@ -162,7 +162,7 @@ def test_every_file_is_there_with_its_checksum(together: Executed) -> None:
 def test_a_run_keeps_its_resolved_configuration(together: Executed) -> None:
     cell = together.plan.cells[0]
     kept = json.loads(together.store.read_file(cell.run_id, "run.json"))
-    assert kept == {"schema": 1, "run_id": cell.run_id, "run": as_settings(cell.run)}
+    assert kept == {"schema": 1, "run_id": cell.run_id, "run": as_fields(cell.run)}
     assert kept["run"]["horizon"] == 64
 
 
@@ -211,7 +211,7 @@ def test_the_selection_is_recorded(together: Executed) -> None:
     assert [(run["condition"], run["seed"], run["run_id"]) for run in record["runs"]] == expected
     assert recorded_selection(record) == Selection()
     assert record["same"] == [["one", "other"]]
-    assert record["runs"][0]["run"] == as_settings(together.plan.cells[0].run)
+    assert record["runs"][0]["run"] == as_fields(together.plan.cells[0].run)
 
 
 def test_progress_reaches_every_cell_and_ends_each_once(together: Executed) -> None:
@@ -302,7 +302,7 @@ def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     assert any("killed by SIGKILL" in progress.note for progress in seen)
     assert seen[-1].status == "killed"
     assert b"killed by SIGKILL" in store.read_file(name, "error.txt")
-    assert json.loads(store.read_file(name, "run.json"))["run"] == as_settings(plan.cells[0].run)
+    assert json.loads(store.read_file(name, "run.json"))["run"] == as_fields(plan.cells[0].run)
 
     (outcome,) = _run(plan, store, 1, lambda _: None)
     assert (outcome.status.name, outcome.status.step, outcome.trained) == ("done", 64 * 200, True)

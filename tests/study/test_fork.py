@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import Checkpoint
@@ -135,7 +135,7 @@ def test_a_fork_of_several_players_sees_what_its_parent_saw_also_where_one_has_d
     )
     idle = 0
     for step, checkpoint in train(run)[1].items():
-        own = {**as_settings(run), "parent": run_id(run), "fork_step": step}
+        own = {**as_fields(run), "parent": run_id(run), "fork_step": step}
         assert np.array_equal(
             begun(make_run(own), checkpoint)._last_obs, checkpoint.arrays["last/observations"]
         )

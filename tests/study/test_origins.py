@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pneuma.cli import main, study_run
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.study import calibration, foresight
 from pneuma.study.execute import selection_record
@@ -144,7 +144,7 @@ def test_paces_are_of_this_kind_of_processor_where_it_is_known(tmp_path: Path, p
 def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path, planned: Plan) -> None:
     """Of a diverged run they are fewer than its budget; of a fork, without its parent's."""
     store, cells = Store(tmp_path), planned.cells[:2]
-    fork = make_run({**as_settings(cells[1].run), "parent": "a" * 16, "fork_step": cells[1].run.steps - 256})
+    fork = make_run({**as_fields(cells[1].run), "parent": "a" * 16, "fork_step": cells[1].run.steps - 256})
     runs = {cells[0].run_id: (cells[0].run, "diverged", 512), run_id(fork): (fork, "done", fork.steps)}
     for name, (run, status, step) in runs.items():
         files = {"run.json": run_document(run, name), "provenance.json": to_json(origin(MILAN, seconds=2.56))}

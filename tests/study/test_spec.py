@@ -69,22 +69,22 @@ def test_a_condition_goes_over_what_is_shared_and_that_over_the_base(tmp_path: P
         'activation = "relu"', 'activation = "relu"\nepochs = 5'
     )
     study = _load(tmp_path, text)
-    assert study.settings("tanh")["horizon"] == 256  # of table 6.2
-    assert study.settings("tanh")["gradient_limit"] is None
-    assert [study.settings(name)["epochs"] for name in ("tanh", "relu")] == [4, 5]
+    assert study.fields("tanh")["horizon"] == 256  # of table 6.2
+    assert study.fields("tanh")["gradient_limit"] is None
+    assert [study.fields(name)["epochs"] for name in ("tanh", "relu")] == [4, 5]
 
 
 def test_what_may_be_left_out_has_a_sensible_value(tmp_path: Path) -> None:
     least = 'title = "T"\nbase = "table-6-1"\n[conditions.only]\n[presets.quick]\nseeds = 1\nsteps = 1\n'
     study = _load(tmp_path, least)
     assert (study.baseline, study.figure, study.section, study.about) == ("only", "study-mine", "", "")
-    assert study.settings("only")["horizon"] == 2048
+    assert study.fields("only")["horizon"] == 2048
 
 
 def test_the_activation_study_changes_the_activation_and_nothing_else() -> None:
     """Design section 3: exactly tanh, ReLU and LeakyReLU, all at limit 0.5."""
     study = load_study("activation")
-    settings = [study.settings(name) for name in study.conditions]
+    settings = [study.fields(name) for name in study.conditions]
     assert sorted(s["activation"] for s in settings) == ["leaky-relu", "relu", "tanh"]
     assert all({**s, "activation": ""} == {**settings[0], "activation": ""} for s in settings)
     assert settings[0]["gradient_limit"] == 0.5

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.engines.base import Engine, OnUpdate, Progress, Result
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy, read_policy
@@ -173,7 +173,7 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
         assert process.stdin is not None and process.stdout is not None
         job = {
             "results": str(tmp_path),
-            "runs": {run_id(run): as_settings(run)},
+            "runs": {run_id(run): as_fields(run)},
             "checkpoint_seconds": 15.0,
             "keep": 0,
             "final": True,

@@ -42,20 +42,20 @@ def _write(folder: Path, text: str, name: str = "mine.toml") -> str:
 def test_godots_world_is_the_published_code(tmp_path: Path) -> None:
     """Facts 3: four slots, clip range 0.2, actor [256]; facts 1: the environment."""
     study = load_study(_write(tmp_path, PLAIN), "godot")
-    run = make_run(study.settings("low"))
+    run = make_run(study.fields("low"))
     assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaGodot-v0", 4, 0.2, (256,))
     assert (run.scale, run.order, run.reward, run.epochs) == ("raw", "fixed", ("godot",), 5)
 
 
 def test_the_arena_is_the_texts_with_another_reward_and_the_facing_observed(tmp_path: Path) -> None:
-    run = make_run(load_study(_write(tmp_path, PLAIN), "arena").settings("low"))
+    run = make_run(load_study(_write(tmp_path, PLAIN), "arena").fields("low"))
     assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaArena-v0", 1, 0.1, (128,))
     assert (run.scale, run.order, run.reward, run.epochs) == ("unit", "nearest", ("kills",), 5)
 
 
 def test_the_texts_world_is_the_file_as_it_stands(tmp_path: Path) -> None:
     path = _write(tmp_path, PLAIN)
-    run = make_run(load_study(path, "text").settings("low"))
+    run = make_run(load_study(path, "text").fields("low"))
     assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/Pneuma-v0", 1, 0.1, (128,))
     assert load_study(path) == load_study(path, "text")
 
@@ -63,16 +63,16 @@ def test_the_texts_world_is_the_file_as_it_stands(tmp_path: Path) -> None:
 def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path) -> None:
     text = PLAIN.replace("epochs = 5", "actor = [64]").replace("[run]", "[run]\nclip_range = 0.3")
     study = load_study(_write(tmp_path, text), "godot")
-    runs = [make_run(study.settings(name)) for name in study.conditions]
+    runs = [make_run(study.fields(name)) for name in study.conditions]
     assert [run.actor for run in runs] == [(64,), (128,)]  # the second as in Table 6.2, not [256]
     assert [run.clip_range for run in runs] == [0.3, 0.3]
 
 
 def test_a_file_says_what_godot_sets_besides(tmp_path: Path) -> None:
     study = load_study(_write(tmp_path, PLAIN + "[worlds.godot]\nslots = 2\nclip_range = 0.15\n"), "godot")
-    run = make_run(study.settings("low"))
+    run = make_run(study.fields("low"))
     assert (run.env, run.slots, run.clip_range) == ("pneuma/PneumaGodot-v0", 2, 0.15)
-    assert make_run(load_study(_write(tmp_path, PLAIN)).settings("low")).slots == 1
+    assert make_run(load_study(_write(tmp_path, PLAIN)).fields("low")).slots == 1
 
 
 def test_the_worlds_have_names_figures_and_run_ids_of_their_own(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_a_name_in_a_world_can_be_taken_apart(name: str) -> None:
 def test_every_shipped_study_resolves_in_its_worlds(name: str) -> None:
     for world in load_study(name).worlds:
         study = load_study(name, world)
-        runs = [make_run(study.settings(condition)) for condition in study.conditions]
+        runs = [make_run(study.fields(condition)) for condition in study.conditions]
         if world != "text":
             assert {run.env for run in runs} == {WORLDS[world].env}
         elif name != "published-logs":  # whose file is the published code's, and stands as it is

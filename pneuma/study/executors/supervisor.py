@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import IO, Any, Protocol
 
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.compiling import WAITS
 from pneuma.study.executors.base import (
@@ -233,7 +233,7 @@ class Supervisor:
     def _job(self, task: _Task) -> dict[str, Any]:
         return {
             "results": str(self._store.root.resolve()),
-            "runs": {name: as_settings(run) for name, run in task.group.items()},
+            "runs": {name: as_fields(run) for name, run in task.group.items()},
             "checkpoint_seconds": self._how.checkpoint_seconds,
             "keep": self._how.keep_checkpoints,
             "final": task.tries >= TRIES,

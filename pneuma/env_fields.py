@@ -88,7 +88,7 @@ class EnvConfig:
     """Whether the last monster's death ends the episode."""
 
 
-ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
+ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {
     "pneuma/Pneuma-v0": {},
     "pneuma/PneumaGodot-v0": {
         "reward": "godot",
@@ -108,12 +108,12 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
 """What each environment sets other than the defaults: the published code's quirks for Godot's; for the arena
 a reward for kills, and the facing observed."""
 
-ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
+ENVIRONMENTS = tuple(ENVIRONMENT_FIELDS)
 
 ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
 """How many worlds a study collects from side by side, unless it says so itself."""
 
-OBSERVATION_SETTINGS = {
+OBSERVATION_FIELDS = {
     "thesis": {"perceive": "all", "order": "nearest", "scale": "unit"},
     "pygame": {"perceive": "nearest:5", "order": "nearest", "scale": "map"},
     "godot": {"perceive": "all", "order": "fixed", "scale": "raw"},
@@ -130,15 +130,15 @@ def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) 
     Raises:
         UserError: for an unknown key, a value out of range, or values that do not go together.
     """
-    if env not in ENVIRONMENT_SETTINGS:
+    if env not in ENVIRONMENT_FIELDS:
         raise unknown_name("environment", env, ENVIRONMENTS)
-    given = read_settings(EnvConfig, {**ENVIRONMENT_SETTINGS[env], **settings})
+    given = read_fields(EnvConfig, {**ENVIRONMENT_FIELDS[env], **settings})
     return EnvConfig(**resolve_world(given))
 
 
 def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
     """Fill what a layout of observations implies, and check what must go together."""
-    layout = OBSERVATION_SETTINGS[values.get("observation", "thesis")]
+    layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
     values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
     players = values.get("players", 1)
     for key in ("classes", "weapons", "reward"):
@@ -178,17 +178,17 @@ def own_rewards(names: Iterable[str]) -> list[str]:
 _Config = TypeVar("_Config", bound=EnvConfig)
 
 
-def read_settings(config: type[_Config], settings: Mapping[str, object]) -> dict[str, Any]:
+def read_fields(config: type[_Config], settings: Mapping[str, object]) -> dict[str, Any]:
     """Check a mapping of key to value and return it with every value in its final type.
 
     Raises:
         UserError: naming the key, the value and what is allowed.
     """
-    return {key: read_setting(config, key, value) for key, value in settings.items()}
+    return {key: read_field(config, key, value) for key, value in settings.items()}
 
 
-def read_setting(config: type[_Config], key: str, value: object) -> Any:
-    """Check one key and value of a configuration; see `read_settings`."""
+def read_field(config: type[_Config], key: str, value: object) -> Any:
+    """Check one key and value of a configuration; see `read_fields`."""
     readers: dict[str, Reader] = {item.name: item.metadata["reader"] for item in fields(config)}
     if key not in readers:
         raise unknown_name("key", key, readers)
