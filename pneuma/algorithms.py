@@ -1,4 +1,4 @@
-"""What trains each learning algorithm, and which of a run's settings it reads.
+"""What trains each learning algorithm, and which of a run's fields it reads.
 
 Data for `pneuma.config`, which resolves a run by it. What an algorithm does not read is at its default
 in a resolved run (None, where only some algorithms have it), and a study that sets it is refused.
@@ -46,7 +46,7 @@ ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "q-learning": _TABLE,
     "double-q-learning": _TABLE,
 }
-"""Which settings each algorithm reads, beside those that all read; an optimizer's own come on top."""
+"""Which fields each algorithm reads, beside those that all read; an optimizer's own come on top."""
 
 OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
@@ -73,7 +73,7 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     "q-learning": _TABLE_DEFAULTS,
     "double-q-learning": _TABLE_DEFAULTS,
 }
-"""What settings are where nothing is said, of those that only some algorithms have.
+"""What fields are where nothing is said, of those that only some algorithms have.
 
 For Stable-Baselines3's and sb3-contrib's learners those are their own, but for a buffer of a tenth.
 """

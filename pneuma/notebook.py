@@ -23,7 +23,7 @@ from pneuma.study.executors.base import HERE, Supervision, load_executor
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
 from pneuma.study.trust import own_things
-from pneuma.worlds import TEXT, check_world, in_world
+from pneuma.worlds import check_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
@@ -119,7 +119,7 @@ def open_data(study: Where, results: Where = RESULTS, *, world: str | None = Non
     check_world(world)
     store, told = Store(results), os.fspath(study)
     own = Path(told).stem if told.endswith(".toml") else told
-    name = in_world(own, world or TEXT)
+    name = spec.name_in_world(own, world)
     record = store.selection(name)
     if record is not None and own != told:
         execute.check_same_file(record, Path(told), store)

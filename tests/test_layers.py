@@ -27,7 +27,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.__main__": ("pneuma.cli",),
     "pneuma.algorithms": (),
     "pneuma.config": ("pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values"),
-    "pneuma.env_fields": ("pneuma.errors", "pneuma.values"),
+    "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
     "pneuma.schema": ("pneuma.errors",),
     "pneuma.values": (),
@@ -57,7 +57,6 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "pneuma.study.claimed",
         "pneuma.study.spec",
         "pneuma.study.files",
-        "pneuma.study.toml_file",
     ),
     "pneuma.analysis.claim_runs": (
         "pneuma.analysis",

@@ -22,10 +22,10 @@ from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import PICKING, find_outcome
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
+from pneuma.schema import TomlFile, Where, read_toml, shown
+from pneuma.study.claimed import read_fixed_runs
 from pneuma.study.files import checksum
-from pneuma.study.spec import Study, load_study, studies_folder
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.study.spec import CLAIMS_FILE, Study, load_study, studies_folder
 from pneuma.values import Number
 
 KINDS = ("mean", "spread", "incidence")

@@ -118,8 +118,8 @@ def _with_options(search: Search, over: Mapping[str, Any]) -> Search:
     from pneuma.search.spec import FIXABLE
 
     for key in over:
-        if key not in FIXABLE:
-            raise unknown_name("key of --set", key, FIXABLE)
+        if key not in FIXABLE.names:
+            raise unknown_name("key of --set", key, FIXABLE.names)
     return search.with_settings({key: read_field(Run, key, value) for key, value in over.items()}, over)
 
 

@@ -23,7 +23,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, study_record
 from pneuma.cli.study_run import by_value
 from pneuma.config import as_fields, make_run
-from pneuma.study import claimed, plan, spec
+from pneuma.study import plan, spec
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 
@@ -48,13 +48,12 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 @app.command("list")
 def list_(json: Json = False) -> None:
     """List the shipped studies."""
-    studies = [spec.load_study(name) for name in spec.list_studies()]
+    titles = spec.study_titles()
     if json:
-        names = [{"study": s.name, "title": s.title, "section": s.section} for s in studies]
-        return print_json({"schema": 1, "studies": names})
-    for study in studies:
-        section = f"thesis section {study.section}" if study.section else ""
-        print(f"{study.name:<18} {study.title:<36} {section}")
+        return print_json({"schema": 1, "studies": titles})
+    for own in titles:
+        section = f"thesis section {own['section']}" if own["section"] else ""
+        print(f"{own['study']:<18} {own['title']:<36} {section}")
     return None
 
 
@@ -98,8 +97,10 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
         print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")
         for condition, own in amount.conditions.items():
             print(f"  {'':<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
-    for i, (condition, own) in enumerate(claimed.fixed_amounts(study).items()):
-        head = "" if i else claimed.CLAIMS
+    from pneuma.study.claimed import fixed_amounts
+
+    for i, (condition, own) in enumerate(fixed_amounts(study).items()):
+        head = "" if i else spec.CLAIMS
         print(f"  {head:<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
     return None
 

@@ -22,10 +22,9 @@ from pneuma.errors import UserError, counted
 from pneuma.search.spec import Budget
 from pneuma.search.storage import Outcomes, Searched
 from pneuma.search.trials import Task, Told, objective_value
-from pneuma.study.conditions import unread_fields
-from pneuma.study.definition import join_fields
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
+from pneuma.study.spec import join_fields, unread_fields
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
 

@@ -303,7 +303,7 @@ def _read_trial(number: int, own: Mapping[str, Any], search: Search) -> Told:
     return Told(
         number,
         own["params"],
-        search.space.settings(own["params"]),
+        search.space.fields(own["params"]),
         own["state"],
         values,
         tuple(map(str, own["run_ids"])),

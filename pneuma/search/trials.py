@@ -195,7 +195,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
 def _ask(study: optuna.Study, task: Task) -> _Asked:
     search = task.search
     trial, params = ask(study, search.space, search.sampler, search.name, search.start)
-    settings = search.space.settings(params)
+    settings = search.space.fields(params)
     try:
         run = make_run({**join_fields(search.space.base, settings), "steps": task.budget.steps})
     except UserError as error:

@@ -15,10 +15,10 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted
-from pneuma.study.definition import Study
 from pneuma.study.fork import CONTROL, changed_run, control_run, elsewhere
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
+from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
 

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
 from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run, read_field
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.claimed import CLAIMS, claims_preset, join_presets
 from pneuma.study.identity import run_id
-from pneuma.study.spec import Preset, Study, does_nothing, unread_fields
+from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, join_presets, unread_fields
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _amounts(study: Study, presets: str) -> dict[str, Preset]:
     found: dict[str, Preset] = {}
     for name in presets.split("+"):
         if name == CLAIMS:
-            own = claims_preset(study)
+            own = import_module("pneuma.study.claimed").claims_preset(study)
         elif name in study.presets:
             own = {condition: study.preset(name).of(condition) for condition in study.conditions}
         else:

@@ -60,8 +60,8 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "unknown key": ('outcome = "', 'outcom = "', 20, ("'outcom'", "did you mean outcome?")),
     "unknown study": ('"mine.toml"', '"activaton"', 17, ("'activaton'", "did you mean activation?")),
     "unknown condition": ('"low"', '"lwo"', 19, ("b: ", "'lwo'", "did you mean low?")),
-    "no conditions": ('"low"', "[]", 19, ("b = []", "a condition, or a list")),
-    "a condition twice": ('"low"', '["low", "low"]', 19, ("b = ", "a condition, or a list")),
+    "no conditions": ('"low"', "[]", 19, ("b = []", "a list")),
+    "a condition twice": ('"low"', '["low", "low"]', 19, ("b: low", "twice")),
     "unknown outcome": ("final-share-killed", "final-share-kiled", 20, ("did you mean final-share-killed?",)),
     "unknown kind": ('"mean"', '"median"', 21, ("kind", "'median'", "mean, spread, incidence")),
     "unknown direction": ('"greater"', '"graeter"', 22, ("'graeter'", "did you mean greater?")),
@@ -100,7 +100,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
         "margin = 0.04", 'logs = [{ a = "p", b = "r", figure = "end" }]', 23, ("logs", "unknown b 'r'"),
     ),
     "unknown pair": ('["q", "q again"]]', '["q", "r"]]', 6, ("same", "no pair")),
-    "a list for a condition": ('b = "low"', 'b = [["low"]]', 19, ("b: unknown condition",)),
+    "a list for a condition": ('b = "low"', 'b = [["low"]]', 19, ("b = ", "a text")),
     "a list for a run of logs": (
         "margin = 0.04", 'logs = [{ a = ["p"], b = "q", figure = "end" }]', 23, ("logs", "unknown a"),
     ),
@@ -111,8 +111,8 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "a number without end": ("margin = 0.04", f"margin = 1{'0' * 400}", 23, ("a number",)),
     "unknown figure": ("q = { end", "q = { edn", 11, ("'edn'", "did you mean end?")),
     "unknown default": ("steps = 1024\n\n[", "step = 1024\n\n[", 3, ("'step'", "did you mean steps?")),
-    "seeds of a wrong type": ("seeds = 8", "seeds = 0", 2, ("seeds = 0", "a count, or a list")),
-    "steps of a wrong type": ("steps = 1024\n\n[logs]", "steps = 0\n\n[logs]", 3, ("steps = 0", "whole")),
+    "seeds of a wrong type": ("seeds = 8", "seeds = 0", 2, ("seeds = 0", "a count")),
+    "steps of a wrong type": ("steps = 1024\n\n[logs]", "steps = 0\n\n[logs]", 3, ("steps = 0", "least 1")),
 }  # fmt: skip
 
 
