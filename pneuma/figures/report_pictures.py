@@ -9,9 +9,9 @@ from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
 
+from pneuma.analysis.crossed import Map
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import Map
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.figures.collapse import collapsed_shares, draw_collapse

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import (
+from pneuma.analysis.crossed import (
     CONDITIONAL,
     HOLDS,
     OPEN,
@@ -26,6 +25,7 @@ from pneuma.analysis.robustness import (
     Map,
     robustness_map,
 )
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.captions import headline_of, step_told

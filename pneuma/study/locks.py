@@ -1,63 +1,22 @@
-"""Who trains a run: a lock that its holder's death lets go of.
+"""Who trains a run: a lock that goes with its holder's process.
 
-Two `study run` on one results folder share the work: a run that another process holds is left to it.
-
-On a file system that several machines share, the server lets go of a dead machine's locks late or never.
-So a holder renews its lock's time while it lives, and names its machine in it; a lock of another machine
-that was not renewed for `STALE_SECONDS` is broken. Where a lock keeps nobody out (some file systems have
-none, or keep them to one machine), two processes may train one run: to the same bits, in files that are
-put in place whole, so nothing is lost but time.
+Two `study run` on one results folder share the work: a run that another process holds is left to it. Where a
+lock keeps nobody out (some file systems have none, or keep them to one machine), two processes may train one
+run: to the same bits, in files that are put in place whole, so nothing is lost but time.
 """
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
-import socket
-import threading
+import stat
 import time
 from contextlib import suppress
 from pathlib import Path
 
-RENEW_SECONDS = 30.0
-STALE_SECONDS = 600.0
-"""Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 LOOKS, LOOK_SECONDS = 5, 0.002
 """How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
-
-
-class _Renewal:
-    """Renews all locks that this process holds, in one thread: the driver of a cluster holds thousands."""
-
-    def __init__(self) -> None:
-        self._held: set[int] = set()
-        self._changing = threading.Lock()
-        self._done = threading.Event()
-
-    def add(self, descriptor: int) -> None:
-        """Renew a lock from now on."""
-        with self._changing:
-            self._held.add(descriptor)
-            if len(self._held) == 1:
-                self._done = threading.Event()
-                threading.Thread(target=self._renew, args=(self._done,), daemon=True).start()
-
-    def remove(self, descriptor: int) -> None:
-        """Renew a lock no more; its descriptor may be closed then."""
-        with self._changing:
-            self._held.discard(descriptor)
-            if not self._held:
-                self._done.set()
-
-    def _renew(self, done: threading.Event) -> None:
-        while not done.wait(RENEW_SECONDS):
-            with self._changing:
-                for descriptor in self._held:
-                    with suppress(OSError):
-                        os.utime(descriptor)
-
-
-_RENEWAL = _Renewal()
 
 
 class RunLock:
@@ -74,28 +33,35 @@ class RunLock:
         self._descriptor = -1
 
     def __enter__(self) -> bool:
-        """Take the lock if nobody holds it; return whether that was so."""
+        """Take the lock if nobody holds it; return whether that was so.
+
+        Raises:
+            OSError: where it cannot be made, or something lies there that is no file.
+        """
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         while True:
-            self._descriptor = os.open(self._path, flags, 0o644)
+            self._descriptor = _open(self._path, os.O_RDWR | os.O_CREAT)
             try:
                 _take(self._descriptor)
             except BlockingIOError:
-                stale = _is_stale(self._descriptor)
-                if stale and self._is_there():  # and not that of who broke it just before
-                    self._path.unlink(missing_ok=True)
-                os.close(self._descriptor)
-                self._descriptor = -1
-                if not stale:
-                    return False
-                continue
-            except OSError:
+                self._close()
+                return False
+            except OSError:  # there are no locks here
                 return True
             if self._is_there():
-                self._sign()
                 return True
-            os.close(self._descriptor)  # its holder let go, and removed the file, after it was opened here
+            self._close()  # its holder let go, and removed the file, after it was opened here
+
+    def __exit__(self, *_: object) -> None:
+        """Let go."""
+        if self._descriptor >= 0:
+            if self._is_there():
+                self._path.unlink(missing_ok=True)
+            self._close()
+
+    def _close(self) -> None:
+        os.close(self._descriptor)
+        self._descriptor = -1
 
     def _is_there(self) -> bool:
         """Tell whether the file that is held is still the one that others would open."""
@@ -105,20 +71,36 @@ class RunLock:
             return False
         return os.path.samestat(there, os.fstat(self._descriptor))
 
-    def _sign(self) -> None:
-        """Name this machine in the lock, and renew its time from now on."""
-        with suppress(OSError):
-            os.ftruncate(self._descriptor, 0)
-            os.pwrite(self._descriptor, socket.gethostname().encode(), 0)
-        _RENEWAL.add(self._descriptor)
 
-    def __exit__(self, *_: object) -> None:
-        """Let go."""
-        _RENEWAL.remove(self._descriptor)
-        if self._descriptor >= 0:
-            if self._is_there():  # and not another's, who broke this one
-                self._path.unlink(missing_ok=True)
-            os.close(self._descriptor)
+def is_held(folder: Path) -> bool:
+    """Tell whether some process trains the run of this folder now."""
+    try:
+        descriptor = _open(folder / ".lock", os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    else:
+        return False
+    finally:
+        os.close(descriptor)
+
+
+def _open(path: Path, flags: int) -> int:
+    """Open a lock without following a link or waiting for a pipe.
+
+    Raises:
+        OSError: where it cannot be opened, or is no ordinary file.
+    """
+    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, f"{path.name} is no ordinary file; remove it")
+    return descriptor
 
 
 def _take(descriptor: int) -> None:
@@ -132,31 +114,3 @@ def _take(descriptor: int) -> None:
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         time.sleep(LOOK_SECONDS)
     return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def is_held(folder: Path) -> bool:
-    """Tell whether some process trains the run of this folder now."""
-    try:
-        descriptor = os.open(folder / ".lock", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return not _is_stale(descriptor)
-    except OSError:
-        return False
-    else:
-        return False
-    finally:
-        os.close(descriptor)
-
-
-def _is_stale(descriptor: int) -> bool:
-    """Tell whether a lock that is held belongs to another machine which has not renewed it for long."""
-    try:
-        holder = os.pread(descriptor, 300, 0).decode(errors="replace")
-        age = time.time() - os.fstat(descriptor).st_mtime
-    except OSError:
-        return False
-    return bool(holder) and holder != socket.gethostname() and age > STALE_SECONDS

@@ -217,15 +217,6 @@ def list_studies() -> list[str]:
     return sorted(path.stem for path in studies_folder().glob("*.toml") if path.name != CLAIMS_FILE)
 
 
-def study_titles() -> list[dict[str, str]]:
-    """Return the name, title and section of every shipped study, of which nothing else is read."""
-    titles = []
-    for name in list_studies():
-        data = tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8"))
-        titles.append({"study": name, "title": data["title"], "section": data.get("section", "")})
-    return titles
-
-
 def name_in_world(name: str, world: str | None) -> str:
     """Return what the records of a shipped study, or any, are called in a world; None is the usual one."""
     if name in list_studies():

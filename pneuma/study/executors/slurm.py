@@ -25,15 +25,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Detached, Event, OnEvent, Place, Supervision, end_event
-from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.executors.supervisor import Supervisor
+from pneuma.study.executors.supervisor import Interrupts, Supervisor
 from pneuma.study.files import replace_file, to_json
 from pneuma.study.store import Status, Store
 
@@ -50,6 +48,8 @@ MOST_REQUEUES = 10_000
 OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
 """What a job is made of here, and nobody else sets."""
 NOTE = "groups.json"
+SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
+"""Of the end of a job's time, and of its node or of `scancel`."""
 
 
 def most_workers(place: Place) -> int:
@@ -58,7 +58,7 @@ def most_workers(place: Place) -> int:
 
 
 def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Accept all runs: sbatch refuses jobs when they are submitted."""
+    """Always accept: sbatch refuses jobs when they are submitted."""
     return ""
 
 
@@ -115,25 +115,19 @@ class Training:
         local.prepare_node(self.gpu)
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
-        how, told, seen = replace(self.supervision, workers=cores), set[str](), set[int]()
+        how, steps = replace(self.supervision, workers=cores), dict[str, set[int]]()
 
         def note(event: Event) -> None:
-            told.add(event["event"])
+            if event["event"] == "step":
+                steps.setdefault(event["run_id"], set()).add(event["step"])
 
-        def stop(number: int, frame: FrameType | None) -> None:
-            seen.add(number)
-            if not interrupts.count:  # a second one would end all at once
-                interrupts.interrupt()
-
-        with Interrupts() as interrupts:
-            requeue: Any = signal.signal(signal.SIGUSR2, stop)
-            signal.signal(signal.SIGTERM, stop)
+        with Interrupts(SIGNALS, patient=True) as interrupts:
             Supervisor(shares, self.store, how, note, interrupts, _start_shielded).work()
-        if signal.SIGUSR2 in seen and "step" not in told:
-            raise RuntimeError("no run came to a checkpoint in the job's time: give it more by --slurm time=")
-        if signal.SIGUSR2 in seen:
-            requeue(signal.SIGUSR2, None)
-        if seen:
+        if signal.SIGUSR2 in interrupts.seen:
+            if not any(len(own) > 1 for own in steps.values()):  # only where runs began
+                raise RuntimeError("no run came to a checkpoint in the job's time: raise it by --slurm time=")
+            signal.raise_signal(signal.SIGUSR2)  # submitit's, which puts the job back into the queue
+        if interrupts.seen:
             raise SystemExit(128 + signal.SIGTERM)
 
     def checkpoint(self) -> Any:
@@ -143,12 +137,11 @@ class Training:
 
 def _start_shielded(job: Mapping[str, Any]) -> local.LocalProcess:
     """Start a worker that does not hear the signals that Slurm sends to all processes of a job."""
-    signals = signal.SIGUSR2, signal.SIGTERM
-    signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # which it inherits
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # which it inherits
     try:
         return local.LocalProcess(job)
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 # --- In the command -----------------------------------------------------------------------------------
@@ -165,26 +158,23 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     for gpu in (False, True):
         alike = [own for own in fresh if own and (next(iter(own)) in how.on_gpu) == gpu]
-        for first in range(0, len(alike), MOST_IN_ARRAY):
-            _submit_array(alike[first : first + MOST_IN_ARRAY], store, how, gpu)
-
-
-def _submit_array(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision, gpu: bool) -> None:
-    name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
-    folder = _folder(store) / name
-    executor = _executor(folder / "jobs", name, how, gpu)
-    shared = Store(store.root.resolve())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        replace_file(folder / NOTE, to_json([list(group) for group in groups]))  # first: no job is forgotten
-        executor.submit_array([Training(group, shared, how, gpu) for group in groups])
-    except Exception as error:  # submitit has many kinds; it has printed what sbatch said
-        shutil.rmtree(folder, ignore_errors=True)
-        raise UserError(f"--executor slurm: jobs are not submitted: {_last_line(str(error))}") from None
+        for array in (alike[first : first + MOST_IN_ARRAY] for first in range(0, len(alike), MOST_IN_ARRAY)):
+            name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
+            folder, shared = _folder(store) / name, Store(store.root.resolve())
+            executor = _executor(folder / "jobs", name, how, gpu)
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                replace_file(folder / NOTE, to_json([list(group) for group in array]))  # none is forgotten
+                executor.submit_array([Training(group, shared, how, gpu) for group in array])
+            except Exception as error:  # submitit has many kinds; it has printed what sbatch said
+                shutil.rmtree(folder, ignore_errors=True)
+                why = _last_line(str(error))
+                raise UserError(f"--executor slurm: jobs are not submitted: {why}") from None
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
     """Hand on what becomes of runs until all have ended, which is taken out of `left`."""
+    reason = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
     jobs = dict.fromkeys(left, Job("", "SUBMITTED"))
     while left:
         before = jobs
@@ -195,21 +185,15 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
             status, job = store.status(name), jobs.get(name, before.get(name))
             if status.finished or job is None:
                 left.discard(name)
-                on_event(_end(name, status, store))
+                gone = not (status.finished or status.failed or status.name == "killed")
+                end = end_event(name, Status("killed", status.step) if gone else status)
+                on_event({**end, "reason": reason} if gone else end)
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
             elif job != before.get(name):
                 on_event({"event": "passing", "run_id": name, "text": str(job)})
     with suppress(UserError):  # what is not put away now will be next time
         _put_away(store, queued(store))
-
-
-def _end(name: str, status: Status, store: Store) -> Event:
-    """Return the end of a run whose job has gone."""
-    if status.finished or status.failed or status.name == "killed":
-        return end_event(name, status)
-    reason = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
-    return {**end_event(name, Status("killed")), "reason": reason}
 
 
 # --- What was submitted -------------------------------------------------------------------------------
