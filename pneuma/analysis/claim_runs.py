@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -13,10 +13,12 @@ from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.partly_published import PartlyPublished
 from pneuma.analysis.published import PublishedRuns, published_path, published_studies, read_published
+from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_records import RunRecords
+from pneuma.analysis.run_view import view
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.claimed import training_command
 from pneuma.study.origins import processors
@@ -27,8 +29,8 @@ from pneuma.study.store import Store
 TRAIN_WITH = "train with:"
 """How the part of a reason begins that names the command."""
 
-RISEN = 0.1
-"""The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
+FLOOR_LEVEL = 0.05
+"""The level of the one-sided test of whether an arm plays better than the random player."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,14 @@ class Arm:
         values: (seeds,) the outcome of each run that counts, in the order of the seeds; 1 or 0 where runs
             with an event are counted.
         run_ids: of the same runs.
-        reason: why it cannot be compared: a run has no value, or the arm did not learn.
+        reason: why it cannot be compared: a run has no value.
+        learned: whether it is shown to play better than the random player; None where that is not known.
     """
 
     values: np.ndarray
     run_ids: tuple[str, ...]
     reason: str = ""
+    learned: bool | None = None
 
 
 class ClaimRuns:
@@ -239,20 +243,38 @@ class ClaimRuns:
             run = runs[int(missing.argmax())]
             why = next(filter(None, (reason(data, run, part, at_step) for part in name.split(MINUS))), "")
             reasons.append(f"{condition} seed {run.seed}: {why or f'it never gets to its {name}'}")
-        if any(find_outcome(part).supposes_rise for part in name.split(MINUS)):
-            reasons += _idle(condition, data, runs, at_step)
         if claim.event:
             over = values > claim.event.threshold if claim.event.above else values < claim.event.threshold
             values = over.astype(float)
-        return Arm(values, tuple(run.run_id for run in runs), reasons[0] if reasons else "")
+        learned = _learned(data, found.values(), at_step)
+        return Arm(values, tuple(run.run_id for run in runs), reasons[0] if reasons else "", learned)
 
 
-def bounds_of(name: str) -> tuple[tuple[float, float], float]:
-    """Return the least and greatest value of an outcome, and how near to them a run counts as there."""
-    if MINUS in name:
-        return (-np.inf, np.inf), 0.0
-    found = find_outcome(name)
-    return found.bounds, found.alike
+@dataclass(frozen=True)
+class Measure:
+    """What judging needs to know of an outcome.
+
+    Attributes:
+        bounds: its least and greatest value.
+        near: how near to them a run counts as there.
+        supposes_rise: whether it tells only of runs that learned something.
+        of_play: whether more of it is better play.
+    """
+
+    bounds: tuple[float, float]
+    near: float
+    supposes_rise: bool
+    of_play: bool
+
+
+def measure_of(name: str) -> Measure:
+    """Return what judging needs to know of an outcome, or of the difference of two."""
+    parts = [find_outcome(part) for part in name.split(MINUS)]
+    of_play = all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
+    rise = any(own.supposes_rise for own in parts)
+    if len(parts) > 1:
+        return Measure((-np.inf, np.inf), 0.0, rise, of_play)
+    return Measure(parts[0].bounds, parts[0].alike, rise, of_play)
 
 
 def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:
@@ -263,11 +285,19 @@ def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: fl
     return first - second[0] if second else first
 
 
-def _idle(condition: str, data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> list[str]:
-    """Tell of an arm of which half never learns."""
-    if (_values(data, runs, "best-score", at_step) > RISEN).mean() > 0.5:
-        return []
-    return [f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"]
+def _learned(data: StudyData, runs: Iterable[FinishedRun], at_step: float | None) -> bool | None:
+    """Tell whether an arm is shown to play better than the random player, by a one-sided Student's test.
+
+    A run's number is its mean score over all its evaluations, where 0 is the random player. A greatest
+    score would be above 0 by chance alone. None where a run has no score.
+    """
+    every = [view(data, run, at_step).evaluations("score")[1] for run in runs]
+    scores = np.array([own.mean() if len(own) else np.nan for own in every])
+    if not np.isfinite(scores).all() or scores.size < 2:
+        return None
+    error = scores.std(ddof=1) / np.sqrt(scores.size)
+    p_greater, _ = student_tails(scores.mean(), np.array(error), scores.size - 1)
+    return bool(p_greater <= FLOOR_LEVEL) and bool(scores.mean() > 0)
 
 
 def _stored(store: Store, record: Mapping[str, Any]) -> StudyData | None:
@@ -296,7 +326,7 @@ def _joined(
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:
     """Return cells in the form of a study's record."""
     runs = [
-        {"condition": cell.condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_settings(cell.run)}
+        {"condition": cell.condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_fields(cell.run)}
         for cell in cells
     ]
     named = {"study": study.name, "title": study.title, "figure": study.figure, "baseline": study.baseline}

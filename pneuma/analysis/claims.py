@@ -18,18 +18,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.verdicts import MARGINAL
-from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
+from pneuma.errors import UserError, unknown_name
+from pneuma.schema import Table, TomlFile, Where, complaint, plain, read_toml, shown
+from pneuma.study.claimed import read_fixed_runs
 from pneuma.study.files import checksum
-from pneuma.study.spec import Study, load_study, studies_folder
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.study.spec import CLAIMS_FILE, Study, load_study, studies_folder
 from pneuma.worlds import WORLDS
 
 LOGS = "logs"
@@ -54,10 +54,10 @@ def _one_line(value: object) -> object:
 
 
 def _listed(value: object) -> object:
-    return [value] if isinstance(value, str) else value
+    return (value,) if isinstance(value, str) else value
 
 
-Finite = Annotated[float, BeforeValidator(_fraction), Field(strict=True, allow_inf_nan=False)]
+Finite = Annotated[float, BeforeValidator(_fraction)]
 Positive = Annotated[Finite, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
@@ -65,11 +65,7 @@ ByOutcome = Positive | dict[str, Positive] | None
 """One number for all outcomes of a claim, or one for each."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class LogContrast(_Table):
+class LogContrast(Table):
     """Two published runs, and the figure that bears on a claim."""
 
     a: str
@@ -77,7 +73,7 @@ class LogContrast(_Table):
     figure: Figure
 
 
-class PublishedLogs(_Table):
+class PublishedLogs(Table):
     """Figures of single runs that were once published.
 
     Attributes:
@@ -89,7 +85,7 @@ class PublishedLogs(_Table):
     same: tuple[tuple[str, str], ...] = ()
 
 
-class ListHead(_Table):
+class ListHead(Table):
     """What holds for a whole list.
 
     Attributes:
@@ -109,7 +105,7 @@ class ListHead(_Table):
     seeds_from: Annotated[int, Field(ge=0)] = 0
 
 
-class Pilot(_Table):
+class Pilot(Table):
     """How far runs of other seeds lay apart.
 
     Attributes:
@@ -135,7 +131,7 @@ class Event:
         return f"{'above' if self.above else 'below'} {self.threshold:g}"
 
 
-class Claim(_Table):
+class Claim(Table):
     """A sentence of the thesis as a test; see docs/claims.md.
 
     Attributes:
@@ -148,7 +144,7 @@ class Claim(_Table):
         a, b: conditions; every one of a is held against every one of b.
         c, d: one condition each: the claim is on (a - b) - (c - d).
         value: a constant that a is held against in place of b.
-        outcomes: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
+        outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
         above, below: the threshold of an incidence.
         only: an outcome, 0 or 1: runs with 0 do not count; empty where all do.
         direction: what a is beside b.
@@ -173,9 +169,7 @@ class Claim(_Table):
     c: tuple[str, ...] = ()
     d: tuple[str, ...] = ()
     value: Finite | None = None
-    outcomes: Annotated[
-        tuple[Words, ...], BeforeValidator(_listed), Field(alias="outcome", min_length=1, max_length=2)
-    ]
+    outcome: Annotated[tuple[Words, ...], BeforeValidator(_listed), Field(min_length=1, max_length=2)]
     above: Finite | None = None
     below: Finite | None = None
     only: Literal["", "collapsed"] = ""
@@ -190,6 +184,11 @@ class Claim(_Table):
     worlds: tuple[str, ...]
     logs: tuple[LogContrast, ...] = ()
     note: Text = ""
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """The outcomes that it is about, one or two."""
+        return self.outcome
 
     @property
     def event(self) -> Event | None:
@@ -286,27 +285,16 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     return ClaimList(file.path, checksum(file.text.encode()), claims, logs, head, pilot, plausible)
 
 
-_Model = TypeVar("_Model", bound=BaseModel)
+_Model = TypeVar("_Model", bound=Table)
 
 
 def _read(model: type[_Model], file: TomlFile, where: Where, table: Mapping[str, Any]) -> _Model:
     """Return a table as a model; what is wrong with it as a mistake in the file."""
     try:
-        return model.model_validate(table)
+        return model.model_validate(plain(table))
     except ValidationError as error:
-        first = error.errors()[0]
-    key = str(first["loc"][0]) if first["loc"] else ""
-    known = [field.alias or name for name, field in model.model_fields.items()]
-    if first["type"] == "missing" and len(first["loc"]) == 1:
-        message = f"the key {key!r} is missing"
-    elif first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-        message = f"unknown key {key!r}{nearest_name(key, known)}; known are {', '.join(known)}"
-    elif first["type"] == "literal_error":
-        allowed = get_args(next(f.annotation for n, f in model.model_fields.items() if key in (n, f.alias)))
-        message = f"{key}: {unknown_name(key, str(first['input']), allowed)}" if allowed else first["msg"]
-    else:
-        message = f"{key} = {shown(first['input'])} is not allowed: {first['msg'].lower()}"
-    raise file.mistake(where, message, key)
+        inside, key, message = complaint(error, table)
+    raise file.mistake((*where, *inside), message, key)
 
 
 # --- One claim -----------------------------------------------------------------------------------
@@ -357,8 +345,9 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
     counted = "an incidence, and nothing else, counts runs by above or below, a number"
     check(given == (kind == "incidence"), "", counted)
     four = [claim.a, claim.b, claim.c, claim.d]
-    effects = not claim.c and not claim.d or (kind == "mean" and all(len(own) == 1 for own in four))
-    check(effects, "c", "a difference of two effects is of means, with one condition in each of a, b, c, d")
+    effects = kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
+    told = "a difference of two effects is of means, with another condition in each of a, b, c, d"
+    check(effects or not (claim.c or claim.d), "c", told)
     for outcome in claim.outcomes:
         margin = claim.of("margin", outcome)
         lacks = "the key 'margin' is missing: within it, a difference counts as none"

@@ -7,6 +7,7 @@ it, within the margin on both sides, and beyond it, above and below. What they m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,7 @@ class Contrast:
         reason: what hinders a conclusion, in words; empty where nothing does.
         smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
         p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 where there is none.
+        simultaneous: its interval at the level of a whole list of contrasts.
     """
 
     kind: str
@@ -57,6 +59,7 @@ class Contrast:
     smallest_less: float = 0.0
     p_far_greater: float = 1.0
     p_far_less: float = 1.0
+    simultaneous: Interval = no_interval()
 
     @property
     def p_different(self) -> float:
@@ -75,7 +78,12 @@ class Contrast:
 
 
 def compare(
-    kind: str, a: ArrayLike, b: ArrayLike, margin: float | None, generator: np.random.Generator
+    kind: str,
+    a: ArrayLike,
+    b: ArrayLike,
+    margin: float | None,
+    generator: np.random.Generator,
+    level: float = intervals.LEVEL,
 ) -> Contrast:
     """Compare arm a with arm b.
 
@@ -86,6 +94,7 @@ def compare(
         margin: within what a difference counts as none: in the outcome's unit, or as a share, or as a
             ratio above 1 for "spread". None where no such claim can be made.
         generator: draws relabelings where there are too many to count.
+        level: of the simultaneous interval.
 
     Raises:
         ValueError: for an unknown kind, values that are not finite, or a margin out of range.
@@ -97,7 +106,7 @@ def compare(
     if min(seeds) < fewest:
         return undecided(kind, _too_few(min(seeds), fewest), seeds, effect)
     if kind == "incidence":
-        return _incidence(first, second, margin)
+        return _incidence(first, second, margin, level)
     equal = [name for name, arm in (("a", first), ("b", second)) if not _differ(arm)]
     if kind == "spread" and equal:
         reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
@@ -105,15 +114,53 @@ def compare(
     labels = pvalues.relabel(first.size, second.size, generator)
     if kind == "mean":
         found = pvalues.mean_p_values(first[None], second[None], margin, labels)
-        interval = intervals.difference_interval(first, second)
+        make = intervals.difference_interval
     else:
         found = pvalues.spread_p_values(first[None], second[None], margin, labels)
-        interval = intervals.deviation_ratio_interval(first, second)
-    return _contrast(kind, effect, interval, found, seeds, labels.smallest_p)
+        make = intervals.deviation_ratio_interval
+    both = make(first, second), make(first, second, level)
+    return _contrast(kind, effect, both, found, seeds, labels.smallest_p)
+
+
+def compare_effects(
+    arms: Sequence[ArrayLike], margin: float | None, level: float = intervals.LEVEL
+) -> Contrast:
+    """Compare the difference of means a - b with c - d, by Student's distribution over four arms.
+
+    The degrees of freedom are Welch's for four arms (Satterthwaite 1946).
+
+    Args:
+        arms: (runs,) finite values of a, b, c and d.
+        margin: within what the difference of differences counts as none, or None.
+        level: of the simultaneous interval.
+    """
+    values = [finite(arm) for arm in arms]
+    seeds = min(own.size for own in values[:2]), min(own.size for own in values[2:])
+    if min(seeds) < 2:
+        return undecided("mean", _too_few(min(seeds), 2), seeds)
+    means = [own.mean() for own in values]
+    effect = float(means[0] - means[1] - means[2] + means[3])
+    parts = np.array([own.var(ddof=1) / own.size for own in values])
+    error, degrees = float(np.sqrt(parts.sum())), np.array([own.size - 1 for own in values])
+    if error == 0:
+        return undecided("mean", "all runs of every arm are equal", seeds, effect)
+    freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
+    both = [
+        intervals.around(effect, error, freedom, own, "Welch t, four arms")
+        for own in (intervals.LEVEL, level)
+    ]
+    shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
+    tails = pvalues.student_tails(shifted, np.full(shifted.shape, error), freedom)
+    return _contrast("mean", effect, (both[0], both[1]), pvalues.by_shift(*tails, 1), seeds, 0.0)
 
 
 def compare_with(
-    kind: str, a: ArrayLike, value: float, margin: float | None, generator: np.random.Generator
+    kind: str,
+    a: ArrayLike,
+    value: float,
+    margin: float | None,
+    generator: np.random.Generator,
+    level: float = intervals.LEVEL,
 ) -> Contrast:
     """Compare one arm with a constant: is its mean, or its share of runs, above or below it?
 
@@ -123,6 +170,7 @@ def compare_with(
         value: the constant, in their unit.
         margin: as for `compare`.
         generator: draws turns of signs where there are too many to count.
+        level: of the simultaneous interval.
 
     Raises:
         ValueError: as for `compare`.
@@ -135,10 +183,11 @@ def compare_with(
     if runs.size < fewest:
         return undecided(kind, _too_few(runs.size, fewest), seeds, effect)
     if kind == "incidence":
-        return _incidence_with(runs, value, margin)
+        return _incidence_with(runs, value, margin, level)
     flips = pvalues.sign_flips(runs.size, generator)
     found = pvalues.one_mean_p_values((runs - value)[None], margin, flips)
-    return _contrast(kind, effect, intervals.mean_interval(runs - value), found, seeds, 1 / len(flips))
+    both = intervals.mean_interval(runs - value), intervals.mean_interval(runs - value, level)
+    return _contrast(kind, effect, both, found, seeds, 1 / len(flips))
 
 
 def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
@@ -148,29 +197,31 @@ def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
         raise ValueError(f"a margin of {margin} for a contrast of kind {kind}")
 
 
-def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None) -> Contrast:
+def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None, level: float) -> Contrast:
     (count_a, n), (count_b, m) = (_count(a), a.size), (_count(b), b.size)
     found = pvalues.incidence_p_values(np.array([count_a]), n, np.array([count_b]), m, margin)
-    interval = intervals.incidence_difference_interval(count_a, n, count_b, m)
+    counts = count_a, n, count_b, m
+    make = intervals.incidence_difference_interval
+    both = make(*counts), make(*counts, level)
     extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
     smallest = float(extremes.greater[0]), float(extremes.less[1])
-    return _contrast("incidence", _effect("incidence", a, b), interval, found, (n, m), *smallest)
+    return _contrast("incidence", _effect("incidence", a, b), both, found, (n, m), *smallest)
 
 
-def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Contrast:
+def _incidence_with(runs: np.ndarray, value: float, margin: float | None, level: float) -> Contrast:
     count, seeds = _count(runs), (runs.size, 0)
-    own = intervals.incidence_interval(count, runs.size)
-    interval = Interval(own.low - value, own.high - value, own.level, own.method)
+    made = [intervals.incidence_interval(count, runs.size, own) for own in (intervals.LEVEL, level)]
+    first, second = (Interval(own.low - value, own.high - value, own.level, own.method) for own in made)
     found = pvalues.one_share_p_values(np.array([count]), runs.size, value, margin)
     extremes = pvalues.one_share_p_values(np.array([runs.size, 0]), runs.size, value, None)
     smallest = float(extremes.greater[0]), float(extremes.less[1])
-    return _contrast("incidence", float(runs.mean() - value), interval, found, seeds, *smallest)
+    return _contrast("incidence", float(runs.mean() - value), (first, second), found, seeds, *smallest)
 
 
 def _contrast(
     kind: str,
     effect: float,
-    interval: Interval,
+    both: tuple[Interval, Interval],
     found: PValues,
     seeds: tuple[int, int],
     smallest_greater: float,
@@ -181,9 +232,11 @@ def _contrast(
     smallest = (smallest_greater, smallest_greater if smallest_less is None else smallest_less)
     least = 2 * min(smallest)
     reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
+    first, simultaneous = both
     return Contrast(
-        kind, effect, interval, greater, less, equivalent, seeds, reason, *smallest, far_greater, far_less
-    )
+        kind, effect, first, greater, less, equivalent, seeds, reason, *smallest, far_greater, far_less,
+        simultaneous,
+    )  # fmt: skip
 
 
 def undecided(

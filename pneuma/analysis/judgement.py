@@ -10,24 +10,29 @@ been run, the chance of any false verdict stays at most the list's alpha.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, bounds_of
+from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, measure_of
 from pneuma.analysis.claims import LOGS, PLACES, Claim, ClaimList, LogContrast, PublishedLogs
-from pneuma.analysis.contrasts import Contrast, compare, compare_with, undecided
+from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
+from pneuma.analysis.design import not_admitted
 from pneuma.analysis.intervals import LEVEL, around
 from pneuma.analysis.power import seeds_needed
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.verdicts import (
     INCONCLUSIVE,
+    MARGINAL,
+    MIXED,
     REFUTED,
     SUPPORTED,
     UNTESTABLE,
     decide,
     found,
+    of_outcomes,
     smallest_p,
     together,
 )
@@ -37,7 +42,11 @@ from pneuma.study.store import Store
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
-VERDICTS = (SUPPORTED, REFUTED, INCONCLUSIVE, UNTESTABLE)
+WITH_CONTENT, BY_LETTER, OPEN, UNDECIDABLE, NOT_RUN = STANDINGS = (
+    "decided with content", "decided by the letter", "open", "could not be decided", "not run yet",
+)  # fmt: skip
+"""What verdicts come to, as they are counted (docs/evidence.md)."""
+VERDICTS = (SUPPORTED, REFUTED, MIXED, INCONCLUSIVE, UNTESTABLE)
 
 
 @dataclass(frozen=True)
@@ -82,9 +91,7 @@ class Verdict:
     @property
     def decisive(self) -> Comparison | None:
         """The contrast that decides: the surest where one is enough for the verdict, else the least sure."""
-        deciding = [own for own in self.comparisons if own.verdict == self.verdict] or [*self.comparisons]
-        one_is_enough = self.verdict == (REFUTED if self.claim.need == "all" else SUPPORTED)
-        return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
+        return _decisive(self.comparisons, self.verdict, self.claim.need)
 
     @property
     def seeds_needed(self) -> int | None:
@@ -102,9 +109,25 @@ class Verdict:
         return list(dict.fromkeys(run_id for own in self.comparisons for run_id in own.run_ids))
 
     @property
-    def not_run(self) -> bool:
-        """Whether it lacks runs that can be trained."""
-        return TRAIN_WITH in self.reason
+    def standing(self) -> str:
+        """What it comes to, of `STANDINGS`.
+
+        Decided by the letter alone is what is supported by an effect that lies within the margin, or refuted
+        though the claimed direction is borne out.
+        """
+        if self.verdict == UNTESTABLE:
+            return NOT_RUN if TRAIN_WITH in self.reason else UNDECIDABLE
+        if self.verdict == INCONCLUSIVE:
+            return OPEN
+        if self.reason == AS_CLAIMED_BUT_SMALL:
+            return BY_LETTER
+        own = self.decisive
+        margin = self.claim.of("margin", own.outcome) if own else None
+        if own and margin and self.verdict == SUPPORTED and self.claim.direction not in MARGINAL:
+            size = abs(math.log(own.contrast.effect)) if self.claim.kind == "spread" else own.contrast.effect
+            within = math.log(margin) if self.claim.kind == "spread" else margin
+            return BY_LETTER if abs(size) < within else WITH_CONTENT
+        return WITH_CONTENT
 
 
 def judge(claims: ClaimList, store: Store) -> list[Verdict]:
@@ -117,25 +140,35 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     Raises:
         UserError: for a damaged published table.
     """
-    runs = ClaimRuns(store, claims)
+    runs, refused = ClaimRuns(store, claims), not_admitted(claims)
     cases = [(claim, place) for claim in claims.claims.values() for place in PLACES]
     return [
-        _judge_one(claim, place, runs, claims)
+        _judge_one(claim, place, runs, claims, refused.get((claim.name, place), ""))
         for claim, place in cases
         if place != LOGS or claim.contrasts_in(place)
     ]
 
 
-def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> Verdict:
+def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
+    if refused:
+        return Verdict(claim, place, UNTESTABLE, f"not admitted: {refused}")
     if place == LOGS:
-        made = [_of_logs(claims.logs, claim, own) for own in claim.logs]
+        made = [_of_logs(claims.logs, claim, own, _level(claim, place, claims)) for own in claim.logs]
     elif place in claim.worlds:
-        made = [_compared(claim, place, runs, name, *pair) for name in claim.outcomes for pair in claim.pairs]
+        made = [
+            _compared(claim, place, runs, name, *pair, _level(claim, place, claims))
+            for name in claim.outcomes
+            for pair in claim.pairs
+        ]
     else:
         return Verdict(claim, place, UNTESTABLE, runs.undefined(claim, place))
     decided = [_decided(own, claim, place, runs, claims) for own in made]
-    verdicts = [own.verdict for own in decided]
-    verdict = together(verdicts, claim.need) or (UNTESTABLE if UNTESTABLE in verdicts else INCONCLUSIVE)
+    by_outcome = [
+        together([own.verdict for own in decided if own.outcome == name], claim.need)
+        for name in dict.fromkeys(own.outcome for own in decided)
+    ]
+    untestable = UNTESTABLE in [own.verdict for own in decided]
+    verdict = of_outcomes(by_outcome) or (UNTESTABLE if untestable else INCONCLUSIVE)
     if verdict == UNTESTABLE:
         reason = _joined(own.contrast.reason for own in decided)
     else:
@@ -145,46 +178,92 @@ def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> 
     return Verdict(claim, place, verdict, reason, tuple(decided))
 
 
+def _level(claim: Claim, place: str, claims: ClaimList) -> float:
+    """Return the level of an interval that holds for all contrasts of the list at once."""
+    return 1 - claims.head.alpha / claims.factor(claim, place)
+
+
+def decisive_of(verdict: Verdict) -> list[Comparison]:
+    """Return, for each outcome of a claim, the contrast that decides on it."""
+    found: list[Comparison] = []
+    for outcome in dict.fromkeys(own.outcome for own in verdict.comparisons):
+        each = [own for own in verdict.comparisons if own.outcome == outcome]
+        word = together([own.verdict for own in each], verdict.claim.need)
+        found += filter(None, [_decisive(each, word or INCONCLUSIVE, verdict.claim.need)])
+    return found
+
+
+def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Comparison | None:
+    deciding = [own for own in comparisons if own.verdict == verdict] or [*comparisons]
+    one_is_enough = verdict == (REFUTED if need == "all" else SUPPORTED)
+    return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
+
+
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _compared(claim: Claim, world: str, runs: ClaimRuns, outcome: str, a: str, b: str | None) -> Comparison:
-    """Return a claim's contrast of two arms, or of one with a number, on one of its outcomes."""
+def _compared(
+    claim: Claim, world: str, runs: ClaimRuns, outcome: str, a: str, b: str | None, level: float
+) -> Comparison:
+    """Return a claim's contrast on one of its outcomes: of two arms, of one with a number, of two effects."""
+    names = [name for name in (a, b, *claim.c, *claim.d) if name is not None]
     told = f"{claim.value:g}" if b is None else b
-    names = [name for name in (a, b) if name is not None]
+    generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", f"{a}/{told}"))
+    if claim.c:
+        a, told = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
     reason = claim.untestable or runs.hindrance(claim, world, outcome, names)
     if reason:
         return Comparison(
             a, told, outcome, undecided(claim.kind, reason), runs.known_ids(claim, world, names)
         )
-    arms = [runs.arm(claim, world, outcome, name) for name in names]
-    run_ids = tuple(run_id for arm in arms for run_id in arm.run_ids)
-    reason = next((arm.reason for arm in arms if arm.reason), "") or _at_an_end(claim, outcome, arms)
-    if reason:
-        seeds = arms[0].values.size, arms[1].values.size if len(arms) > 1 else 0
-        return Comparison(a, told, outcome, undecided(claim.kind, reason, seeds), run_ids)
-    generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", f"{a}/{told}"))
+    arms = {name: runs.arm(claim, world, outcome, name) for name in names}
+    values = [arm.values for arm in arms.values()]
+    run_ids = tuple(run_id for arm in arms.values() for run_id in arm.run_ids)
+    reason = next((arm.reason for arm in arms.values() if arm.reason), "") or _gate(claim, outcome, arms)
     margin = claim.of("margin", outcome)
-    if b is None:
-        contrast = compare_with(claim.kind, arms[0].values, claim.value or 0.0, margin, generator)
+    if reason:
+        seeds = values[0].size, values[1].size if len(values) > 1 else 0
+        contrast = undecided(claim.kind, reason, seeds)
+    elif claim.c:
+        contrast = compare_effects(values, margin, level)
+    elif b is None:
+        contrast = compare_with(claim.kind, values[0], claim.value or 0.0, margin, generator, level)
     else:
-        contrast = compare(claim.kind, arms[0].values, arms[1].values, margin, generator)
+        contrast = compare(claim.kind, values[0], values[1], margin, generator, level)
     return Comparison(a, told, outcome, contrast, run_ids)
+
+
+def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
+    """Say why arms cannot be compared by what they play like; empty where they can.
+
+    An arm is at the floor if it is not shown to play better than the random player, whatever the number of
+    its runs is. Outcomes that tell only of runs that learned need every arm above it; what says how well an
+    arm plays, and any claim of no difference, needs one.
+    """
+    measure = measure_of(outcome)
+    idle = [name for name, arm in arms.items() if arm.learned is False]
+    if idle and measure.supposes_rise:
+        return f"arm at floor: {idle[0]} is not shown to play better than the random player"
+    of_play = measure.of_play and claim.event is None
+    if len(idle) == len(arms) > 1 and (of_play or claim.direction in MARGINAL):
+        return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
+    return _at_an_end(claim, outcome, list(arms.values()))
 
 
 def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     """Say so where every run of both arms lies at the outcome's least or greatest value.
 
-    As near as the margin counts as there: arms that kill nothing are alike for a reason of their own. The
-    margin of a spread is a ratio; what is near an end is then the outcome's to say.
+    As near as the margin counts as there. The margin of a spread is a ratio; what is near an end is then the
+    outcome's to say. Of an outcome of play, arms at the least value are the gate's.
     """
     if len(arms) < 2 or claim.event is not None:
         return ""
-    bounds, near = bounds_of(outcome)
-    near = (claim.of("margin", outcome) if claim.kind == "mean" else None) or near
+    measure = measure_of(outcome)
+    near = (claim.of("margin", outcome) if claim.kind == "mean" else None) or measure.near
+    known = measure.of_play and all(arm.learned is not None for arm in arms)
     values = np.concatenate([arm.values for arm in arms])
-    for end, bound in zip(("floor", "ceiling"), bounds, strict=True):
-        if np.isfinite(bound) and (np.abs(values - bound) <= near).all():
+    for end, bound in zip(("floor", "ceiling"), measure.bounds, strict=True):
+        if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
             return f"both arms are at the {end}: every run has a {outcome} within {near:.2g} of {bound:g}"
     return ""
 
@@ -201,7 +280,7 @@ def run_to_run_deviation(logs: PublishedLogs, figure: str) -> tuple[float, int]:
     return (float(np.sqrt((differences**2).mean() / 2)) if pairs else float("nan")), pairs
 
 
-def _of_logs(logs: PublishedLogs, claim: Claim, own: LogContrast) -> Comparison:
+def _of_logs(logs: PublishedLogs, claim: Claim, own: LogContrast, level: float) -> Comparison:
     """Compare two published runs by Student's t with the deviation that equal pairs have.
 
     Where those runs are in the pairs themselves, a great difference makes the deviation great as well: the
@@ -220,9 +299,11 @@ def _of_logs(logs: PublishedLogs, claim: Claim, own: LogContrast) -> Comparison:
     else:
         effect = logs.runs[own.a][own.figure] - logs.runs[own.b][own.figure]
         error = deviation * np.sqrt(2)
-        interval = around(effect, error, pairs, LEVEL, "Student, deviation of equal pairs")
+        first, simultaneous = (
+            around(effect, error, pairs, each, "Student, deviation of equal pairs") for each in (LEVEL, level)
+        )
         greater, less = (float(p) for p in student_tails(np.array(effect), np.array(error), pairs))
-        contrast = Contrast(claim.kind, effect, interval, greater, less, 1.0, single)
+        contrast = Contrast(claim.kind, effect, first, greater, less, 1.0, single, simultaneous=simultaneous)
     return Comparison(own.a, own.b, own.figure, contrast)
 
 
@@ -249,7 +330,7 @@ def _decided(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, claims:
 
 def _seeds_needed(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, alpha: float) -> int | None:
     """Return how many seeds an open contrast needs, where that can be told."""
-    if place == LOGS or claim.value is not None or claim.only:
+    if place == LOGS or claim.value is not None or claim.only or claim.c:
         return None  # nobody knows beforehand how many runs will count
     a, b = (runs.arm(claim, place, own.outcome, name).values for name in (own.a, own.b))
     count = seeds_needed(claim.kind, a, b, claim.of("margin", own.outcome), alpha, claim.direction)

@@ -214,7 +214,10 @@ def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | f
 
 
 def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> PValues:
-    """Test means against 0 by turning signs.
+    """Test means against 0 by turning signs, and by Student's distribution: the greater p-value counts.
+
+    Turned signs suppose that values lie alike to both sides of their mean, Student's distribution that they
+    are normal.
 
     Args:
         samples: (samples, runs).
@@ -223,7 +226,11 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
     """
     rows = np.concatenate([samples + shift for shift in shifts(margin)])
     size = np.abs(rows).max() or 1.0  # so that units do not matter to what counts as equal
-    p_greater, p_less = tails(flips @ (rows / size).T)
+    deviation = samples.std(axis=1, ddof=1)
+    deviation[deviation <= ROUNDING * np.abs(samples).max(axis=1)] = 0  # equal but for rounding
+    errors = np.tile(deviation, len(rows) // len(samples)) / np.sqrt(samples.shape[1]) / size
+    by_student = student_tails(rows.mean(axis=1) / size, errors, samples.shape[1] - 1)
+    p_greater, p_less = map(np.maximum, tails(flips @ (rows / size).T), by_student)
     return by_shift(p_greater, p_less, len(samples))
 
 

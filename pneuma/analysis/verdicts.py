@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 from pneuma.analysis.contrasts import Contrast
 
-SUPPORTED, REFUTED, INCONCLUSIVE, UNTESTABLE = "supported", "refuted", "inconclusive", "untestable"
+SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
+INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 DIRECTIONS = ("greater", "less", "different", "equal", "not-less")
 _SUPPORTED_BY = {"different": ("greater", "less"), "not-less": ("greater", "equal")}
 """What a contrast must show, where that is not the direction itself."""
@@ -79,6 +80,16 @@ def together(verdicts: Sequence[str], need: str) -> str:
     if by_one in verdicts:
         return by_one
     return by_all if all(own == by_all for own in verdicts) else ""
+
+
+def of_outcomes(verdicts: Sequence[str]) -> str:
+    """Return the verdict on a claim by those on its outcomes, each supported, refuted or something else.
+
+    Supported where one outcome supports it and none refutes it, refuted the other way round, mixed where they
+    contradict each other; empty where none decides. Such a verdict is false only where that on an outcome is.
+    """
+    decided = {own for own in verdicts if own in (SUPPORTED, REFUTED)}
+    return MIXED if len(decided) == 2 else "".join(decided)
 
 
 def smallest_p(contrast: Contrast, claimed: str) -> float:

@@ -31,7 +31,7 @@ from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
@@ -139,12 +139,8 @@ def run(
         str,
         typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
     ] = "15",
-    timeout: Annotated[
-        str | None,
-        typer.Option("--timeout", metavar="S", help="The longest that one run may train, in seconds."),
-    ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try runs again that crashed or timed out before.")
+        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
     until_decided: Annotated[
         bool,
@@ -175,7 +171,6 @@ def run(
     supervision = Supervision(
         workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
-        timeout_seconds=None if timeout is None else read_seconds("--timeout", timeout),
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )
@@ -281,7 +276,7 @@ def by_value(values: Mapping[str, Any]) -> str:
     """Return each value of a setting with the conditions that have it."""
     having: dict[str, list[str]] = {}
     for condition, value in values.items():
-        having.setdefault(shown_setting(value), []).append(condition)
+        having.setdefault(shown_value(value), []).append(condition)
     return "; ".join(f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
 
 

@@ -49,7 +49,6 @@ class Job:
         runs: by id; of equal shapes, so that they share compiled programs.
         checkpoint_seconds: time between two checkpoints of a run.
         keep: how many checkpoints of each run to keep when it has ended.
-        timeout_seconds: how long a run may train after its first update.
         final: whether a crash is the runs' end, and not to be tried once more.
     """
 
@@ -57,7 +56,6 @@ class Job:
     runs: Mapping[str, Run]
     checkpoint_seconds: float = 15.0
     keep: int = 0
-    timeout_seconds: float | None = None
     final: bool = True
 
 
@@ -169,16 +167,13 @@ def _train_once(
     if compiled and not compiled.exists():
         reporter.send("passing", name, text=COMPILES)
 
-    def is_late() -> bool:
-        return job.timeout_seconds is not None and attempt.seconds >= job.timeout_seconds
-
     def update(progress: Progress) -> bool:
         nonlocal attempt
         if not attempt.first:
             leave_mark(compiled)
         attempt = attempt.updated(progress.step)
         reporter.step(name, progress.step)
-        stopping = stop.is_set() or is_late()
+        stopping = stop.is_set()
         checkpoints.update(progress, attempt, stopping)
         return not stopping
 
@@ -188,9 +183,6 @@ def _train_once(
         about = finished_provenance(attempt, checkpoints.history, result.step)
         job.store.save_run(name, status, result_files(result, name, about))
         checkpoints.finish()
-    elif is_late() and not stop.is_set():
-        status = Status("timeout", result.step)
-        job.store.save_run(name, status, {"run.json": run_document(run, name)})
     reporter.end(name, status)
 
 

@@ -59,7 +59,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "unknown study": ('"mine.toml"', '"activaton"', 17, ("'activaton'", "did you mean activation?")),
     "unknown condition": ('"low"', '"lwo"', 19, ("b: ", "'lwo'", "did you mean low?")),
     "unknown outcome": ("final-share-killed", "final-share-kiled", 20, ("did you mean final-share-killed?",)),
-    "unknown kind": ('"mean"', '"median"', 21, ("kind", "'median'", "mean, spread, incidence")),
+    "unknown kind": ('"mean"', '"median"', 21, ('kind = "median"', "mean, spread, incidence")),
     "margin of a ratio": ('"mean"', '"spread"', 23, ("margin = 0.04", "above 1 for spread")),
     "margin of a wrong type": ("margin = 0.04", 'margin = "0.04"', 23, ('margin = "0.04"',)),
     "unknown world": ('["text"]', '["txet"]', 24, ("worlds", "text, godot, arena")),
@@ -76,7 +76,7 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
         "margin = 0.04", 'logs = [{ a = "p", b = "r", figure = "end" }]', 23, ("unknown published run 'r'",),
     ),
     "unknown pair": ('["q", "q again"]]', '["q", "r"]]', 6, ("same", "no pair")),
-    "seeds of a wrong type": ("seeds = 8", "seeds = 0", 2, ("seeds = 0", "a count, or a list")),
+    "seeds of a wrong type": ("seeds = 8", "seeds = 0", 2, ("seeds = 0", "a count")),
     "two effects of one arm": ("margin = 0.04", 'c = "middle"', 23, ("a difference of two effects",)),
 }  # fmt: skip
 
@@ -101,7 +101,7 @@ def test_no_shipped_claim_compares_what_is_the_same() -> None:
         for world in claim.worlds:
             study = load_study(claim.study, world)
             for a, b in claim.pairs:
-                assert b is None or study.settings(a) != study.settings(b), claim.name
+                assert b is None or study.fields(a) != study.fields(b), claim.name
 
 
 def test_the_published_runs_give_the_deviation_that_is_known() -> None:

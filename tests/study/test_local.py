@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import select
 import signal
@@ -91,20 +90,6 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
     assert len((tmp_path / "begun").read_text().splitlines()) == 4
     error = Store(tmp_path / "results").read_file(run_id(RUN), "error.txt")
     assert error == b"the worker process ended with code 3\nwhy\n"
-
-
-def test_a_worker_that_hangs_past_its_time_out_is_killed_and_the_runs_after_it_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begins = json.dumps({"event": "step", "step": 0, "run_id": [*TWO][0]})
-    hangs = f"read group\ncase $group in *{[*TWO][0]}*) echo '{begins}'; exec sleep 60;; esac"
-    no_worker(tmp_path, monkeypatch, hangs)
-    monkeypatch.setattr(supervisor, "SILENT_SECONDS", 0.2)
-    monkeypatch.setattr(supervisor, "BUSY_SECONDS", 0.05)
-    events = train(TWO, tmp_path, Supervision(1, timeout_seconds=0.2))
-    assert [(event["run_id"], event["status"]) for event in events if event["event"] == "end"] == [
-        ([*TWO][0], "timeout"), ([*TWO][1], "crashed"),
-    ]  # fmt: skip
 
 
 # --- Signals -----------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.engines.base import OnUpdate, Progress, Result
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy, read_policy
@@ -101,15 +101,6 @@ def test_a_run_is_timed_by_itself_and_not_with_those_before_it(
     assert told[0] >= 0.6 > told[1]
 
 
-def test_a_run_past_its_time_out_is_stored_as_such_with_a_checkpoint_and_the_next_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, store, events = _train(_Engine(after=0.5), tmp_path, monkeypatch, timeout_seconds=0.4)
-    assert store.status(FIRST) == Status("timeout", 512)
-    assert list((store.run_folder(FIRST) / "checkpoints").iterdir())
-    assert [event["status"] for event in events if event["event"] == "end"] == ["timeout", "diverged"]
-
-
 def test_after_a_stop_the_runs_that_wait_are_not_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,7 +148,7 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     )
     try:
         assert process.stdin is not None and process.stdout is not None
-        job = {"results": str(tmp_path), "runs": {run_id(run): as_settings(run)}, "parent": os.getpid()}
+        job = {"results": str(tmp_path), "runs": {run_id(run): as_fields(run)}, "parent": os.getpid()}
         process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.flush()
         assert any(json.loads(line).get("step", 0) > 0 for line in process.stdout)  # it is training

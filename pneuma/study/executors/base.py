@@ -9,8 +9,8 @@ need. Whatever one does, it keeps these promises:
   newest checkpoint lies there. Files appear whole or not at all.
 - Whoever trains a run holds its lock in the store; what another process holds is left to it, and reported.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
-- A run that crashes, or whose process or node goes, is tried once more before that counts; a time-out counts
-  at once. A job of Slurm's that is lost with its node is put back into the queue by Slurm itself.
+- A run that crashes, or whose process or node goes, is tried once more before that counts. A job of Slurm's
+  that is lost with its node is put back into the queue by Slurm itself.
 - After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
   once. Either way the same command goes on, with this executor or another, to the same bits. Where jobs
   outlive the command, as in Slurm's queue, it is only left: `Detached`.
@@ -62,7 +62,6 @@ class Supervision:
     Attributes:
         workers: how many train at once.
         checkpoint_seconds: between two checkpoints of a run.
-        timeout_seconds: after which a run is stopped; None for never.
         keep_checkpoints: how many of each run to keep for forks.
         place: where they are trained.
         on_gpu: ids of the runs that are to have a GPU each, where the executor hands them out.
@@ -70,7 +69,6 @@ class Supervision:
 
     workers: int
     checkpoint_seconds: float = 15.0
-    timeout_seconds: float | None = None
     keep_checkpoints: int = 0
     place: Place = HERE
     on_gpu: frozenset[str] = frozenset()

@@ -15,14 +15,13 @@ import selectors
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import IO, Any, Protocol
 
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.locks import is_held
@@ -32,9 +31,6 @@ TRIES = 2
 """How often a run is begun or gone on with before a crash counts."""
 BUSY_SECONDS = 1.0
 """How long to wait before looking again for a run that another process holds."""
-SILENT_SECONDS = 600.0
-"""How long beyond its time-out a worker may be silent before it is killed: the first update of a big network
-compiles for about a minute, and an update may take minutes."""
 STOPPING = "Stopping after this step; again to stop now."
 HANGUP = getattr(signal, "SIGHUP", None)
 """Of a terminal that was closed; the system and a shell may each send one."""
@@ -144,15 +140,13 @@ class _Task:
 
 @dataclass
 class _Worker:
-    """A process with its task: the runs that ended, crashed or were busy, and when it was heard last."""
+    """A process with its task, and the runs of it that ended, crashed or were busy."""
 
     process: Process
     task: _Task
-    heard: float | None = None
     ended: set[str] = field(default_factory=set)
     crashed: dict[str, Event] = field(default_factory=dict)
     busy: set[str] = field(default_factory=set)
-    hangs: bool = False
 
 
 class Supervisor:
@@ -161,7 +155,7 @@ class Supervisor:
     Args:
         groups: of runs, by id.
         store: where workers put them.
-        supervision: how many are busy at once, and how long.
+        supervision: how many are busy at once.
         on_event: takes every event.
         interrupts: the first lets every run come to a checkpoint, the second ends all at once.
         start: starts a worker's process for a job, the document that `pneuma.study.worker` reads.
@@ -192,23 +186,15 @@ class Supervisor:
         try:
             while self._tasks or self._workers():
                 self._start_what_may()
-                looks = self._how.timeout_seconds or (
-                    self._tasks and len(self._workers()) < self._how.workers
-                )
-                for key, _ in self._selector.select(BUSY_SECONDS if looks else None):
+                waits = self._tasks and len(self._workers()) < self._how.workers
+                for key, _ in self._selector.select(BUSY_SECONDS if waits else None):
                     self._read(key.data) if key.data else os.read(self._interrupts.wakeup, 4096)
-                self._kill_silent()
                 self._heed_interrupts()
         finally:
             for worker in self._workers():
                 worker.process.kill()
                 worker.process.bury()
             self._selector.close()
-
-    def _patience(self) -> float | None:
-        """Return how long nothing but an event can be of interest, in seconds."""
-        looks = self._how.timeout_seconds or (self._tasks and len(self._workers()) < self._how.workers)
-        return BUSY_SECONDS if looks else None
 
     def _workers(self) -> list[_Worker]:
         return [key.data for key in self._selector.get_map().values() if key.data is not None]
@@ -238,29 +224,17 @@ class Supervisor:
             self._tasks.remove(task)
             job = {
                 "results": str(self._store.root.resolve()),
-                "runs": {name: as_settings(run) for name, run in task.group.items()},
+                "runs": {name: as_fields(run) for name, run in task.group.items()},
                 "checkpoint_seconds": self._how.checkpoint_seconds,
                 "keep": self._how.keep_checkpoints,
-                "timeout_seconds": self._how.timeout_seconds,
                 "final": task.tries >= TRIES,
             }
             worker = _Worker(self._start_process(job), task)
             self._selector.register(worker.process.events, selectors.EVENT_READ, worker)
 
-    def _kill_silent(self) -> None:
-        """Kill workers that have hung: their runs look at the time themselves, between two updates."""
-        if self._how.timeout_seconds is None:
-            return
-        for worker in self._workers():
-            silent = time.monotonic() - worker.heard if worker.heard else 0.0
-            if silent > self._how.timeout_seconds + SILENT_SECONDS:
-                worker.hangs = True
-                worker.process.kill()
-
     def _read(self, worker: _Worker) -> None:
         """Take one event line of a worker, or note that it has gone."""
         line = worker.process.events.readline()
-        worker.heard = time.monotonic()
         if not line:
             self._selector.unregister(worker.process.events)
             self._bury(worker)
@@ -274,7 +248,8 @@ class Supervisor:
             worker.busy.add(name)
             if name not in self._told_busy:
                 self._told_busy.add(name)
-                self._note(name, "another process trains this run; waiting for it")
+                lock = self._store.run_folder(name) / ".lock"
+                self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
             return
         if event["event"] == "end":
             worker.ended.add(name)
@@ -303,8 +278,6 @@ class Supervisor:
                 self._on_event(crash or end_event(name, Status("stopped")))
             elif name not in begun:
                 self._tasks.append(_Task({name: group[name]}, tries))
-            elif worker.hangs and not crash:
-                self._end_lost(name, group[name], Status("timeout"), death)
             elif tries < TRIES:  # alone: one that crashes takes no other along again
                 self._tasks.append(_Task({name: group[name]}, tries + 1))
                 why = f"crashed ({crash['reason']})" if crash else death.why

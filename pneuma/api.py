@@ -33,12 +33,10 @@ if TYPE_CHECKING:
 
 Where = str | os.PathLike[str]
 
-RESULTS = "results"
-
 
 def run_study(
     study: Where,
-    results: Where = RESULTS,
+    results: Where | None = None,
     *,
     preset: str | None = None,
     seeds: int | Sequence[int] | None = None,
@@ -53,7 +51,7 @@ def run_study(
 
     Args:
         study: a shipped study's name, or the path of a file of one's own.
-        results: the results folder.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
         preset: one of the study's, or several joined by +; quick when left out.
         seeds: how many, or which, instead of the preset's.
         steps: agent steps of each run, instead of the preset's.
@@ -67,6 +65,9 @@ def run_study(
         UserError: for a study, selection or world that there is not, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call goes on where runs were stopped.
     """
+    for name, count in (("steps", steps), ("workers", workers)):
+        if count is not None and count < 1:
+            raise UserError(f"{name} = {count} is not allowed: at least 1")
     selection = plan.Selection(
         preset=preset,
         seeds=None if seeds is None else _seeds(seeds),
@@ -74,40 +75,30 @@ def run_study(
         conditions=(conditions,) if isinstance(conditions, str) else tuple(conditions),
         settings=settings,
     )
-    if steps is not None and steps < 1:
-        raise UserError(f"steps = {steps} is not allowed: at least 1")
-    if workers is not None and workers < 1:
-        raise UserError(f"workers = {workers} is not allowed: at least 1")
-    planned, store = (
-        plan.make_plan(spec.load_study(os.fspath(study), world), selection),
-        Store(results),
-    )
+    planned, store = plan.make_plan(spec.load_study(os.fspath(study), world), selection), _store(results)
     how = Supervision(
         workers=workers or load_executor(HERE).most_workers(HERE),
         keep_checkpoints=planned.study.keep_checkpoints,
     )
     todo = execute.prepare(planned, store, supervision=how)
     outcomes = execute.execute(planned, todo.runs, store, how, on_progress)
-    unwell = [outcome for outcome in outcomes if not outcome.status.finished]
-    if unwell:
+    if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
-        trace = store.run_folder(cell.run_id) / "error.txt"
-        where = f"; see {trace}" if trace.is_file() else ""
         raise UserError(
             f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
-            f"{status.name}{': ' if unwell[0].reason else ''}{unwell[0].reason}{where}"
+            f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     from pneuma.analysis.sources import open_study
 
     return open_study(store, execute.selection_record(planned))
 
 
-def open_data(study: Where, results: Where = RESULTS, *, world: str | None = None) -> StudyData:
+def open_data(study: Where, results: Where | None = None, *, world: str | None = None) -> StudyData:
     """Open the latest selection of a study that was run, imported or forked, or else what is published of it.
 
     Args:
         study: its name, or the path of its file.
-        results: the results folder.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
         world: of `pneuma.worlds.WORLDS`; the usual one when left out.
 
     Raises:
@@ -117,31 +108,30 @@ def open_data(study: Where, results: Where = RESULTS, *, world: str | None = Non
     from pneuma.analysis.sources import open_study
 
     check_world(world)
-    store, told = Store(results), os.fspath(study)
-    own = Path(told).stem if told.endswith(".toml") else told
-    name = in_world(own, world or TEXT)
-    record = store.selection(name)
-    if record is not None and own != told:
-        execute.check_same_file(record, Path(told), store)
-    if record is None and published_path(store, name).exists():
+    store, path = _store(results), Path(study)
+    is_file = path.suffix == ".toml"
+    name = in_world(path.stem if is_file else os.fspath(study), world or TEXT)
+    if record := store.selection(name):
+        if is_file:
+            execute.check_same_file(record, path, store)
+    elif published_path(store, name).exists():
         record = read_published(store, name).record
-    if record is None and (path := store.selection_path(name)).exists():
-        raise UserError(f"{path}: damaged; run, import or fork it anew")
-    if record is None:
-        raise unknown_name(
-            f"study in {store.root}", name, sorted({*store.studies(), *published_studies(store)})
-        )
+    elif (damaged := store.selection_path(name)).exists():
+        raise UserError(f"{damaged}: damaged; run, import or fork it anew")
+    else:
+        known = sorted({*store.studies(), *published_studies(store)})
+        raise unknown_name(f"study in {store.root}", name, known)
     return open_study(store, record)
 
 
 def load_policy(
-    run_id: str, results: Where = RESULTS, *, trust: bool = False
+    run_id: str, results: Where | None = None, *, trust: bool = False
 ) -> tuple[Policy | Team, str, dict[str, Any]]:
     """Take up the policy that a stored run ended with.
 
     Args:
         run_id: the run's id, or a prefix of four digits or more.
-        results: the results folder.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
         trust: whether a level, characters or a reward of the run's owner may be opened.
 
     Returns:
@@ -153,7 +143,7 @@ def load_policy(
     """
     from pneuma.engines.team import policy_names, read_policies
 
-    store = Store(results)
+    store = _store(results)
     found = find_run(store, run_id)
     run = stored_run(store, found).settings
     names = policy_names(store.file_names(found))
@@ -221,6 +211,10 @@ def evaluate(
         return evaluation.evaluate(agent, 0)
     row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)
     return row if best else {name: value for name, value in row.items() if not name.startswith("argmax")}
+
+
+def _store(results: Where | None) -> Store:
+    return Store(os.environ.get("PNEUMA_RESULTS", "results") if results is None else results)
 
 
 def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
