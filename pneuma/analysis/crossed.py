@@ -27,9 +27,9 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome, outcome_val
 from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
-from pneuma.config import Run, read_setting, stream_seed
+from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
-from pneuma.values import as_tuple, shown_level, shown_setting
+from pneuma.values import as_tuple, shown_level, shown_value
 
 LEVEL = 0.05
 """Error rate over all cells of a map."""
@@ -141,7 +141,7 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
         told = ", ".join(f"{condition} by {engine}" for engine, condition in reversed(engines.items()))
         raise UserError(f"engines are mixed: {told}; choose the runs of one with --engine {[*engines][-1]}")
     shown = {
-        condition: {key: shown_setting(value) for key, value in own.items() if key != "engine"}
+        condition: {key: shown_value(value) for key, value in own.items() if key != "engine"}
         for condition, own in _settings(data).items()
     }
     groups = _factor_groups(list(shown.values()))
@@ -273,7 +273,7 @@ def robustness_map(
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
         raise UserError(f"outcome {outcome}: is neither better high nor better low")
-    values = as_tuple(read_setting(Run, setting, better)), as_tuple(read_setting(Run, setting, worse))
+    values = as_tuple(read_field(Run, setting, better)), as_tuple(read_field(Run, setting, worse))
     pairs = _pairs(data, setting, *values)
     for one, other, _ in pairs:
         refuse_unlike_returns(data, outcome, (one, other))
@@ -291,7 +291,7 @@ def map_table(found: Map) -> pd.DataFrame:
     """Return a map as a tidy table, a row for each cell."""
     return pd.DataFrame(
         {
-            **{key: shown_setting(level) for key, level in cell.levels},
+            **{key: shown_value(level) for key, level in cell.levels},
             "better": cell.better,
             "worse": cell.worse,
             "outcome": found.outcome,
@@ -316,7 +316,7 @@ def _pairs(
     Raises:
         UserError: for one value twice, or where there is no such pair.
     """
-    told = shown_setting(better), shown_setting(worse)
+    told = shown_value(better), shown_value(worse)
     if better == worse:
         raise UserError(f"{setting}: {told[0]} against itself is no contrast; name two values")
     settings = _settings(data)

@@ -23,10 +23,10 @@ from pneuma.cli.options import (
 from pneuma.cli.plain_text import plain, print_table
 from pneuma.cli.study_output import open_data, tell_written
 from pneuma.cli.study_summary import records, tell_step
-from pneuma.config import Run, read_setting
+from pneuma.config import Run, read_field
 from pneuma.errors import UserError
 from pneuma.study.store import Store
-from pneuma.values import as_tuple, shown_level, shown_setting
+from pneuma.values import as_tuple, shown_level, shown_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.crossed import Effects, Map
@@ -163,7 +163,7 @@ def _meant(readings: list[tuple[str, Any, Any]], data: StudyData) -> tuple[str, 
 
     def had(key: str, value: Any) -> bool:
         try:
-            own = as_tuple(read_setting(Run, key, value))
+            own = as_tuple(read_field(Run, key, value))
         except UserError:
             return False
         return any(as_tuple(run["run"].get(key)) == own for run in data.record["runs"])
@@ -175,7 +175,7 @@ def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> 
     from pneuma.figures.curves import LONGEST_STEM
     from pneuma.figures.robustness import draw_robustness
 
-    parts = [found.setting, *map(shown_setting, found.values), *[found.outcome] * (found.outcome != PRIMARY)]
+    parts = [found.setting, *map(shown_value, found.values), *[found.outcome] * (found.outcome != PRIMARY)]
     told = (re.sub(r"[^\w.-]+", "-", part).strip("-") for part in parts)
     stem = "-".join([data.figure, *told])[:LONGEST_STEM]
     return draw_robustness(data, [found], out, stem, formats)
@@ -185,7 +185,7 @@ def _print_map(found: Map, turned: bool) -> None:
     from pneuma.analysis.outcomes import find_outcome
     from pneuma.analysis.rounding import shown_with_interval
 
-    better, worse = map(shown_setting, found.values)
+    better, worse = map(shown_value, found.values)
     outcome = found.outcome + (" (turned, as less is better)" if turned else "")
     print(f"{plain(found.title)}: {found.setting} {better} against {worse}, {outcome}: {found.label}")
     unit = find_outcome(found.outcome).unit

@@ -17,7 +17,7 @@ from safetensors.numpy import save
 import pneuma
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import study_plot
-from pneuma.config import as_settings, make_run
+from pneuma.config import as_fields, make_run
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
@@ -221,7 +221,7 @@ def called(*arguments: str | Path) -> tuple[int, str]:
 def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
     store: Store, evil: Path, settings: dict[str, object], words: str
 ) -> None:
-    document = {"run": as_settings(make_run(settings))}
+    document = {"run": as_fields(make_run(settings))}
     store.save_run(NAME, Status("done", 50_176), {"run.json": to_json(document)})
     code, told = called("run", "fork", NAME, "--at", "512", "--set", "gamma=0.9", "--results", store.root)
     assert (code, words in told) == (2, True)
