@@ -92,13 +92,3 @@ def test_what_is_measured_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     rows = list(scaling.bench_scaling(runs=8, conditions=2, steps=2_560, folder=tmp_path))
     assert [row["case"] for row in rows] == ["store", *scaling.COMMANDS]
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_what_listening_costs_is_told_of_both(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reference, "STEPS", 512)
-    monkeypatch.setattr(reference, "ROUNDS", 1)
-    told = reference.measure()
-    ours, theirs = (row["steps_per_second"] for row in told["cases"])
-    assert [row["engine"] for row in told["cases"]] == ["sb3", "Stable-Baselines3"]
-    assert told["ratios"][reference.CASE] == pytest.approx(theirs / ours)
