@@ -28,7 +28,7 @@ figures: RESULTS = results
 figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md
 	$(call takes_results_alone)
 	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)"
-	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md --results "$(RESULTS)"
+	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md --results "$(RESULTS)" --picture paper_figures
 
 # --- The reproduction ---------------------------------------------------------------------------
 #

@@ -88,9 +88,8 @@ def equivalence(
 def engines(json: Json = False) -> None:
     """Compare the engines in steps a second on one core; takes about two minutes."""
     from pneuma.bench.engines import WORKERS, bench_engines
-    from pneuma.bench.reference import bench_reference
 
-    report = {**bench_engines(), "reference_overhead": bench_reference()["ratios"]}
+    report = bench_engines()
     if json:
         return print_json({"schema": 1, **report})
     for case in report["cases"]:
@@ -98,8 +97,6 @@ def engines(json: Json = False) -> None:
     for case, ratio in report["ratios"].items():
         compared = "" if case == WORKERS else ": batched over sb3"
         print(f"{case}{compared}, median of rounds: {ratio:.2f}")
-    for case, ratio in report["reference_overhead"].items():
-        print(f"{case}: sb3 over Stable-Baselines3 alone, time per step: {ratio:.3f}")
     print(f"peak memory of both engines: {report['peak_megabytes']:.0f} MB")
     return None
 

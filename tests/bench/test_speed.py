@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.sources import open_study
-from pneuma.bench import engines, env, reference, scaling
+from pneuma.bench import engines, env, scaling
 from pneuma.bench.synthetic import store_study
 from pneuma.env.worlds import Worlds
 from pneuma.study.store import Store
@@ -24,12 +24,10 @@ def test_ratios_are_the_medians_of_rounds_and_are_printed(monkeypatch: pytest.Mo
     monkeypatch.setattr(engines, "engine_rates", lambda *_: ([10.0, 30.0, 24.0], [5.0, 6.0, 8.0]))
     monkeypatch.setattr(engines, "worker_rates", lambda: ([2.0, 4.0, 4.0], [3.0, 8.0, 7.0]))
     monkeypatch.setattr(engines, "bench_engines", engines.measure)
-    monkeypatch.setattr(reference, "bench_reference", lambda: {"ratios": {reference.CASE: 1.0625}})
     told = described("bench", "engines", "--json")
     case = "small network, 10 runs"
     assert told["ratios"] == {case: 3.0, engines.WORKERS: 1.75}
     assert told["cases"][0] == {"case": case, "engine": "batched", "runs": 10, "steps_per_second": 24.0}
-    assert told["reference_overhead"] == {reference.CASE: 1.0625}
     assert f"{case}: batched over sb3, median of rounds: 3.00\n" in printed("bench", "engines")
 
 
@@ -94,13 +92,3 @@ def test_what_is_measured_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     rows = list(scaling.bench_scaling(runs=8, conditions=2, steps=2_560, folder=tmp_path))
     assert [row["case"] for row in rows] == ["store", *scaling.COMMANDS]
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_what_listening_costs_is_told_of_both(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reference, "STEPS", 512)
-    monkeypatch.setattr(reference, "ROUNDS", 1)
-    told = reference.measure()
-    ours, theirs = (row["steps_per_second"] for row in told["cases"])
-    assert [row["engine"] for row in told["cases"]] == ["sb3", "Stable-Baselines3"]
-    assert told["ratios"][reference.CASE] == pytest.approx(theirs / ours)
