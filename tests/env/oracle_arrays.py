@@ -36,7 +36,7 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     row = worlds.settings[0]
     corner = float(row["left"]), float(row["top"]), float(row["tile"])
     return Rulebook(
-        settings=_read_row(Settings, row),
+        settings=_read_row(Settings, row, magic=worlds.config.magic),
         stats=[_read_row(PlayerStats, stats) for stats in worlds.player_stats],
         kinds=[[_read_row(Kind, kind) for kind in level] for level in worlds.monster_stats],
         grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
@@ -64,8 +64,10 @@ def read_state(world: Oracle, worlds: Worlds, index: int) -> None:
         player.events = Events()
 
 
-def _read_row(form: type[_Row], row: Any) -> _Row:
-    return form(**{item.name: row[item.name].tolist() for item in fields(form)})
+def _read_row(form: type[_Row], row: Any, **beside: Any) -> _Row:
+    return form(
+        **{item.name: row[item.name].tolist() for item in fields(form) if item.name not in beside}, **beside
+    )
 
 
 def _read_fields(target: Player | Monster, row: Any, but: tuple[str, ...]) -> None:

@@ -86,6 +86,8 @@ def character_files(draw: st.DrawFn) -> str:
             values = {key: draw(st.sampled_from(pools[key])) for key in sorted(keys)}
             if group == "players":
                 values |= frail
+            if name == "heal":  # it strikes no box
+                values = {key: value for key, value in values.items() if key not in ("length", "width")}
             if group == "monsters" and draw(st.booleans()):
                 values["knock_back"], values["knock_back_time"] = draw(st.sampled_from(_FLIGHTS))
             lines += [f"[{group}.{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]

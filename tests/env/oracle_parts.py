@@ -103,7 +103,7 @@ class Settings:
     credit_near: int
     ending_cost: float
     keep_xp: int
-    magic: int
+    magic: bool
     layout: int
     observe_facing: int
     fixed_order: int

@@ -68,15 +68,6 @@ def test_a_bamboo_comes_up_to_who_stands(
 # --- Flying and biting -------------------------------------------------------------------------------
 
 
-def test_a_bamboo_close_by_flies_from_the_hilt_until_bodies_touch(tmp_path: Path) -> None:
-    # Facing right the hilt is at (566, 526): the bamboo at (550, 526) flies 2 px a tick to the left.
-    pair = set_up(tmp_path, (550.0, 526.0), characters=STILL)
-    put(pair, facing=RIGHT)
-    act(pair, ATTACK)
-    assert pair.worlds.monsters["knock_x"].tolist() == [[-2.0]]
-    assert place_of(pair) == (546.0, 526.0)
-
-
 @pytest.mark.parametrize(("knocked", "hp"), [(False, [100, 100, 100, 93]), (True, [93, 93, 93, 93])])
 def test_what_flies_bites_when_it_has_landed(tmp_path: Path, knocked: bool, hp: list[float]) -> None:
     # Struck in tick 1, it flies to the end of tick 30, and never out of reach.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -143,22 +142,6 @@ def write(folder: Path, text: str, name: str = "mine.toml") -> str:
     return str(path)
 
 
-def test_a_file_overrides_key_by_key(tmp_path: Path, zoo: str) -> None:
-    file = write(
-        tmp_path, "[players.base]\nhp = 120\n[weapons.blade]\ndamage = 25\n[monsters.bamboo]\nxp = 2\n"
-    )
-    row, usual = player_row(characters=file), player_row()
-    assert (row["hp"], row["damage"]) == (120, 25)
-    changed = {"hp", "damage", "hp_scale"}
-    assert all(
-        np.array_equal(row[name], usual[name]) for name in row.dtype.names or () if name not in changed
-    )
-    bamboo, plain = monster_rows(zoo, file)["bamboo"], monster_rows(zoo, "")["bamboo"]
-    assert bamboo["xp"] == 2
-    changed = {"xp", "xp_scale"}
-    assert all(bamboo[name] == plain[name] for name in bamboo.dtype.names or () if name not in changed)
-
-
 def test_a_file_may_add_a_class_and_a_weapon(tmp_path: Path) -> None:
     row = player_row(characters=write(tmp_path, ROGUE), classes="rogue")
     assert (row["hp"], row["energy"], row["speed"], row["safe"]) == (80, 50, 6, 30)
@@ -233,12 +216,3 @@ def test_an_unknown_class_or_weapon_is_told_the_nearest(settings: dict[str, obje
     with pytest.raises(UserError) as caught:
         Worlds(1, make_env_config(settings))
     assert str(caught.value).startswith(told) and "\n" not in str(caught.value)
-
-
-def test_what_nobody_has_leaves_a_space_that_has_room(tmp_path: Path) -> None:
-    """Gymnasium warns of a box whose least is its greatest, such as of the energy of who has none."""
-    file = write(tmp_path, "[players.base]\nenergy = 0\n[monsters.bamboo]\nxp = 0\n")
-    env = gymnasium.make("pneuma/Pneuma-v0", characters=file, observation="pygame")
-    space = env.observation_space
-    assert isinstance(space, gymnasium.spaces.Box) and (space.low < space.high).all()
-    assert space.contains(env.reset(seed=0)[0])

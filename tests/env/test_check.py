@@ -11,7 +11,6 @@ import pytest
 
 from pneuma.env import check
 from pneuma.env.check import check_environment, check_faces, check_restore
-from pneuma.env.parallel import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
@@ -58,10 +57,6 @@ def test_sound_faces_agree(env_id: str, settings: dict[str, object]) -> None:
     check_faces(env_id, settings)
 
 
-def test_faces_agree_where_players_die_at_different_times(pit: str) -> None:
-    check_faces(THESIS, {"level": pit, "players": 2})
-
-
 def test_a_vector_face_that_pays_otherwise_after_a_reset_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def pay_more(env: Any, call: int, told: tuple[Any, ...]) -> tuple[Any, ...]:
         return (told[0], told[1] + 1e-3 * (call > 40), *told[2:])  # in the third episode
@@ -89,19 +84,6 @@ def test_a_face_that_tells_the_wrong_ending_is_found(monkeypatch: pytest.MonkeyP
     change(monkeypatch, PneumaEnv, "step", swap)
     with pytest.raises(UserError, match="the single face: world 0, step 20: endings differ"):
         check_faces(THESIS, {})
-
-
-def test_parallel_players_that_never_leave_are_found(monkeypatch: pytest.MonkeyPatch, pit: str) -> None:
-    """Two players die at different times; one who stays in `agents` has a story that nobody else tells."""
-
-    def keep(env: Any, call: int, told: tuple[Any, ...]) -> tuple[Any, ...]:
-        if 0 < len(env.agents) < 2:
-            env.agents = list(env.possible_agents)
-        return told
-
-    change(monkeypatch, PneumaParallelEnv, "step", keep)
-    with pytest.raises(UserError, match="the players in play differ"):
-        check_faces(THESIS, {"level": pit, "players": 2})
 
 
 # --- Saving --------------------------------------------------------------------------------------
@@ -132,11 +114,6 @@ def test_several_players_are_checked_by_the_faces_for_several() -> None:
     assert found == dict.fromkeys(
         ["observations inside", "saved and put back", "faces agree", "PettingZoo"], ""
     )
-
-
-def test_vector_rewards_are_for_one_player() -> None:
-    with pytest.raises(UserError, match=r"players = 2 is not allowed: pneuma/mo-Pneuma-v0 has one player"):
-        problems("pneuma/mo-Pneuma-v0", players=2)
 
 
 @pytest.mark.parametrize("error", ["KeyError('speed')", "ZeroDivisionError()", "ValueError('no')"])

@@ -68,16 +68,6 @@ def test_an_attack_lasts_400_ms_and_the_weapons_cool_down(arena: str, weapon: st
 # --- Invulnerability -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "bitten"), [("base", 14), ("tank", 7)])
-def test_of_two_bites_in_a_tick_only_one_hurts_whoever_is_safe_after_it(
-    arena: str, name: str, bitten: float
-) -> None:
-    worlds = stage(arena, (-30.0, 0.0), (-30.0, 10.0), ticks=1, settings={"classes": name})
-    play(worlds, STAND)
-    assert worlds.events["hp_lost"][0, 0] == bitten
-    assert worlds.events["contacts"][0, 0] == 2
-
-
 @pytest.mark.parametrize(("pause", "hurts"), [(1, False), (17, False), (18, True), (19, True)])
 def test_after_a_bite_300_ms_pass_before_the_next_one_hurts(arena: str, pause: int, hurts: bool) -> None:
     worlds = stage(arena, (-30.0, 0.0), (-500.0, 0.0), ticks=1, still=True, settings={"classes": "tank"})
@@ -100,18 +90,6 @@ def test_a_struck_spirit_is_safe_for_300_ms(zoo: str) -> None:
         hp.append(monster_hp(worlds, SPIRIT_OF_ZOO))
     # Struck by the first player in tick 1; the second's sword meets it until tick 24 and hits once it may.
     assert hp == [80] * 18 + [60] * 6
-
-
-def test_a_spirit_flies_back_its_own_way(zoo: str) -> None:
-    # 60 px away from the hilt, as a bamboo, but 20 px a tick for 3 ticks: from (84, -26), which is
-    # 50 x (0.6, -0.8) from (54, 14), to (120, -74).
-    worlds = stage(zoo, ticks=1, still=True)
-    worlds.monsters["hp"] = 100
-    move_monster(worlds, SPIRIT_OF_ZOO, 84.0, -26.0)
-    play(worlds, ATTACK)
-    assert monster_at(worlds, SPIRIT_OF_ZOO) == pytest.approx((96.0, -42.0))
-    play(worlds, STAND, STAND, STAND, STAND)
-    assert monster_at(worlds, SPIRIT_OF_ZOO) == pytest.approx((120.0, -74.0))
 
 
 # --- Other monsters ------------------------------------------------------------------------------

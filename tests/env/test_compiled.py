@@ -69,6 +69,7 @@ def change(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) -> None:
     """Action 0 has the logit 9 tanh(1), action 1 its negative."""
     assert said(CHOOSE, copy) == "0"

@@ -28,6 +28,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_pages_python_runs(folder: Path) -> None:
     blocks = BLOCK.finditer(PAGE.read_text(encoding="utf-8"))
     code = [block["text"] for block in blocks if block["language"] == "python" and not block["file"]]

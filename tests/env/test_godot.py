@@ -7,12 +7,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from pneuma.config import make_env_config
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
-from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 
 from .arena import (
@@ -85,22 +83,6 @@ def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
     assert env.reset()[0][3] == -7.0
     assert env.reset(seed=0)[0][3] == 0.0
     assert xp(env.state) == 0.0
-
-
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_xp_runs_on_through_autoreset_and_each_death_costs_1(pit: str, mode: AutoresetMode) -> None:
-    env = PneumaVectorEnv(2, GODOT, mode, level=pit)
-    env.reset(seed=0)
-    deaths = np.zeros(2, np.int64)
-    for step in range(200):
-        _, _, terminated, *_ = env.step(np.array([LEFT, RIGHT]) if step % 2 else np.array([RIGHT, LEFT]))
-        deaths += terminated
-        assert env.state.players["xp"][:, 0].tolist() == (-deaths).tolist()
-    assert (deaths > 5).all()
-    env.reset()
-    assert env.state.players["xp"][:, 0].tolist() == (-deaths).tolist()
-    observations, _ = env.reset(seed=0)
-    assert observations[:, 3].tolist() == [0, 0]
 
 
 # --- Endings -------------------------------------------------------------------------------------

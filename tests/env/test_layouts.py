@@ -11,7 +11,6 @@ import pytest
 from pneuma.config import OBSERVATIONS, ORDERS, SCALES, make_env_config
 from pneuma.env.observation import feature_names
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 from .arena import (
     GODOT,
@@ -25,7 +24,6 @@ from .arena import (
     stage,
 )
 
-LENGTHS = {"thesis": 60, "pygame": 31, "godot": 74}  # 4 + 14 x 4, 6 + 5 x 5, 4 + 14 x 5
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
 
@@ -102,15 +100,6 @@ def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None
     assert rows(worlds)[0] == pytest.approx([500 / 1280, -0.6, 0.8, 1, 1 / 25])
 
 
-def test_pygame_sees_the_five_nearest() -> None:
-    worlds = Worlds(1, make_env_config({"observation": "pygame"}))
-    worlds.reset(starts=np.array([0]))
-    # From (204, -105): 357.82, 362.11 and 497.21 px, as the thesis's layout sees; 57 tiles are 3648 px.
-    assert (rows(worlds)[:3, 0] * 3648).tolist() == pytest.approx([357.815, 362.112, 497.213], abs=1e-2)
-    assert rows(worlds).shape == (5, 5)
-    assert (np.diff(rows(worlds)[:, 0]) > 0).all()
-
-
 # --- Scales --------------------------------------------------------------------------------------
 
 
@@ -133,21 +122,7 @@ def test_a_scale_holds_for_every_number(
     assert rows(worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
 
 
-def test_unit_distances_are_in_each_monsters_own_notice_radii(zoo: str) -> None:
-    worlds = look(zoo, (0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0), magic=True)
-    # Bamboo notices from 300 px, spirit from 220, raccoon from 180, squid from 200.
-    assert rows(worlds)[:, 0].tolist() == pytest.approx([0.3, 0.5, 1.0, 1.5])
-
-
 # --- Which monsters, and in which order ----------------------------------------------------------
-
-
-def test_nearest_k_sees_no_more_than_k(arena: str) -> None:
-    worlds = look(arena, (-400.0, 0.0), (0.0, 200.0), (-100.0, 0.0), (0.0, -300.0), perceive="nearest:3")
-    assert (rows(worlds)[:, 0] * 300).tolist() == pytest.approx([100, 200, 300])
-    worlds.monsters["hp"][0, 1:3] = 0
-    worlds.observe()
-    assert (rows(worlds)[:, 0] * 300).tolist() == pytest.approx([300, 400, 0])
 
 
 @pytest.mark.parametrize(
@@ -165,15 +140,6 @@ def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: l
     worlds = look(zoo, *places, perceive=perceive, scale="raw", order="fixed")
     assert rows(worlds)[:, 0].tolist() == pytest.approx(sorted(distances))  # they stand in this order
     assert worlds.space.contains(seen(worlds))
-
-
-def test_a_kind_that_the_level_does_not_have_is_told_the_nearest(zoo: str, arena: str) -> None:
-    with pytest.raises(
-        UserError, match=r"unknown kind of monster on this level 'squidd' \(did you mean squid"
-    ):
-        Worlds(1, make_env_config({"level": zoo, "perceive": "kind:squidd"}))
-    with pytest.raises(UserError, match="unknown kind of monster on this level 'squid'"):
-        Worlds(1, make_env_config({"level": arena, "perceive": "kind:squid"}))
 
 
 @pytest.mark.parametrize("layout", OBSERVATIONS)

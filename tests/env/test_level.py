@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
-from pneuma.env.level import Level, level_files, load_level, room_for_bodies
+from pneuma.env.level import Level, load_level, room_for_bodies
 from pneuma.errors import UserError
 
 from .arena import layer, write_level
@@ -64,19 +64,6 @@ def test_the_shipped_level_has_the_published_places(thesis: Level) -> None:
     assert list(thesis.monsters) == [("bamboo", *place) for place in MONSTERS]
 
 
-def test_the_shipped_level_has_about_2900_by_2400_px_of_land(thesis: Level) -> None:
-    left, top, right, bottom = thesis.land
-    assert right - left == pytest.approx(2900, abs=64)  # one tile more or less
-    assert bottom - top == pytest.approx(2400, abs=64)
-
-
-def test_coordinates_begin_at_the_corner_of_the_origins_tile(folder: Path) -> None:
-    level = load_level(str(folder), CODES)
-    assert (level.left, level.top) == (-640.0, -640.0)  # tile (10, 10) of 64 px at the origin
-    assert level.land == (-576.0, -576.0, 576.0, 576.0)  # less a ring of one tile
-    assert level.monsters == (("bamboo", 200.0, 200.0),)
-
-
 def test_what_blocks_is_coast_and_code_395(folder: Path) -> None:
     tiles = np.full((20, 20), -1)
     tiles[3, 4], tiles[0, 0] = 395, 395
@@ -93,18 +80,6 @@ def test_an_unknown_level_is_answered_with_the_nearest_name() -> None:
         load_level("thesiss", CODES)
 
 
-def test_a_path_may_begin_at_home(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(folder.parent))
-    assert load_level("~/level", CODES).name == str(folder)
-    assert level_files("~/level")[0].parent == folder
-
-
-@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv"])
-def test_a_row_of_another_length_is_named(folder: Path, name: str) -> None:
-    replace_line(folder / name, 7, "1,1,1")
-    assert complaint(folder) == f"{folder / name}, row 7: 3 tiles, where row 1 has 20"
-
-
 @pytest.mark.parametrize("cell", ["x", "", "1.5"])
 def test_a_tile_that_is_no_number_is_named_by_row_and_column(folder: Path, cell: str) -> None:
     replace_line(folder / "ground.csv", 4, ",".join(["1", "1", cell, *["1"] * 17]))
@@ -114,26 +89,6 @@ def test_a_tile_that_is_no_number_is_named_by_row_and_column(folder: Path, cell:
 def test_an_unknown_code_is_named_with_the_known_ones(folder: Path) -> None:
     replace_line(folder / "objects.csv", 3, "399,10,10")
     assert complaint(folder) == f"{folder / 'objects.csv'}, row 3: unknown code 399; known are 400, 390"
-
-
-def test_a_level_without_a_start_is_refused(folder: Path) -> None:
-    (folder / "objects.csv").write_text("code,x,y\n390,10,10\n")
-    assert complaint(folder) == f"{folder / 'objects.csv'}: no start place (code 400)"
-
-
-@pytest.mark.parametrize(
-    ("header", "land"),
-    [
-        ("coast = []", 640.0),  # by name, none
-        ('[ground]\n0 = "water"\n2 = "grass"', 576.0),
-        ('[ground]\n0 = "sand"\n2 = "grass"', 640.0),  # no water: land up to the edge of the grid
-    ],
-)
-def test_what_is_drawn_as_water_is_the_coast_unless_said_otherwise(
-    folder: Path, header: str, land: float
-) -> None:
-    (folder / "level.toml").write_text(header)
-    assert load_level(str(folder), CODES).land == (-land, -land, land, land)
 
 
 # --- Room for bodies -----------------------------------------------------------------------------

@@ -25,13 +25,6 @@ def test_an_episode_draws_its_level_and_then_its_start() -> None:
     assert drawn == [(3, 2), (0, 5)]
 
 
-def test_levels_are_drawn_uniformly() -> None:
-    worlds = begin(2000, level=LEVEL, random_levels=4)
-    counts = np.bincount(worlds.worlds["level"], minlength=4)
-    # 500 of each expected; chi-square with 3 degrees of freedom is above 16.3 once in a thousand.
-    assert ((counts - 500) ** 2 / 500).sum() < 16.3
-
-
 def test_a_world_plays_as_on_its_level_alone() -> None:
     company = begin(8, seed=1, level=LEVEL, random_levels=3, scale="raw", players=2)
     alone = []

@@ -91,16 +91,6 @@ def test_a_flame_burns_every_monster_once_and_knocks_nobody_back(arena: str) -> 
     assert worlds.monsters["knocked"][0].tolist() == [0] * 4
 
 
-@pytest.mark.parametrize(
-    ("name", "hp"),
-    [("base", 31), ("tank", 30), ("mage", 29), ("warrior", 31)],  # 40 - 5 - magic of 4, 5, 6, 4
-)
-def test_a_flame_is_as_strong_as_its_casters_magic(arena: str, name: str, hp: float) -> None:
-    worlds = cast(arena, (100.0, 0.0), settings={"classes": name})
-    play(worlds, FLAME)
-    assert monster_hp(worlds) == hp
-
-
 # --- Heal ----------------------------------------------------------------------------------------
 
 
@@ -128,18 +118,6 @@ def test_a_spell_costs_energy_and_takes_24_ticks(arena: str, spell: int, cost: f
     assert energy(worlds) == pytest.approx(60 - cost + 24 * 0.04)
     play(worlds, RIGHT)
     assert player_at(worlds) == (5.0, 0.0)
-
-
-@pytest.mark.parametrize(("spell", "left"), [(FLAME, 19.5), (HEAL, 9.5)])
-def test_a_spell_that_cannot_be_paid_does_nothing(arena: str, spell: int, left: float) -> None:
-    worlds = cast(arena, (100.0, 0.0))
-    worlds.players["energy"], worlds.players["hp"] = left, 50
-    play(worlds, spell)
-    assert energy(worlds) == pytest.approx(left + 8 * 0.04)  # below the cost throughout
-    assert (monster_hp(worlds), player_hp(worlds)) == (40, 50)
-    assert worlds.players["busy"][0, 0] == 0
-    play(worlds, RIGHT)
-    assert player_at(worlds) == (40.0, 0.0)
 
 
 @pytest.mark.parametrize(

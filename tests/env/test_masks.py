@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 
@@ -107,32 +105,6 @@ def test_a_masked_action_leaves_the_player_where_it_is(env_id: str) -> None:
         met += np.bincount(stride[masked], minlength=7)
         worlds.reset(worlds.worlds["ending"] != 0)
     assert (met[[DOWN, LEFT, UP, RIGHT, 5, 6]] > 20).all() and met[ATTACK] == 0
-
-
-def test_all_masked_walks_do_the_same_and_allowed_ones_do_not() -> None:
-    """From any state, of the four ways those that are masked lead to one state, each other to its own."""
-    worlds = begin(40)
-    generator = np.random.default_rng(4)
-    stride = generator.integers(5, size=(40, 1))
-    compared = walled = 0
-    for step in range(120):
-        stride = wander(worlds, generator, stride)
-        if step % 4 == 0:
-            masks, facing = worlds.masks[:, 0], worlds.players["facing"][:, 0]
-            after = []
-            for action in range(4):
-                ahead = copy.deepcopy(worlds)
-                play(ahead, action)
-                after.append(ahead.players[["x", "y", "facing"]][:, 0])
-            for world in np.flatnonzero(worlds.players["hp"][:, 0] > 0):
-                ends = {after[action][world].tobytes() for action in range(4) if masks[world, action]}
-                assert len(ends) == masks[world, :4].sum()
-                if 0 < masks[world, :4].sum() < 4:  # against a wall
-                    assert masks[world, facing[world]] == 0
-                    walled += 1
-                compared += 1
-        worlds.step(stride)
-    assert compared > 1000 and walled > 20
 
 
 # --- Where they are handed out -------------------------------------------------------------------

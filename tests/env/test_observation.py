@@ -7,7 +7,7 @@ import pytest
 
 from pneuma.env.worlds import Worlds
 
-from .arena import ATTACK, STAND, Place, play, player_at, stage
+from .arena import ATTACK, STAND, Place, play, stage
 
 
 def seen(worlds: Worlds) -> np.ndarray:
@@ -86,14 +86,6 @@ def test_the_dead_come_last_as_zeros(arena: str) -> None:
     assert rows[0] == pytest.approx([200 / 300, -1, 0, 1])
     assert (rows[:3, 3] == 1).all()
     assert rows[3].tolist() == [0, 0, 0, 0]
-
-
-def test_each_player_sees_from_its_own_place(arena: str) -> None:
-    worlds = look(arena, (0.0, 300.0), players=((-400.0, 0.0), (0.0, 0.0)))
-    first, second = worlds.observations[0]
-    assert first[4:8] == pytest.approx([500 / 300, 400 / 500, 300 / 500, 1])  # 3-4-5
-    assert second[4:8] == pytest.approx([1, 0, 1, 1])
-    assert player_at(worlds, 1) == (0, 0)
 
 
 # --- Names and bounds ----------------------------------------------------------------------------

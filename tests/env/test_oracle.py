@@ -42,7 +42,7 @@ from .oracle_parts import Player
 from .oracle_stage import FAR, HERE, QUIET, act, put, set_up, told
 
 FEW = settings(
-    max_examples=300,
+    max_examples=120,
     derandomize=True,
     database=None,
     deadline=None,

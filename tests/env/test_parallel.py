@@ -7,18 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 
 from pneuma.env.parallel import PneumaParallelEnv, parallel_env
 
-from .arena import ATTACK, RIGHT, UP
+from .arena import ATTACK, UP
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # PettingZoo's tests import PettingZoo's deprecated games
     from pettingzoo.test import parallel_api_test, parallel_seed_test
-
-NAMES = [f"player_{i}" for i in range(8)]
-Told = tuple[Any, ...]
 
 
 def same(agents: list[str], action: int) -> dict[str, np.int64]:
@@ -70,17 +66,6 @@ def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
     assert rewards == {"player_0": -1.0, "player_1": 1.0}
 
 
-def test_what_is_handed_out_is_not_overwritten() -> None:
-    env = parallel_env(players=2)
-    first, _ = env.reset(seed=0)
-    kept = {agent: observation.copy() for agent, observation in first.items()}
-    state = env.state()
-    copy = state.copy()
-    env.step(same(env.agents, RIGHT))
-    assert all(np.array_equal(first[agent], kept[agent]) for agent in first)
-    assert np.array_equal(state, copy)
-
-
 # --- Death ---------------------------------------------------------------------------------------
 
 
@@ -104,29 +89,6 @@ def test_players_leave_one_after_another(arena: str) -> None:
     assert steps == 7  # as in test_worlds: the monster arrives in tick 64
     assert terminations == {"player_1": True, "player_2": False}
     assert env.agents == ["player_2"]
-
-
-def test_the_survivors_episode_is_truncated_at_the_time_limit(arena: str) -> None:
-    env = duel(arena, episode_steps=3)
-    for _ in range(2):
-        env.step(same(env.agents, ATTACK))
-    _, _, terminations, truncations, infos = env.step(same(env.agents, ATTACK))
-    assert terminations == {"player_1": False, "player_2": False}
-    assert truncations == {"player_1": True, "player_2": True}
-    assert {info["ending"] for info in infos.values()} == {"time-limit"}
-    assert env.agents == []
-
-
-def test_the_last_ones_death_ends_the_episode(arena: str) -> None:
-    env = duel(arena)
-    put(env, 1, -330.0, -60.0, hp=7)
-    put(env, 2, -270.0, -60.0, hp=7)
-    _, _, terminations, truncations, infos = env.step(same(env.agents, ATTACK))
-    assert all(terminations.values()) and not any(truncations.values())
-    assert {info["ending"] for info in infos.values()} == {"killed"}
-    assert env.agents == []
-    with pytest.raises(ResetNeeded):
-        env.step({})
 
 
 def test_a_living_player_without_an_action_is_named() -> None:

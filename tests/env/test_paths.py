@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from pneuma.env import paths, rules
+from pneuma.env import rules
 from pneuma.env.level import Level
 from pneuma.env.paths import Body, Ways, spot
 
@@ -49,21 +47,6 @@ def test_lengths_count_tiles_around_what_is_closed() -> None:
     assert lengths(ways, (480, 288), (32, 288)) == [1 + 7 + 1]  # along row 3, around the coast
 
 
-def test_fields_that_are_too_many_are_forgotten_and_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a large level, or of many, those to every tile would fill the memory."""
-    level = rooms()
-    far = (480.0, 32.0)
-    goals = [(x, y) for y in (32.0, 96.0, 224.0) for x in np.arange(32.0, 512.0, 64.0)]
-    free = Ways([level], BODY, WALLS, False)
-    expected = [lengths(free, goal, far) for goal in goals]
-    monkeypatch.setattr(paths, "MOST_CELLS", 5 * free._fields.shape[1])
-    tight = Ways([level], BODY, WALLS, False)
-    for _ in range(2):
-        assert [lengths(tight, goal, far) for goal in goals] == expected
-        assert len(tight._lists) <= 6
-        assert tight.plan(0, far, goals[-1], REACH) == free.plan(0, far, goals[-1], REACH) != {}
-
-
 @pytest.mark.parametrize("coast", ["wall", "deadly"])
 def test_steps_lead_where_the_rules_lead(coast: str) -> None:
     """From random places of a random level, hundreds of steps in every direction."""
@@ -94,12 +77,3 @@ def test_a_plan_leads_through_a_gap_that_steps_of_its_length_miss() -> None:
             assert there is not None
             place = there
     assert place[1] >= 192  # a tile from the goal at most
-
-
-def test_levels_have_ways_of_their_own() -> None:
-    field = replace(rooms(), terrain=np.zeros_like(rooms().terrain))
-    ways = Ways([rooms(), field], BODY, WALLS, False)
-    level = np.array([0, 1])
-    goal = np.full((2, 1), 480.0), np.full((2, 1), 224.0)
-    here = np.full(2, 480.0), np.full(2, 96.0)
-    assert ways.lengths(level, *goal, *here).tolist() == [[2 * 5 + 2], [2]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,6 @@ from .arena import (
     ARENA,
     GODOT,
     THESIS,
-    begin,
-    monster_hp,
-    write_level,
 )
 
 
@@ -73,16 +69,6 @@ def test_the_hunter_does_not_drown() -> None:
     worlds.reset(starts=np.arange(6))
     play_out(worlds, Hunter(worlds))
     assert (worlds.players["hp"] > 0).all()
-
-
-def test_the_hunter_walks_around_a_monster_that_waits_behind_a_tree(tmp_path: Path) -> None:
-    """Awake and held up by the tree, it never comes into reach: striking at it would go on for ever."""
-    level = write_level(tmp_path / "tree", [(-32.0, 32.0)], [(100.0, 32.0)], [(10, 10)])
-    worlds = begin(1, level=level)
-    hunter = Hunter(worlds)
-    for _ in range(150):
-        worlds.step(hunter.act(worlds))
-    assert monster_hp(worlds) == 0
 
 
 def test_every_world_is_hunted_as_if_it_were_alone() -> None:

@@ -74,39 +74,12 @@ def test_dead_monster_is_gone(arena: str) -> None:
     np.testing.assert_array_equal(renderer.frame()[around], renderer.background[around])
 
 
-def test_dead_player_leaves_a_grave(arena: str) -> None:
-    worlds = stage(arena, facing=LEFT)
-    alive = bare(worlds)
-    worlds.players["hp"], worlds.players["busy"] = 0.0, 12
-    grave = bare(worlds)
-    worlds.players["facing"], worlds.players["busy"] = RIGHT, 0
-    np.testing.assert_array_equal(grave, bare(worlds))
-    assert changed(alive, grave).size > 0
-
-
 @pytest.mark.parametrize(("hp", "length"), [(40, 0), (30, 9), (20, 6), (10, 3), (0.1, 1)])
 def test_bar_over_a_monster_is_as_long_as_its_hp(arena: str, hp: float, length: int) -> None:
     """12 art pixels stand for 40 HP; whoever is unhurt has no bar, whoever lives has some."""
     worlds = stage(arena)
     worlds.monsters["hp"][0, 0] = hp
     assert count_colour(bare(worlds), sprites.RED) == length
-
-
-def test_panel_counts_monsters_steps_and_xp(arena: str) -> None:
-    worlds = stage(arena)
-    renderer = Renderer(worlds)
-    before = renderer.frame()
-    for array, field, value in (
-        (worlds.players, "xp", 1.0),
-        (worlds.worlds, "steps", 7),
-        (worlds.worlds, "monsters_left", 3),
-        (worlds.worlds, "ending", rules.CLEARED),
-    ):
-        old = array[field].copy()
-        array[field] = value
-        assert not np.array_equal(renderer.frame(), before)
-        array[field] = old
-    np.testing.assert_array_equal(renderer.frame(), before)
 
 
 def test_bite_flashes_and_hit_monster_flashes(arena: str) -> None:
@@ -163,22 +136,6 @@ def test_camera_follows_the_player_asked_for(arena: str) -> None:
     renderer = Renderer(worlds, "follow", panel=False)
     moved = 200 // 4 * 4  # 200 px of the world, 50 art pixels, enlarged by 4
     np.testing.assert_array_equal(renderer.frame(0, 0)[:, moved:], renderer.frame(0, 1)[:, :-moved])
-
-
-def test_small_tiles_leave_bodies_in_proportion(tmp_path: Path, arena: str) -> None:
-    """Among tiles of 32 px a player of 47 px spans one and a half tiles instead of three quarters."""
-    small = tmp_path / "small"
-    small.mkdir()
-    for name in ("ground.csv", "obstacles.csv", "objects.csv"):
-        (small / name).write_text((Path(arena) / name).read_text())
-    header = (Path(arena) / "level.toml").read_text()
-    (small / "level.toml").write_text(header.replace("tile = 64", "tile = 32"))
-    (small / "objects.csv").write_text("code,x,y\n400,0,0\n390,200,200\n")
-    worlds = stage(str(small))
-    before = bare(worlds)
-    worlds.players["hp"] = 0.0
-    x, _ = changed(before, bare(worlds))
-    assert 24 <= np.ptp(x) <= 32
 
 
 def test_ground_is_what_the_level_called_it_when_it_was_loaded(

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from pneuma.env.parallel import PneumaParallelEnv
 from pneuma.env.saving import Snapshot
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
@@ -62,28 +60,6 @@ def test_a_single_environment_goes_on_as_it_would_have(pit: str) -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_an_ended_world_of_a_batch_is_brought_back_to_life(mode: AutoresetMode, pit: str) -> None:
-    """World 1 ends; before anything resets it, it is put back to where it was running."""
-    env = PneumaVectorEnv(3, autoreset_mode=mode, level=pit, episode_steps=STEPS)
-    single = PneumaEnv(level=pit, episode_steps=STEPS)
-    saved = saved_in(single, 5)
-    expected = [single.step(action)[0] for action in plan(2, 8)]
-    env.reset(seed=0, options={"start": 1})
-    env.state.players["hp"][1, 0] = 0.5
-    env.state.monsters["x"][1, 0], env.state.monsters["y"][1, 0] = 410.0, -450.0
-    assert env.step(np.full(3, ATTACK))[2].tolist() == [False, True, False]
-    observations, infos = env.restore(1, saved)
-    assert np.array_equal(observations[1], saved_seen(single, saved)) and infos["action_mask"].shape == (3, 5)
-    for action, seen in zip(plan(2, 8), expected, strict=True):
-        observations, _, terminated, *_ = env.step(np.array([ATTACK, action, ATTACK]))
-        assert np.array_equal(observations[1], seen) and not terminated[1]
-
-
-def saved_seen(env: PneumaEnv, saved: Snapshot) -> np.ndarray:
-    return env.restore(saved)[0]
-
-
-@pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_a_world_put_back_at_its_end_begins_again_as_the_mode_has_it(mode: AutoresetMode, pit: str) -> None:
     single = PneumaEnv(level=pit, episode_steps=3)
     saved = saved_in(single, 3)
@@ -112,27 +88,6 @@ def test_the_other_worlds_must_have_begun(pit: str) -> None:
 
 
 # --- PettingZoo's face ---------------------------------------------------------------------------
-
-
-def test_who_lived_plays_on(pit: str) -> None:
-    env = PneumaParallelEnv(players=3, level=pit, episode_steps=STEPS)
-    env.reset(seed=0, options={"start": 0})
-    env.worlds.players["hp"][0, 0] = 7
-    env.step({agent: np.int64(ATTACK) for agent in env.agents})
-    assert env.agents == ["player_1", "player_2"]
-    saved = env.save()
-    told: list[Any] = []
-    for other in (env, PneumaParallelEnv(players=3, level=pit, episode_steps=STEPS)):
-        observations, infos = other.restore(saved)
-        assert list(observations) == list(infos) == other.agents == ["player_1", "player_2"]
-        steps = []
-        for actions in plan(1, 40, 3):
-            if other.agents:
-                steps.append(other.step({agent: actions[int(agent[-1])] for agent in other.agents}))
-        told.append(repr(steps))
-    assert told[0] == told[1] and env.agents == []
-    env.restore(env.save())
-    assert env.agents == []  # it had ended
 
 
 # --- Stable-Baselines3's face --------------------------------------------------------------------

@@ -100,16 +100,6 @@ def test_distance_sigmoid_pays_for_being_near(arena: str, distance: float, close
     assert rewards(worlds) == [pytest.approx(closeness, abs=1e-12)]
 
 
-def test_distance_sigmoid_adds_xp_gained_and_is_zero_without_monsters(arena: str) -> None:
-    worlds = fight(arena, "distance-sigmoid", (80.0, 0.0), (0.0, -150.0))
-    worlds.monsters["hp"][0, 0] = 20
-    play(worlds, ATTACK)
-    assert rewards(worlds) == [pytest.approx(1.5, abs=1e-12)]
-    worlds.monsters["hp"] = 0
-    play(worlds, STAND)
-    assert rewards(worlds) == [0.0]
-
-
 # --- Godot: event by event -----------------------------------------------------------------------
 
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import itertools
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
-from pneuma.env.single import PneumaEnv
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -67,23 +64,6 @@ def test_it_is_computed_from_events_players_and_stats(folder: Path, arena: str) 
     assert rewards(worlds) == [10 - 0.07 + 3]
 
 
-def test_what_it_imports_when_it_is_called_is_found_beside_it(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "path", [path for path in sys.path if path not in ("", str(folder))])
-    name = write(folder, "from own_bonus import BONUS\nreturn np.full(events.shape, BONUS)")
-    (folder / "own_bonus.py").write_text("BONUS = 2.5\n")
-    env = PneumaEnv(reward=name)
-    env.reset(seed=0)
-    assert env.step(np.int64(STAND))[1] == 2.5
-
-
-def test_a_module_that_would_end_the_command_is_told(folder: Path) -> None:
-    (folder / "own_exit.py").write_text("raise SystemExit(0)\n")
-    with pytest.raises(UserError, match="reward 'own_exit:pay': SystemExit: 0"):
-        PneumaEnv(reward="own_exit:pay")
-
-
 def test_what_it_prints_stays_out_of_a_commands_document(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,16 +73,6 @@ def test_what_it_prints_stays_out_of_a_commands_document(
     Worlds(1, make_env_config({"reward": own}))
     told = capsys.readouterr()
     assert told.out == "" and told.err.split() == ["imported", "called"]
-
-
-def test_what_it_pays_the_dead_is_not_used(folder: Path, arena: str) -> None:
-    own = write(folder, 'return np.where(events["present"] > 0, 1.0, 99.0)')
-    worlds = stage(arena, (-30.0, 0.0), players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own})
-    worlds.players["hp"][0, 0] = 7
-    play(worlds, STAND)
-    assert rewards(worlds) == [1.0, 1.0]
-    play(worlds, STAND)
-    assert rewards(worlds) == [0.0, 1.0]
 
 
 def test_it_cannot_change_the_world(folder: Path) -> None:

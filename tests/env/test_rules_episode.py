@@ -91,17 +91,6 @@ def test_healing_comes_before_the_bites_of_the_same_tick(arena: str) -> None:
     assert (worlds.ending(0), player_hp(worlds)) == ("running", 7)
 
 
-def test_a_kill_in_the_tick_of_death_counts(arena: str) -> None:
-    worlds = about_to_kill(arena, hp=7)
-    for index, y in enumerate((0.0, 50.0), start=1):
-        worlds.monsters["x"][0, index], worlds.monsters["y"][0, index] = -40.0, y
-    play(worlds, ATTACK)  # 7 + 7 - 2 x 7
-    assert worlds.ending(0) == "killed"
-    assert (worlds.players["xp"][0, 0], worlds.players["kills"][0, 0]) == (1, 1)
-    assert (worlds.events["hp_gained"][0, 0], worlds.events["hp_lost"][0, 0]) == (7, 14)
-    assert reward(worlds) == 1.0  # 1 XP - 0 / 100
-
-
 def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
     worlds = stage(arena, (-40.0, 0.0))
     worlds.players["hp"] = 7
@@ -117,13 +106,6 @@ def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
 
 
 # --- Time ----------------------------------------------------------------------------------------
-
-
-def test_whoever_dies_in_the_last_step_was_killed(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0), settings={"episode_steps": 1})
-    worlds.players["hp"] = 7
-    play(worlds, STAND)
-    assert worlds.ending(0) == "killed"
 
 
 # --- Clearing the level --------------------------------------------------------------------------

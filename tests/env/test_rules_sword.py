@@ -19,7 +19,6 @@ from .arena import (
 )
 
 WAYS = {DOWN: (0, 1), LEFT: (-1, 0), UP: (0, -1), RIGHT: (1, 0)}
-HILTS = {DOWN: (-12.0, 52.0), LEFT: (-54.0, 14.0), UP: (8.0, -44.0), RIGHT: (54.0, 14.0)}
 """From the player; where the sword's box ends is in test_bodies."""
 
 # --- Time ----------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -109,6 +108,7 @@ pickle.dump(go_on(worlds, 1, actions), open(sys.argv[2], "wb"))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three players", "godot"])
 def test_a_world_goes_on_the_same_in_another_process(tmp_path: Path, name: str) -> None:
     worlds = played(name, 2)
@@ -118,19 +118,6 @@ def test_a_world_goes_on_the_same_in_another_process(tmp_path: Path, name: str) 
     command = [sys.executable, "-c", ELSEWHERE, str(tmp_path / "saved"), str(tmp_path / "told")]
     subprocess.run(command, check=True, cwd=Path(__file__).parents[2])
     assert pickle.loads((tmp_path / "told").read_bytes()) == told
-
-
-def test_what_is_saved_stays_as_it_was_and_can_be_put_back_again() -> None:
-    worlds = played("thesis", 2)
-    saved = worlds.save(0)
-    kept = bits(saved.worlds, saved.players, saved.monsters)
-    actions = plan(worlds, 100)
-    tolds = []
-    for _ in range(3):
-        worlds.restore(0, saved)
-        tolds.append(go_on(worlds, 0, actions))
-    assert tolds[0] == tolds[1] == tolds[2]
-    assert bits(saved.worlds, saved.players, saved.monsters) == kept
 
 
 def test_a_world_of_other_levels_or_characters_is_refused(pit: str) -> None:
@@ -166,14 +153,6 @@ def test_a_world_in_which_nothing_has_begun_is_not_saved() -> None:
         Worlds(2).save(1)
     with pytest.raises(ValueError, match="no episode has begun in world 0"):
         PneumaEnv().save()
-
-
-def test_what_the_last_step_told_of_another_world_is_gone() -> None:
-    worlds = played("three players", 2)
-    assert worlds.present.any()
-    worlds.restore(1, worlds.save(0))
-    assert not worlds.present[1].any() and worlds.present[0].any()
-    assert np.isinf(worlds.events["distance"][1]).all() and not worlds.events["reward"][1].any()
 
 
 # --- Copies of everything ------------------------------------------------------------------------
@@ -252,15 +231,3 @@ def test_copied_environments_go_on_alike_and_apart(
     copied = duplicate(env)
     told = [play(copied, actions) for actions in later]
     assert [play(env, actions) for actions in later] == told
-
-
-@both_copies
-def test_an_environment_that_has_drawn_can_be_copied(arena: str, duplicate: Callable[[Any], Any]) -> None:
-    env = gymnasium.make(THESIS, level=arena, render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = np.asarray(env.render())
-    copied = duplicate(env)
-    assert np.array_equal(np.asarray(copied.render()), frame)
-    copied.step(3)
-    assert not np.array_equal(np.asarray(copied.render()), frame)
-    assert np.array_equal(np.asarray(env.render()), frame)

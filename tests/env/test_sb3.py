@@ -13,7 +13,7 @@ from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.errors import UserError
 
-from .arena import ATTACK, GODOT, RIGHT
+from .arena import ATTACK, RIGHT
 
 N = 4
 
@@ -124,15 +124,6 @@ def test_what_is_no_action_for_each_slot_is_refused(actions: Any) -> None:
 # --- Seeds, options and attributes ---------------------------------------------------------------
 
 
-def test_settings_may_be_keywords_with_a_number_of_slots_and_a_seed() -> None:
-    env = PneumaVecEnv(4, seed=7, players=2, episode_steps=50)
-    assert (env.num_envs, len(env.state), env.state.config.episode_steps) == (4, 2, 50)
-    listed = PneumaVecEnv([7, 8], make_env_config({"players": 2, "episode_steps": 50}))
-    assert np.array_equal(env.reset(), listed.reset())
-    assert not np.array_equal(PneumaVecEnv(8).reset(), PneumaVecEnv(8).reset())  # of no seed
-    assert PneumaVecEnv(1, env_id=GODOT).state.config == make_env_config({}, GODOT)
-
-
 @pytest.mark.parametrize(
     ("arguments", "settings", "told"),
     [
@@ -150,17 +141,6 @@ def test_worlds_that_cannot_be_made_are_told_in_one_line(
     with pytest.raises(UserError) as caught:
         PneumaVecEnv(*arguments, **settings)
     assert told in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_picture_holds_a_picture_of_every_slot() -> None:
-    env = PneumaVecEnv(4, seed=0, render_mode="rgb_array")
-    env.reset()
-    images = env.get_images()
-    assert len(images) == 4 and images[0].shape == images[3].shape
-    picture = env.render()
-    assert picture is not None and picture.shape[0] == 2 * images[0].shape[0]
-    assert np.array_equal(picture[: images[0].shape[0], : images[0].shape[1]], images[0])
-    assert env.metadata["render_fps"] == 8
 
 
 def test_what_is_handed_out_is_not_overwritten() -> None:

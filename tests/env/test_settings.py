@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pneuma.config import EnvConfig, make_env_config
@@ -43,20 +41,9 @@ def test_of_a_random_levels_name_the_part_that_is_wrong_is_told(level: str, told
     assert str(caught.value).startswith(told)
 
 
-def test_names_may_be_one_text_with_commas_as_the_command_line_has_them() -> None:
-    config = make_env_config({"players": 2, "classes": "tank,mage", "reward": "thesis,kills"})
-    assert (config.classes, config.reward) == (("tank", "mage"), ("thesis", "kills"))
-
-
 def test_a_configuration_made_by_hand_is_checked_and_filled_as_well() -> None:
     by_hand = EnvConfig(classes="tank", reward="kills")  # type: ignore[arg-type]
     assert Worlds(1, by_hand).config == make_env_config({"classes": "tank", "reward": "kills"})
     assert Worlds(1, EnvConfig()).config == Worlds(1).config == make_env_config({})
     with pytest.raises(UserError, match='order = "random" is not allowed'):
         Worlds(1, EnvConfig(order="random"))
-
-
-def test_characters_may_lie_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "mine.toml").write_text("[players.base]\nhp = 30\n")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert Worlds(1, make_env_config({"characters": "~/mine.toml"})).player_stats["hp"].tolist() == [30]

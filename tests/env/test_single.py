@@ -43,15 +43,6 @@ def threatened(env: PneumaEnv, hp: float) -> None:
 # --- The contract --------------------------------------------------------------------------------
 
 
-def test_what_is_handed_out_is_not_overwritten() -> None:
-    env = make()
-    first, _ = env.reset(seed=0)
-    kept = first.copy()
-    second, *_ = env.step(np.int64(RIGHT))
-    assert np.array_equal(first, kept)
-    assert not np.array_equal(first, second)
-
-
 # --- Starts --------------------------------------------------------------------------------------
 
 

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 from .arena import ATTACK, RIGHT
 
@@ -38,26 +36,6 @@ def stand(env: PneumaVectorEnv) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
 
 
 # --- Which slot is whom --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("slots", "players"), [(3, 2), (1, 2), (8, 3), (0, 1), (-2, 2)])
-def test_slots_that_are_no_multiple_of_the_players_are_refused(slots: int, players: int) -> None:
-    with pytest.raises(UserError) as caught:
-        PneumaVectorEnv(slots, players=players)
-    assert str(caught.value).startswith(
-        f"num_envs = {slots} is not allowed: a multiple of the {players} players"
-    )
-
-
-def test_every_slot_observes_within_the_batchs_space() -> None:
-    """The classes differ, and with them the greatest HP, in raw points."""
-    for classes in (["base", "tank"], ["tank", "base"]):
-        env = PneumaVectorEnv(4, players=2, classes=classes, scale="raw")
-        observations, _ = env.reset(seed=0)
-        assert env.observation_space.contains(observations)
-        learner = PneumaVecEnv([0], env.state.config)
-        for observation in learner.reset():
-            assert learner.observation_space.contains(observation)
 
 
 # --- Death and idleness --------------------------------------------------------------------------

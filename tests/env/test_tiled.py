@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.env import rules
 
-from .arena import layer, write_level
+from .arena import write_level
 from .isle import BAMBOO, EMPTY, ENTITIES, GROUND, START, complaint, load, write_folder
 
 OPEN, SOLID, COAST = rules.OPEN, rules.SOLID, rules.COAST
@@ -39,18 +39,6 @@ def test_the_header_says_where_the_land_ends(folder: Path) -> None:
     assert (level.title, level.left, level.top) == ("Other", -80.0, -40.0)
     assert np.argwhere(level.terrain == COAST).tolist() == [[2, 0], [2, 1]]
     assert level.monsters == (("bamboo", 200.0, 160.0),)  # tile (3, 2): 3.5 x 80 - 80, 2.5 x 80 - 40
-
-
-@pytest.mark.parametrize(
-    "name", ["obstacles", "island_Obstacles", "FLOORBLOCKS", "my map-Blocks", "a.b Floor Blocks"]
-)
-def test_the_last_word_of_a_files_name_says_which_layer_it_is(folder: Path, name: str) -> None:
-    blocks = EMPTY.copy()
-    blocks[1, 2] = 395
-    write_folder(folder, FloorBlocks=None)
-    (folder / f"{name}.CSV").write_text(layer(blocks))
-    (folder / "map_Grass.csv").write_text("not a layer of ours")
-    assert np.argwhere(load(folder).terrain == SOLID).tolist() == [[1, 2]]
 
 
 @pytest.mark.parametrize("flags", range(16))
@@ -96,13 +84,6 @@ def test_more_than_1000_tiles_a_side_are_refused(folder: Path, shape: tuple[int,
     message = complaint(write_folder(folder, FloorBlocks=np.full(shape, -1)))
     told = f"{shape[0]} x {shape[1]} tiles; at most 1000 a side are allowed"
     assert message == f"{folder / 'map_FloorBlocks.csv'}: {told}"
-
-
-@pytest.mark.parametrize("name", ["Ground", "Entities"])
-def test_layers_of_unequal_size_are_refused(folder: Path, name: str) -> None:
-    tiles = ENTITIES if name == "Entities" else GROUND
-    message = complaint(write_folder(folder, **{name: tiles[:, :3]}))
-    assert "3 x 3" in message and "3 x 4" in message and str(folder) in message
 
 
 @pytest.mark.parametrize(

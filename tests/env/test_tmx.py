@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
-from pneuma.env.level import level_files, load_level
+from pneuma.env.level import load_level
 
-from .isle import BAMBOO, ENTITIES, GROUND, START, complaint, load, write_folder
+from .isle import BAMBOO, ENTITIES, GROUND, START, complaint, load
 
 OPEN, SOLID, COAST = rules.OPEN, rules.SOLID, rules.COAST
 
@@ -177,12 +177,6 @@ def test_maps_that_cannot_be_read_are_told_why(folder: Path, changes: dict[str, 
     assert complaint(path).startswith(f"{path}{separator}{told}")
 
 
-def ids_but(row: int, column: int, tile: int) -> np.ndarray:
-    ids = ENTITY_IDS.copy()
-    ids[row, column] = tile
-    return ids
-
-
 @pytest.mark.parametrize(
     ("item", "told"),
     [
@@ -202,14 +196,3 @@ def test_objects_of_a_map_that_cannot_be_are_named(folder: Path, item: str, told
 
 
 # --- Which files a level depends on --------------------------------------------------------------
-
-
-def test_a_level_depends_on_its_layers_and_its_header(folder: Path) -> None:
-    write_folder(folder, Ground=GROUND, Grass=GROUND)
-    (folder / "notes.txt").write_text("")
-    names = ["map_Entities.csv", "map_FloorBlocks.csv", "map_Ground.csv"]
-    assert level_files(str(folder)) == [folder / name for name in names]
-    (folder / "level.toml").write_text("")
-    assert level_files(str(folder)) == [folder / "level.toml", *(folder / name for name in names)]
-    path = write_map(folder)
-    assert level_files(str(path)) == [path]

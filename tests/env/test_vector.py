@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
@@ -12,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 
-from .arena import ATTACK, RIGHT
+from .arena import ATTACK
 
 N = 4
 MODES = list(AutoresetMode)
@@ -75,21 +74,6 @@ def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: A
     assert terminations > 10 and truncations > 10
 
 
-def test_gymnasium_makes_it_with_settings_and_a_mode() -> None:
-    env = gymnasium.make_vec(
-        "pneuma/Pneuma-v0",
-        num_envs=2,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        episode_steps=2,
-    )
-    env.reset(seed=0)
-    env.step(np.array([ATTACK, ATTACK]))
-    *_, truncated, infos = env.step(np.array([ATTACK, ATTACK]))
-    assert truncated.tolist() == [True, True]
-    assert infos["final_info"]["ending"].tolist() == ["time-limit"] * 2
-
-
 # --- Seeds ---------------------------------------------------------------------------------------
 
 
@@ -123,13 +107,3 @@ def test_with_autoreset_disabled_an_ended_world_must_be_reset_by_hand() -> None:
         env.step(np.array([ATTACK, ATTACK]))
     env.reset(options={"reset_mask": np.array([False, True])})
     env.step(np.array([ATTACK, ATTACK]))
-
-
-def test_what_is_handed_out_is_not_overwritten() -> None:
-    env = PneumaVectorEnv(2)
-    first, _ = env.reset(seed=0)
-    second, rewards, *_ = env.step(np.array([RIGHT, RIGHT]))
-    kept = first.copy(), second.copy(), rewards.copy()
-    env.state.players["xp"] = 3
-    env.step(np.array([RIGHT, RIGHT]))
-    assert all(np.array_equal(a, b) for a, b in zip((first, second, rewards), kept, strict=True))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.worlds import ENDINGS, Worlds
 
@@ -23,8 +21,6 @@ from .arena import (
     play,
     player_hp,
     stage,
-    state_bits,
-    write_level,
 )
 
 
@@ -42,24 +38,6 @@ class Mixed:
         actions = self.hunter.act(worlds)
         actions[::2] = self.stride[::2]
         return actions
-
-
-def assert_same_play(worlds: Worlds, others: Worlds, steps: int, seed: int = 0) -> None:
-    """Play both alike, resetting what ends, and compare every bit of every step."""
-    mixed = Mixed(worlds, seed)
-    kills = lost = 0
-    for step in range(steps):
-        actions = mixed.act(worlds)
-        ended = worlds.step(actions)
-        assert others.step(actions) == ended
-        kills += int(worlds.events["kills"].sum())
-        lost += int(worlds.events["hp_lost"].sum())
-        assert state_bits(worlds) == state_bits(others), step
-        if ended:
-            over = worlds.worlds["ending"] != 0
-            worlds.reset(over)
-            others.reset(over)
-    assert kills > 10 and lost > 100  # much has happened
 
 
 # --- Laws ----------------------------------------------------------------------------------------
@@ -112,12 +90,6 @@ def test_a_chosen_start_is_taken_and_draws_no_number() -> None:
 
 
 # --- Several players -----------------------------------------------------------------------------
-
-
-def test_players_take_start_places_one_after_another() -> None:
-    worlds = Worlds(1, make_env_config({"players": 3}))
-    worlds.reset(starts=np.array([4]))
-    assert worlds.players["x"][0].tolist() == [-918, -47, 204]  # places 4, 5 and, around, 0
 
 
 def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str) -> None:
@@ -178,37 +150,6 @@ def test_bodies_that_are_nowhere_are_refused(bodies: str, field: str, value: flo
     getattr(worlds, bodies)[field][1] = value
     with pytest.raises(ValueError, match=told):
         worlds.observe()
-
-
-def test_dead_players_are_somewhere_too() -> None:
-    """Their masks are written as if they lived."""
-    worlds = begin(1, players=2)
-    worlds.players[0, 1] = (np.nan, *worlds.players[0, 1].tolist()[1:])
-    worlds.players["hp"][0, 1] = 0.0
-    with pytest.raises(ValueError, match="players: x or y lies off the grid"):
-        worlds.observe()
-
-
-@pytest.mark.parametrize("speed", [5.1, -1e9, np.nan])
-def test_flights_faster_than_anybody_are_refused(speed: float) -> None:
-    """The fastest is the player, who walks 5 pixels a tick."""
-    worlds = begin(1)
-    worlds.monsters["knocked"][0, 0], worlds.monsters["knock_y"][0, 0] = 5, -5.0
-    worlds.observe()
-    worlds.monsters["knock_y"][0, 0] = speed
-    with pytest.raises(ValueError, match="monsters: knock_y is beyond 5 pixels a tick"):
-        worlds.observe()
-
-
-def test_before_its_first_reset_a_world_is_on_the_grid(tmp_path: Path) -> None:
-    """Whichever is reset, all are observed; this grid begins a long way from the origin."""
-    level = Path(write_level(tmp_path, [(58_000_000.0, 58_000_000.0)], []))
-    (level / "level.toml").write_text("origin = [-906240, -906240]\n")
-    worlds = Worlds(2, make_env_config({"level": str(level)}))
-    worlds.reset(np.array([True, False]))
-    left, top, right, bottom = worlds.level.grid
-    x, y = worlds.players["x"], worlds.players["y"]
-    assert ((left < x) & (x < right) & (top < y) & (y < bottom)).all()
 
 
 def test_who_is_left_is_counted_anew() -> None:

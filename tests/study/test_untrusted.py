@@ -86,10 +86,7 @@ def test_a_folder_that_is_a_link_out_of_the_results_is_not_written_to(store: Sto
 
 RUNS_CODE = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "yaml"}
 
-
-OWN_PROCESSES = {PACKAGE / "env" / "agreement.py"}
-"""Modules that pickle what they hand to a process of their own; they read no file."""
-MODULES = sorted(set(PACKAGE.rglob("*.py")) - OWN_PROCESSES)
+MODULES = sorted(PACKAGE.rglob("*.py"))
 READS_TEXT = {"tomllib.load", "json.load"}
 
 
