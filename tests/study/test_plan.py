@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, differing_settings, make_plan
+from pneuma.study.plan import Selection, differing_fields, make_plan
 from pneuma.study.spec import Study, load_study
 
 STUDY = """\
@@ -136,7 +136,7 @@ def test_a_selection_that_means_nothing_is_refused(study: Study, selection: Sele
 
 
 def test_what_differs_between_conditions_is_told(study: Study) -> None:
-    differing = differing_settings(make_plan(study, Selection(conditions=("adam", "sgd"))))
+    differing = differing_fields(make_plan(study, Selection(conditions=("adam", "sgd"))))
     # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0
     assert differing == {
         "optimizer": {"adam": "adam", "sgd": "sgd"},
@@ -148,7 +148,7 @@ def test_what_differs_between_conditions_is_told(study: Study) -> None:
 
 
 def test_nothing_differs_between_one_configuration_and_itself(study: Study) -> None:
-    assert differing_settings(make_plan(study, Selection(conditions=("adam", "also-adam")))) == {}
+    assert differing_fields(make_plan(study, Selection(conditions=("adam", "also-adam")))) == {}
 
 
 # --- Presets of single conditions ------------------------------------------------------------------
