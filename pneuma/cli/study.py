@@ -62,7 +62,7 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
         return _show_record(study_record(Store(results), name, None, world), json)
     study = spec.load_study(name, world)
     selection = plan.Selection(preset=next(iter(study.presets), "quick"))
-    differing = plan.differing_settings(plan.make_plan(study, selection))
+    differing = plan.differing_fields(plan.make_plan(study, selection))
     if json:
         return print_json(
             {

@@ -110,7 +110,7 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
     """Print a line for each condition, and the sums of all."""
     for note in planned.notes:
         print(f"Note: {note}.")
-    for key, values in plan.differing_settings(planned).items():
+    for key, values in plan.differing_fields(planned).items():
         print(f"Conditions differ in {key}: {by_value(values)}")
     width = max(len(condition) for condition in planned.conditions)
     for condition in planned.conditions:

@@ -15,8 +15,8 @@ def run_id(run: Run) -> str:
     """Return 16 hexadecimal digits that two runs share only if they end with the same bits.
 
     Hashed are the resolved configuration with its seed and budget, the contents of the user's own
-    files (not their paths), and the versions of rules and engine; not the study's name. A setting at
-    its default is left out, so that a new setting leaves old names alone; a default that changes
+    files (not their paths), and the versions of rules and engine; not the study's name. A field at
+    its default is left out, so that a new field leaves old names alone; a default that changes
     must therefore raise a version.
     """
     usual = as_fields(Run())

@@ -14,7 +14,7 @@ PROCESSOR, PACKAGES = "other processor", "other packages"
 
 
 def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the ids of those runs that have a provenance, each with it; it may be a stranger's.
+    """Yield the ids of those runs that have a provenance, each with it; it may be untrusted.
 
     One at a time: a run that was requeued every hour tells of hundreds of machines.
     """

@@ -92,7 +92,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     """Resolve a selection of a study.
 
     Raises:
-        UserError: for an unknown preset or condition, or settings that do not go together.
+        UserError: for an unknown preset or condition, or fields that do not go together.
     """
     names = _conditions(study, selection.conditions)
     amounts = _amounts(study, selection.preset or "quick")
@@ -101,7 +101,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
     names = tuple(name for name in names if name in amounts)
     steps = {name: selection.steps or amounts[name].steps for name in names}
-    over = _settings(selection.settings or {})
+    over = _fields(selection.settings or {})
     if selection.engine:
         over["engine"] = read_field(Run, "engine", selection.engine)
     runs = {name: make_run(study.fields(name, {"steps": steps[name], **over})) for name in names}
@@ -119,14 +119,14 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     )
 
 
-def differing_settings(plan: Plan) -> dict[str, dict[str, Any]]:
-    """Return, for every setting in which the conditions differ, its value by condition."""
+def differing_fields(plan: Plan) -> dict[str, dict[str, Any]]:
+    """Return, for every field in which the conditions differ, its value by condition."""
     resolved = {cell.condition: as_fields(cell.run) for cell in plan.cells}
     some = next(iter(resolved.values()))
     return {
-        key: {name: settings[key] for name, settings in resolved.items()}
+        key: {name: own[key] for name, own in resolved.items()}
         for key in some
-        if key != "seed" and any(settings[key] != some[key] for settings in resolved.values())
+        if key != "seed" and any(own[key] != some[key] for own in resolved.values())
     }
 
 
@@ -152,11 +152,11 @@ def _amounts(study: Study, presets: str) -> dict[str, Preset]:
     return found
 
 
-def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def _fields(given: Mapping[str, Any]) -> dict[str, Any]:
     for key, option in _SET_ELSEWHERE.items():
-        if key in settings:
+        if key in given:
             raise UserError(f"{key} cannot be set by --set: use {option}")
-    return {key: read_field(Run, key, value) for key, value in settings.items()}
+    return {key: read_field(Run, key, value) for key, value in given.items()}
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}

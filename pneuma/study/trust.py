@@ -1,4 +1,4 @@
-"""What of a stranger's settings would run code or read files outside of the results folder."""
+"""What of an untrusted run's fields would run code or read files outside of the results folder."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
 
 
-def own_things(settings: Mapping[str, object]) -> dict[str, str]:
-    """Return what settings name that is not shipped, by key: what would be done with it.
+def own_things(fields: Mapping[str, object]) -> dict[str, str]:
+    """Return what fields name that is not shipped, by key: what would be done with it.
 
     Nothing is imported or opened to tell.
 
@@ -19,9 +19,9 @@ def own_things(settings: Mapping[str, object]) -> dict[str, str]:
         UserError: for a value that is not allowed.
     """
     read = {
-        key: read_field(Run, key, settings[key])
+        key: read_field(Run, key, fields[key])
         for key in (REWARD, LEVEL, CHARACTERS)
-        if settings.get(key) is not None
+        if fields.get(key) is not None
     }
     custom = own_rewards(read.get(REWARD, ()))
     found = {REWARD: f"run the reward {', '.join(custom)}"} if custom else {}

@@ -99,12 +99,6 @@ def test_joined_presets_have_the_seeds_of_both(tmp_path: Path) -> None:
     assert {cell.run_id for cell in both.cells} == alone
 
 
-def test_options_go_over_it_as_over_any_preset(tmp_path: Path) -> None:
-    plan = make_plan(_study(tmp_path), Selection("claims", (3,), 256, conditions=("high", "low")))
-    assert _seeds(plan) == {"low": [3], "high": [3]}
-    assert {cell.run.steps for cell in plan.cells} == {256}
-
-
 @pytest.mark.parametrize(
     ("selection", "words"),
     [

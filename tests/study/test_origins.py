@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +43,6 @@ def test_what_was_trained_otherwise_than_most_is_marked_in_a_word() -> None:
     assert unusual_origins([("a", origin(MILAN))]) == unusual_origins([]) == {}
 
 
-def test_the_order_of_packages_is_no_difference() -> None:
-    two = {**MILAN, "packages": {"jax": "1", "numpy": "2"}}
-    other = {**MILAN, "packages": {"numpy": "2", "jax": "1"}}
-    assert unusual_origins([("a", origin(two)), ("b", origin(other))]) == {}
-
-
 def test_a_gpu_is_another_processor_and_so_is_a_way_over_two() -> None:
     gpu = {**MILAN, "device": "gpu: NVIDIA H200"}
     told = {"a": origin(MILAN), "b": origin(MILAN), "c": origin(gpu), "d": origin(XEON, MILAN)}
@@ -61,24 +54,13 @@ def test_of_two_as_frequent_the_earlier_is_the_usual_one() -> None:
     assert unusual_origins([("a", late), ("b", early)]) == {"a": "other processor"}
 
 
-def test_a_strangers_provenance_is_no_trouble(tmp_path: Path) -> None:
+def test_an_untrusted_provenance_is_no_trouble(tmp_path: Path) -> None:
     for odd in ({}, {"attempts": 3}, {"attempts": [3, {"machine": []}]}, {"cpu": [1], "packages": 7}):
         unusual_origins([("a", odd), ("b", origin(MILAN))])
     store = Store(tmp_path)
     for i, told in enumerate((b"3", b"{", b'{"imported": true}', b'{"cpu": "x"}')):
         store.save_run(f"{i:016}", Status("done", 1), {"provenance.json": told})
     assert [*stored_origins(store, [f"{i:016}" for i in range(5)])] == [(f"{3:016}", {"cpu": "x"})]
-
-
-def test_marking_thousands_of_runs_holds_no_list_of_what_they_tell() -> None:
-    """A run here tells of fifty machines, some 30 kB; all of them would be 15 MB."""
-    tracemalloc.start()
-    try:
-        told = ((f"{i}", origin(*(dict(MILAN) for _ in range(50)))) for i in range(500))
-        assert unusual_origins(told) == {}
-        assert tracemalloc.get_traced_memory()[1] < 2_000_000
-    finally:
-        tracemalloc.stop()
 
 
 # --- Stored studies ----------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, differing_settings, make_plan
+from pneuma.study.plan import Selection, differing_fields, make_plan
 from pneuma.study.spec import Study, load_study
 
 STUDY = """\
@@ -67,20 +67,10 @@ def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
     assert first.run_id == third.run_id
 
 
-def test_different_conditions_are_not_a_a(study: Study) -> None:
-    plan = make_plan(study, Selection(conditions=("adam", "sgd")))
-    assert plan.same == ()
-    assert not [note for note in plan.notes if "A/A" in note]
-
-
 def test_a_rounded_budget_is_told(study: Study) -> None:
     # 195 horizons of 256 are 49,920, so 50,000 steps need 196
     notes = make_plan(study, Selection(conditions=("sgd",))).notes
     assert notes == ("50,000 steps are rounded up to 50,176, whole updates of 256",)
-
-
-def test_a_whole_budget_needs_no_word(study: Study) -> None:
-    assert make_plan(study, Selection(preset="paper", conditions=("sgd",))).notes == ()
 
 
 def test_options_go_over_the_preset(study: Study) -> None:
@@ -97,14 +87,6 @@ def test_a_setting_goes_over_every_condition(study: Study) -> None:
     assert {cell.run.horizon for cell in plan.cells} == {128}
     assert {cell.run.optimizer for cell in plan.cells} == {"rmsprop"}
     assert plan.same == (("adam", "sgd", "also-adam"),)  # now nothing tells them apart
-
-
-def test_a_setting_that_some_condition_reads_is_taken(study: Study) -> None:
-    momenta = {
-        cell.condition: cell.run.momentum
-        for cell in make_plan(study, Selection(settings={"momentum": 0.5})).cells
-    }
-    assert momenta == {"adam": None, "sgd": 0.5, "also-adam": None}
 
 
 def test_a_setting_that_no_condition_reads_is_refused(study: Study) -> None:
@@ -136,7 +118,7 @@ def test_a_selection_that_means_nothing_is_refused(study: Study, selection: Sele
 
 
 def test_what_differs_between_conditions_is_told(study: Study) -> None:
-    differing = differing_settings(make_plan(study, Selection(conditions=("adam", "sgd"))))
+    differing = differing_fields(make_plan(study, Selection(conditions=("adam", "sgd"))))
     # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0
     assert differing == {
         "optimizer": {"adam": "adam", "sgd": "sgd"},
@@ -145,10 +127,6 @@ def test_what_differs_between_conditions_is_told(study: Study) -> None:
         "momentum": {"adam": None, "sgd": 0.0},
         "dampening": {"adam": None, "sgd": 0.0},
     }
-
-
-def test_nothing_differs_between_one_configuration_and_itself(study: Study) -> None:
-    assert differing_settings(make_plan(study, Selection(conditions=("adam", "also-adam")))) == {}
 
 
 # --- Presets of single conditions ------------------------------------------------------------------
@@ -183,24 +161,3 @@ def test_a_preset_may_say_less_for_one_condition(tmp_path: Path) -> None:
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
         ("small", 5, 512), ("big", 5, 512),
     ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            "conditions.big]\ns",
-            "conditions.bgi]\ns",
-            "line 13: [presets.quick.conditions] unknown condition 'bgi'",
-        ),
-        ("steps = 1_024", "stps = 1_024", "line 15: [presets.quick.conditions.big] unknown key 'stps'"),
-        ("seeds = [1]", "seeds = 0", "line 14: [presets.quick.conditions.big] seeds = 0 is not allowed"),
-    ],
-)
-def test_a_mistake_in_a_conditions_own_preset_is_told(old: str, new: str, words: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    assert OWN_PRESET.count(old) == 1
-    path.write_text(OWN_PRESET.replace(old, new), encoding="utf-8")
-    with pytest.raises(UserError) as refused:
-        load_study(str(path))
-    assert words in str(refused.value)
