@@ -17,10 +17,9 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.claimed import CLAIMS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
 from pneuma.study.plan import Selection
-from pneuma.study.spec import MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.worlds import TEXT, WORLDS
 
 

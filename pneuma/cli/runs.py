@@ -21,7 +21,7 @@ from pneuma.study import stored_runs
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import ListedRun, StoredRun
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
@@ -235,4 +235,4 @@ def _row(run: StoredRun | ListedRun, seed: Any) -> dict[str, Any]:
 
 def _value(value: object) -> str:
     """Write a value for people."""
-    return plain(json_module.dumps(value) if isinstance(value, dict) else shown_setting(value))
+    return plain(json_module.dumps(value) if isinstance(value, dict) else shown_value(value))

@@ -18,7 +18,6 @@ from pneuma.cli.study_output import check_choice
 from pneuma.errors import counted
 from pneuma.study.spec import studies_folder
 from pneuma.study.store import Store
-from pneuma.study.toml_file import read_toml
 from pneuma.worlds import TEXT, world_option
 
 if TYPE_CHECKING:
@@ -40,6 +39,8 @@ app.command(short_help="Train winners of searches on fresh seeds.")(search_run.p
 @app.command("list")
 def list_(json: Json = False) -> None:
     """List the shipped searches."""
+    from pneuma.schema import read_toml
+
     files = sorted((studies_folder() / "search").glob("*.toml"))
     return print_listed("search", {path.stem: read_toml(path).data for path in files}, json)
 

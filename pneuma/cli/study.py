@@ -9,8 +9,7 @@ from typing import Any
 import typer
 
 from pneuma.cli import (
-    study_effects,
-    study_map,
+    study_crossed,
     study_output,
     study_plot,
     study_run,
@@ -23,12 +22,11 @@ from pneuma.cli.options import Json, Results, StudyName, WorldName, print_json, 
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, study_record
 from pneuma.cli.study_run import by_value
-from pneuma.config import as_settings, make_run
-from pneuma.study import claimed, plan, spec
-from pneuma.study.definition import Preset
+from pneuma.config import as_fields, make_run
+from pneuma.study import plan, spec
+from pneuma.study.spec import Preset
 from pneuma.study.store import Store
-from pneuma.study.toml_file import read_toml
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -42,8 +40,8 @@ app.command()(study_output.export)
 app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
-app.command(short_help="Say in which other settings a contrast holds.")(study_map.robustness)
-app.command(short_help="Test what matters where settings are crossed.")(study_effects.effects)
+app.command(short_help="Say in which other settings a contrast holds.")(study_crossed.robustness)
+app.command(short_help="Test what matters where settings are crossed.")(study_crossed.effects)
 app.command(short_help="Say where trained policies go, and how that ends.")(study_trajectories.trajectories)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
@@ -51,6 +49,8 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 @app.command("list")
 def list_(json: Json = False) -> None:
     """List the shipped studies."""
+    from pneuma.schema import read_toml
+
     tables = {name: read_toml(spec.studies_folder() / f"{name}.toml").data for name in spec.list_studies()}
     return print_listed("study", tables, json)
 
@@ -74,7 +74,7 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
                 "world": study.world,
                 "worlds": list(study.worlds),
                 "baseline": study.baseline,
-                "conditions": {c: study.settings(c) for c in study.conditions},
+                "conditions": {c: study.fields(c) for c in study.conditions},
                 "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
             }
         )
@@ -87,13 +87,15 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
     print(f"Compared with: {plain(study.baseline)}")
     print(f"Runs in: {', '.join(study.worlds)} (here {study.world})")
     print("\nAll conditions share:")
-    for key, value in as_settings(make_run(study.settings(study.baseline))).items():
+    for key, value in as_fields(make_run(study.fields(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):
-            print(f"  {key} = {plain(shown_setting(value))}")
+            print(f"  {key} = {plain(shown_value(value))}")
     print("\nPresets:")
     for preset, amount in study.presets.items():
         _print_amounts(preset, {"": amount, **amount.conditions})
-    _print_amounts(claimed.CLAIMS, claimed.fixed_amounts(study))
+    from pneuma.study.claimed import fixed_amounts
+
+    _print_amounts(spec.CLAIMS, fixed_amounts(study))
     return None
 
 

@@ -15,7 +15,7 @@ from pneuma.analysis.curves import Curve
 from pneuma.analysis.references import have_one_return, reference_levels, shared_levels
 from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
-from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
+from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.errors import UserError
 from pneuma.figures.looks import MOST_IN_A_PANEL
 from pneuma.figures.panel import ABOVE_ALL, far_references, highest_point, is_log, shows_runs

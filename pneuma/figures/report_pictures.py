@@ -9,9 +9,9 @@ from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
 
+from pneuma.analysis.crossed import Map
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import Map
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
@@ -20,7 +20,7 @@ from pneuma.figures.robustness import draw_robustness, study_maps
 from pneuma.figures.shrink import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
@@ -91,7 +91,7 @@ def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> I
 
 def _asked(found: Map) -> str:
     """Return a map's contrast as the option takes it."""
-    return f"{found.setting}={':'.join(map(shown_setting, found.values))}".replace(", ", ",")
+    return f"{found.setting}={':'.join(map(shown_value, found.values))}".replace(", ", ",")
 
 
 def _source(draw: Draw) -> str:

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import (
+from pneuma.analysis.crossed import (
     CONDITIONAL,
     HOLDS,
     OPEN,
@@ -26,6 +25,7 @@ from pneuma.analysis.robustness import (
     Map,
     robustness_map,
 )
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.captions import headline_of, step_told
@@ -33,7 +33,7 @@ from pneuma.figures.panel import whole_ticks
 from pneuma.figures.sizes import SIZES
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.figures.words import Entry, Words, counts_told
-from pneuma.values import shown_level, shown_setting
+from pneuma.values import shown_level, shown_value
 
 SIZE = SIZES["page"]
 ROW_INCHES, AROUND_INCHES = 0.19, 0.85
@@ -156,7 +156,7 @@ def _draw_map(axes: Axes, found: Map, places: Mapping[Levels, int]) -> None:
     axes.axvline(0, color="#333333", linewidth=0.8)
     for cell in found.cells:
         _draw_cell(axes, cell, places[cell.levels])
-    better, worse = map(shown_setting, found.values)
+    better, worse = map(shown_value, found.values)
     axes.set_title(f"{_reads(found.setting)}:\n{found.label}", fontsize=SIZE.type_points)
     axes.set_xlabel(f"{better}\nless {worse}")
     axes.tick_params(axis="y", length=0)
