@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import make_run
-from pneuma.env.own_modules import module_files
+from pneuma.env.reward import module_files
 from pneuma.study.identity import run_id
 
 BODY = "def reward(events, players, stats):\n    return events['xp_gained']\n"
