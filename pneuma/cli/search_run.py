@@ -190,7 +190,8 @@ def _task(
 ) -> Task:
     """Return the search and budget that options ask for."""
     from pneuma.config import Run, read_field
-    from pneuma.search.spec import FIXABLE, load_search
+    from pneuma.search.space import FIXABLE
+    from pneuma.search.spec import load_search
     from pneuma.search.trials import Task
 
     search = load_search(name, world)

@@ -24,8 +24,10 @@ where no monster lives.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import redirect_stdout
@@ -36,7 +38,6 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules
-from pneuma.env.own_modules import module_files, module_in
 from pneuma.errors import UserError
 
 REWARD_CODES = {
@@ -216,29 +217,75 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
     return np.where(present(events)[..., None], parts, 0.0).astype(np.float32)
 
 
-# --- Where a user's own reward went wrong -----------------------------------------------------------
+# --- Which files a user's own module is made of ------------------------------------------------------
+# Found by reading the import statements, not by running them. What is installed is not a user's own.
 
 
-def blame_reward(error: BaseException, rewards: Sequence[str]) -> UserError | None:
-    """Return what to tell a user whose reward raised an error, or None if none of them did.
+def module_files(name: str, path: Path) -> list[Path]:
+    """Return the source files of a module: its own first, then those that it imports, sorted.
+
+    Followed are imports, wherever they stand in a file, of modules that lie under the folder that holds
+    the module or, where it is part of a package, the whole package; not those of Pneuma.
 
     Args:
-        error: what was caught; the errors that led to it are looked at too.
-        rewards: names as in a configuration; those of `module:function` are a user's own.
+        name: of the module, in full.
+        path: of its file.
     """
-    modules = {name.partition(":")[0]: name for name in rewards if ":" in name}
-    for each in _chain(error):
-        for frame, line in reversed(list(traceback.walk_tb(each.__traceback__))):
-            name = modules.get(frame.f_globals.get("__name__", ""))
-            if name:
-                said = " ".join(str(each).split())
-                told = f"{type(each).__name__}: {said}" if said else type(each).__name__
-                return UserError(f"reward {name!r}: {frame.f_code.co_filename}, line {line}: {told}")
-    return None
+    packages = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    if len(path.parents) <= len(packages):
+        return [path]
+    root = path.parents[len(packages)]
+    own = root / packages[0] if packages and _is_installed(root) else root
+    if _is_installed(own):
+        return [path]
+    found = {path: ".".join(packages)}
+    waiting = [path]
+    while waiting:
+        file = waiting.pop()
+        for imported in (name, *_imports(file, found[file])):  # importing a module imports its packages
+            for each, package in _files_of(root, imported):
+                if each not in found and each.is_relative_to(own):
+                    found[each] = package
+                    waiting.append(each)
+    return [path, *sorted(found.keys() - {path})]
 
 
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and those that it was raised from or while handling."""
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
+def module_in(folder: Path, name: str) -> Path | None:
+    """Return the file of a module that importing its full name would find in a folder; None without one."""
+    place = folder.joinpath(*name.split("."))
+    return next((file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()), None)
+
+
+def _imports(path: Path, package: str) -> Iterator[str]:
+    """Yield the full names that a file's import statements may load."""
+    try:
+        tree = ast.parse(path.read_bytes())
+    except (OSError, SyntaxError, ValueError, RecursionError):  # compiled, or not to be read
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            start = ".".join([*above, *([node.module] if node.module else [])])
+            yield start
+            yield from (f"{start}.{alias.name}" for alias in node.names)
+
+
+def _files_of(root: Path, name: str) -> Iterator[tuple[Path, str]]:
+    """Yield the files, each with its package, that importing a name loads from a folder."""
+    parts = [part for part in name.split(".") if part.isidentifier()]
+    if parts[:1] == ["pneuma"]:
+        return
+    for length in range(1, len(parts) + 1):
+        place = root.joinpath(*parts[:length])
+        if (place / "__init__.py").is_file():
+            yield place / "__init__.py", ".".join(parts[:length])
+        elif place.with_suffix(".py").is_file():
+            yield place.with_suffix(".py"), ".".join(parts[: length - 1])
+
+
+def _is_installed(folder: Path) -> bool:
+    """Tell whether a folder holds what was installed, or comes with Python."""
+    paths = sysconfig.get_paths()
+    return folder.resolve() in {Path(paths[key]).resolve() for key in ("stdlib", "purelib", "platlib")}

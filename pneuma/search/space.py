@@ -6,17 +6,25 @@ network. It may hang on another: a momentum counts only where the optimizer has 
 
 from __future__ import annotations
 
+import json
 import random
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
-from pneuma.config import ENVIRONMENTS, Run, as_fields, make_run, read_fields
+from annotated_types import MinLen
+
+from pneuma.config import ENVIRONMENTS, FORK_FIELDS, Run, as_fields, make_run, read_field, read_fields
 from pneuma.env_fields import ENVIRONMENT_FIELDS
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
+from pneuma.schema import FieldsOf, Table, TomlFile, Where, read_model, shown
 from pneuma.study.spec import does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
+FIXABLE = FieldsOf(Run, {"seed": "a preset", "steps": "a preset"} | dict.fromkeys(FORK_FIELDS, "`run fork`"))
+"""Fields of a run that a search may fix for all its trials."""
+SETTABLE = FieldsOf(Run, {**FIXABLE.elsewhere, "engine": "[run]"})
+"""Those that it may vary."""
 Params = Mapping[str, Any]
 """What is suggested for a trial: numbers, and the names of choices."""
 
@@ -209,3 +217,103 @@ def usual_fields(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
 
 def _agree(own: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
     return all(as_tuple(given.get(key)) == as_tuple(value) for key, value in own.items())
+
+
+# --- From a file -----------------------------------------------------------------------------------
+
+
+class RangeTable(Table):
+    """[space.FIELD] with two ends."""
+
+    low: Any
+    high: Any
+    log: bool = False
+    when: dict[str, Any] = {}
+
+
+class ChoicesTable(Table):
+    """[space.FIELD] with a list of values."""
+
+    choices: Annotated[tuple[Any, ...], MinLen(2)]
+    when: dict[str, Any] = {}
+
+
+class BundlesTable(Table):
+    """[space.NAME] with tables of several fields each."""
+
+    choices: Annotated[dict[str, Annotated[dict[str, Any], SETTABLE]], MinLen(2)]
+    when: dict[str, Any] = {}
+
+
+def read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:
+    """Read [space.NAME], which may hang on the parameters before it.
+
+    Raises:
+        UserError: naming file, line, key, value and what is allowed.
+    """
+    where = ("space", name)
+    data = file.table(where)
+    if isinstance(data.get("choices"), dict):
+        bundles = read_model(BundlesTable, file, where)
+        return Parameter(name, Choices(bundles.choices), _read_when(file, where, bundles.when, before))
+    if name not in SETTABLE.names:
+        told = f"{unknown_name('parameter', name, SETTABLE.names)}; or give it choices of fields"
+        raise file.mistake(where, told)
+    if "choices" in data:
+        listed = read_model(ChoicesTable, file, where)
+        values = [_field(file, where, "choices", name, value) for value in listed.choices]
+        choices = {_name(value): {name: value} for value in values}
+        if len(choices) < len(values):
+            raise file.mistake(
+                where, f"choices = {shown(values)} is not allowed: different values", "choices"
+            )
+        return Parameter(name, Choices(choices), _read_when(file, where, listed.when, before))
+    ends = read_model(RangeTable, file, where)
+    low, high = (_field(file, where, key, name, getattr(ends, key)) for key in ("low", "high"))
+    if any(isinstance(value, bool) or not isinstance(value, int | float) for value in (low, high)):
+        raise file.mistake(where, f"{name} is no number: give choices")
+    if not low < high:
+        told = f"low = {shown(low)} is not below high = {shown(high)}: an empty range"
+        raise file.mistake(where, told, "low")
+    if ends.log and low <= 0:
+        raise file.mistake(where, f"low = {shown(low)} is not allowed with log: above 0", "low")
+    domain = Range(low, high, ends.log, whole=isinstance(low, int))
+    return Parameter(name, domain, _read_when(file, where, ends.when, before))
+
+
+def _field(file: TomlFile, where: Where, key: str, name: str, value: Any) -> Any:
+    """Return a key's value as a field of the run has it."""
+    try:
+        return read_field(Run, name, value)
+    except UserError as error:
+        raise file.mistake(where, str(error), key) from None
+
+
+def _read_when(
+    file: TomlFile, where: Where, when: Mapping[str, Any], before: Sequence[Parameter]
+) -> dict[str, tuple[Any, ...]]:
+    """Return at which values of earlier parameters, or of fields, a parameter counts."""
+    domains = {parameter.name: parameter.domain for parameter in before}
+    where, read = (*where, "when"), {}
+    for name, given in when.items():
+        if name not in domains and name in file.table(("space",)):
+            raise file.mistake(where, f"{name} is searched, too: [space.{name}] must stand before it", name)
+        if name not in domains and name not in SETTABLE.names:
+            known = [*domains, *SETTABLE.names]
+            raise file.mistake(where, str(unknown_name("parameter before it, or field", name, known)), name)
+        values, domain = given if isinstance(given, tuple) else (given,), domains.get(name)
+        if not values:
+            raise file.mistake(where, f"{name} = [] is not allowed: one value or more", name)
+        if isinstance(domain, Choices):
+            for value in values:
+                if _name(value) not in domain.settings_of:
+                    told = f"is no choice of [space.{name}]: {', '.join(domain.settings_of)}"
+                    raise file.mistake(where, f"{name} = {shown(value)} {told}", name)
+            read[name] = tuple(map(_name, values))
+        else:
+            read[name] = tuple(_field(file, where, name, name, value) for value in values)
+    return read
+
+
+def _name(value: Any) -> str:
+    return "none" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)

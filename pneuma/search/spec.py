@@ -10,7 +10,6 @@ A file is checked here once; what reads a `Search` trusts it.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,11 +19,11 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, FORK_FIELDS, Run, Steps, read_field
+from pneuma.config import BASES, Steps
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.schema import FieldsOf, Table, TomlFile, Where, passes, read_model, read_toml, shown
+from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
-from pneuma.search.space import Choices, Parameter, Range, Space, Unsound, usual_fields
+from pneuma.search.space import FIXABLE, Parameter, Space, Unsound, read_parameter, usual_fields
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, refuse_taken_name, studies_folder
 from pneuma.values import OneOf, Reads, Share
 from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_fields
@@ -32,10 +31,6 @@ from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_field
 OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
-FIXABLE = FieldsOf(Run, {"seed": "a preset", "steps": "a preset"} | dict.fromkeys(FORK_FIELDS, "`run fork`"))
-"""Fields of a run that a search may fix for all its trials."""
-SETTABLE = FieldsOf(Run, {**FIXABLE.elsewhere, "engine": "[run]"})
-"""Those that it may vary."""
 
 
 @dataclass(frozen=True)
@@ -268,29 +263,6 @@ class SearchFile(Table):
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], BudgetTable], MinLen(1)]
 
 
-class RangeTable(Table):
-    """[space.FIELD] with two ends."""
-
-    low: Any
-    high: Any
-    log: bool = False
-    when: dict[str, Any] = {}
-
-
-class ChoicesTable(Table):
-    """[space.FIELD] with a list of values."""
-
-    choices: Annotated[tuple[Any, ...], MinLen(2)]
-    when: dict[str, Any] = {}
-
-
-class BundlesTable(Table):
-    """[space.NAME] with tables of several fields each."""
-
-    choices: Annotated[dict[str, Annotated[dict[str, Any], SETTABLE]], MinLen(2)]
-    when: dict[str, Any] = {}
-
-
 # --- The search that it makes ----------------------------------------------------------------------
 
 
@@ -304,7 +276,7 @@ def read_search(path: Path) -> Search:
     said = read_model(SearchFile, file)
     parameters: list[Parameter] = []
     for name in said.space:
-        parameters.append(_read_parameter(file, name, parameters))
+        parameters.append(read_parameter(file, name, parameters))
     space = Space(tuple(parameters), said.run, said.base)
     try:
         space.check(unread=said.run)
@@ -343,72 +315,3 @@ def _read_options(file: TomlFile, what: str, known: Mapping[str, type[Named]], u
     if not isinstance(name, str) or name not in known:
         raise file.mistake((what,), str(unknown_name(what, str(name), filter(None, known))), "name")
     return {**read_model(known[name], file, (what,), {"name": name}).model_dump()}
-
-
-def _read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:
-    where = ("space", name)
-    data = file.table(where)
-    if isinstance(data.get("choices"), dict):
-        bundles = read_model(BundlesTable, file, where)
-        return Parameter(name, Choices(bundles.choices), _read_when(file, where, bundles.when, before))
-    if name not in SETTABLE.names:
-        told = f"{unknown_name('parameter', name, SETTABLE.names)}; or give it choices of fields"
-        raise file.mistake(where, told)
-    if "choices" in data:
-        listed = read_model(ChoicesTable, file, where)
-        values = [_field(file, where, "choices", name, value) for value in listed.choices]
-        choices = {_name(value): {name: value} for value in values}
-        if len(choices) < len(values):
-            raise file.mistake(
-                where, f"choices = {shown(values)} is not allowed: different values", "choices"
-            )
-        return Parameter(name, Choices(choices), _read_when(file, where, listed.when, before))
-    ends = read_model(RangeTable, file, where)
-    low, high = (_field(file, where, key, name, getattr(ends, key)) for key in ("low", "high"))
-    if any(isinstance(value, bool) or not isinstance(value, int | float) for value in (low, high)):
-        raise file.mistake(where, f"{name} is no number: give choices")
-    if not low < high:
-        told = f"low = {shown(low)} is not below high = {shown(high)}: an empty range"
-        raise file.mistake(where, told, "low")
-    if ends.log and low <= 0:
-        raise file.mistake(where, f"low = {shown(low)} is not allowed with log: above 0", "low")
-    domain = Range(low, high, ends.log, whole=isinstance(low, int))
-    return Parameter(name, domain, _read_when(file, where, ends.when, before))
-
-
-def _field(file: TomlFile, where: Where, key: str, name: str, value: Any) -> Any:
-    """Return a key's value as a field of the run has it."""
-    try:
-        return read_field(Run, name, value)
-    except UserError as error:
-        raise file.mistake(where, str(error), key) from None
-
-
-def _read_when(
-    file: TomlFile, where: Where, when: Mapping[str, Any], before: Sequence[Parameter]
-) -> dict[str, tuple[Any, ...]]:
-    """Return at which values of earlier parameters, or of fields, a parameter counts."""
-    domains = {parameter.name: parameter.domain for parameter in before}
-    where, read = (*where, "when"), {}
-    for name, given in when.items():
-        if name not in domains and name in file.table(("space",)):
-            raise file.mistake(where, f"{name} is searched, too: [space.{name}] must stand before it", name)
-        if name not in domains and name not in SETTABLE.names:
-            known = [*domains, *SETTABLE.names]
-            raise file.mistake(where, str(unknown_name("parameter before it, or field", name, known)), name)
-        values, domain = given if isinstance(given, tuple) else (given,), domains.get(name)
-        if not values:
-            raise file.mistake(where, f"{name} = [] is not allowed: one value or more", name)
-        if isinstance(domain, Choices):
-            for value in values:
-                if _name(value) not in domain.settings_of:
-                    told = f"is no choice of [space.{name}]: {', '.join(domain.settings_of)}"
-                    raise file.mistake(where, f"{name} = {shown(value)} {told}", name)
-            read[name] = tuple(map(_name, values))
-        else:
-            read[name] = tuple(_field(file, where, name, name, value) for value in values)
-    return read
-
-
-def _name(value: Any) -> str:
-    return "none" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
