@@ -37,8 +37,8 @@ from pneuma.figures.report import (
     factors_table,
     numbers_table,
     statistics_table,
+    study_pictures,
 )
-from pneuma.figures.report_pictures import study_pictures
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings

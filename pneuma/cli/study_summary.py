@@ -151,8 +151,9 @@ def _idle(run: list[str] | None, fork_seeds: str, workers: str | None, trust: bo
 
 def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> list[Path]:
     from pneuma.figures.collapse import draw_collapse
+    from pneuma.figures.panels import stem_of
 
-    return draw_collapse(data, out, f"{data.figure}-collapse", formats)
+    return draw_collapse(data, out, stem_of(data, "collapse"), formats)
 
 
 def open_data(store: Store, name: str, selection: Any, world: str | None, *, mixed: bool = True) -> StudyData:
