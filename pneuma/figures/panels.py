@@ -22,7 +22,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
-from pneuma.figures.style import CAPTION, GREY, MARKERS, Size
+from pneuma.figures.style import CAPTION, GREY, MARKERS, Size, clean
 from pneuma.values import shown_setting
 from pneuma.worlds import WORLDS
 
@@ -39,7 +39,7 @@ BELOW_ZERO = 0.02
 LONG_AXIS = 5000
 """From which length on an axis's numbers are written with a k."""
 CAPTION_LINES = 3
-LONGEST_STEM = 100
+LONGEST_VARIANT, LONGEST_STEM = 40, 100
 PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -51,12 +51,17 @@ def stem_of(data: StudyData, *parts: str) -> str:
 
     It carries the fields that `--set` changed, so that a variant never replaces the study's own figure.
     """
-    changed = [f"{key}={shown_setting(value)}" for key, value in changed_fields(data).items()]
-    slugs = (re.sub(r"[^\w.=+-]+", "-", part).strip("-") for part in (*changed, *parts))
-    stem = "-".join([data.figure, *slugs])
-    if len(stem) <= LONGEST_STEM:
-        return stem
-    return f"{stem[:LONGEST_STEM]}-{hashlib.sha256(stem.encode(errors='replace')).hexdigest()[:6]}"
+    changed = "-".join(f"{key}={shown_setting(value)}" for key, value in changed_fields(data).items())
+    told = [_slug(changed, LONGEST_VARIANT), _slug("-".join(parts), LONGEST_STEM)]
+    return "-".join([data.figure, *filter(None, told)])
+
+
+def _slug(text: str, most: int) -> str:
+    """Return a text as part of a file's name; where it is cut, a checksum tells it from others."""
+    slug = re.sub(r"[^\w.=+-]+", "-", text).strip("-")
+    if len(slug) <= most:
+        return slug
+    return f"{slug[:most]}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:6]}"
 
 
 def changed_fields(data: StudyData) -> dict[str, Any]:
@@ -379,7 +384,7 @@ def per_cent(share: float) -> str:
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     """Put labels beside rows, the first on top, in type that fits rows of a height in inches."""
     points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches)
-    axes.set_yticks(range(len(labels)), labels, fontsize=points)
+    axes.set_yticks(range(len(labels)), list(map(clean, labels)), fontsize=points)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)

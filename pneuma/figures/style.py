@@ -12,7 +12,6 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import FixedFormatter
 from PIL import Image
 
 from pneuma.errors import plain
@@ -199,7 +198,8 @@ def save_figure(
 ) -> list[Path]:
     """Write a figure in every format; the same figure gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    _clean_texts(figure)
+    for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
+        text.set_text(clean(text.get_text()))
     _fix_places(figure)
     paths = []
     for name in formats:
@@ -209,19 +209,8 @@ def save_figure(
     return paths
 
 
-def _clean_texts(figure: Figure) -> None:
-    """Write control characters as their codes: names may be untrusted, and an SVG must be XML."""
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            formatter = axis.get_major_formatter()
-            if isinstance(formatter, FixedFormatter):
-                formatter.seq = [_clean(label) for label in formatter.seq]
-    for text in figure.findobj(Text):
-        if isinstance(text, Text):
-            text.set_text(_clean(text.get_text()))
-
-
-def _clean(text: str) -> str:
+def clean(text: str) -> str:
+    """Return lines of text with control characters as their codes: names may be untrusted, an SVG is XML."""
     return "\n".join(map(plain, text.split("\n")))
 
 

@@ -17,9 +17,9 @@ from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import main, study_map
 from pneuma.errors import UserError
-from pneuma.figures import robustness
+from pneuma.figures import maps
 from pneuma.figures.collapse import draw_collapse
-from pneuma.figures.robustness import draw_robustness
+from pneuma.figures.maps import draw_robustness
 from pneuma.study.store import Store
 
 from .collapse_records import healthy, learning, one_action, save_run, study_record
@@ -198,12 +198,10 @@ def test_figures_have_the_same_bytes_every_time(tmp_path: Path) -> None:
 def test_maps_stand_side_by_side_with_their_cells_in_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows go through the scales within each rate, as the settings' order has it, not as conditions come."""
-    cells = {(1e-4, "unit"): 0.2, (1e-3, "unit"): 0.1, (1e-4, "raw"): 0.0, (1e-3, "raw"): -0.2}
-    data = crossed(tmp_path, cells)
+    data = crossed(tmp_path, gains(0.2, 0.0, 0.1, -0.2))
     found = robustness_map(data, "activation", "tanh", "relu")
     saved: list[Figure] = []
-    monkeypatch.setattr(robustness, "save_figure", lambda figure, *_: saved.append(figure))
+    monkeypatch.setattr(maps, "save_figure", lambda figure, *_: saved.append(figure))
     draw_robustness(data, [found, replace(found, setting="again")], tmp_path, "map")
     first, second = saved[0].axes
     assert [axes.get_title(loc="left").split(":")[0] for axes in (first, second)] == ["activation", "again"]
@@ -215,9 +213,8 @@ def test_maps_stand_side_by_side_with_their_cells_in_rows(
         ]
         effect, place = np.concatenate(marks).T
         assert effect[np.argsort(place)] == pytest.approx([0.2, 0.0, 0.1, -0.2])
-    caption = " ".join(text.get_text() for text in saved[0].texts).replace("\n", " ")
-    assert caption.endswith("Conditional: some hold, some are reversed.")
-    assert "learning rate" in caption and "learning_rate" not in caption
+    assert first.get_xlabel() == "tanh less relu (percentage points)"
+    assert [text.get_text() for text in first.texts] == ["learning rate, scale"]
 
 
 def test_a_study_without_collapse_is_drawn_and_says_so(tmp_path: Path) -> None:

@@ -15,18 +15,18 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from pneuma.figures import report_pictures
+from pneuma.figures import report
 from pneuma.figures.judged import Claim, Effect, Verdict
 from pneuma.figures.report import (
     Conditions,
     Part,
+    Picture,
     Report,
     StudySection,
     Table,
     numbers_table,
     report_page,
 )
-from pneuma.figures.report_pictures import Picture
 
 Read = Callable[[bytes], Any]
 
@@ -147,7 +147,7 @@ def test_a_large_drawing_gives_way_to_a_small_image(size: int, form: str) -> Non
         Image.new("RGB", (20, 40)).save(folder / "figure.png", dpi=(300, 300))
         return [folder / "figure.png", folder / "figure.svg"]
 
-    kind, _, data = report_pictures._source(draw).partition(";base64,")
+    kind, _, data = report._source(draw).partition(";base64,")
     assert kind == f"data:image/{form}" and b64decode(data)
 
 
