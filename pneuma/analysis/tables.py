@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import LEARNERS_TABLE, WINDOWS
-from pneuma.analysis.adaptive import looks_that_count
+from pneuma.analysis.sequential import looks_that_count
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name

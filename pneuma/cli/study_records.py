@@ -96,19 +96,22 @@ class RunState(NamedTuple):
     Attributes:
         run: its entry in the record.
         status: the name of its status.
-        published: whether that is told by the published table, as the run is not here.
+        published: whether that is told by the published table, as the run is not here, or damaged.
         step: agent steps of its records, or of its latest checkpoint.
+        damaged: whether the run that lies here is.
     """
 
     run: dict[str, Any]
     status: str
     published: bool
     step: int
+    damaged: bool = False
 
     @property
     def told(self) -> str:
         """How it stands, for people."""
-        return f"{self.status} as published" if self.published else self.status
+        here = ", damaged here" if self.damaged else ""
+        return f"{self.status} as published{here}" if self.published else self.status
 
     @property
     def reached(self) -> str:
@@ -127,7 +130,8 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     states = []
     for run in record["runs"]:
         status = taken.get(run["run_id"], here[run["run_id"]])
-        states.append(RunState(run, status.name, run["run_id"] in taken, status.step))
+        damaged = here[run["run_id"]].name == "damaged"
+        states.append(RunState(run, status.name, run["run_id"] in taken, status.step, damaged))
     return states
 
 

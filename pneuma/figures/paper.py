@@ -39,8 +39,8 @@ from pneuma.figures.panels import stem_of
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories
-from pneuma.study.cores import available_cores
 from pneuma.study.files import write_whole
+from pneuma.study.provenance import available_cores
 from pneuma.values import shown_setting
 
 RESULTS = Path("results")

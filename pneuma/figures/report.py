@@ -29,13 +29,14 @@ from pneuma.analysis.rounding import decimals, shown, shown_with_interval
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.errors import counted, plain
+from pneuma.figures import verdict_words
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import MOST_CURVES, draw_study
-from pneuma.figures.judged import MEANINGS, PLACES, Claim
 from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories
+from pneuma.figures.verdict_words import MEANINGS, PLACES
 from pneuma.values import shown_setting
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
@@ -146,7 +147,7 @@ class Report:
         unjudged: why no claim could be judged; empty where they were.
     """
 
-    claims: Sequence[Claim]
+    claims: Sequence[verdict_words.JudgedClaim]
     studies: Sequence[StudySection]
     claims_note: str = ""
     version: str = ""
@@ -165,6 +166,7 @@ def report_page(report: Report) -> bytes:
     )
     page = environment.get_template("report.html.j2").render(
         report=report,
+        words=verdict_words,
         meanings=MEANINGS,
         places={place: label for place, label in PLACES.items() if _judged_in(report, place)},
         counts={place: _judged_in(report, place) for place in PLACES},

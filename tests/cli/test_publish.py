@@ -199,7 +199,7 @@ def test_what_is_published_is_not_trained_where_that_is_asked(trained: Path, tmp
     shutil.rmtree(results / "runs")
     rest = ["activation", *TINY, "--unpublished", "--results", str(results)]
     more = [*rest, "--seeds", "3"]
-    planned = call("study", "plan", *more, "--no-calibrate", "--json").document["runs"]
+    planned = call("study", "plan", *more, "--json").document["runs"]
     assert [(run["seed"], run["state"]) for run in planned if run["condition"] == "tanh"] == [
         (0, "published"),
         (1, "published"),
@@ -213,7 +213,7 @@ def test_what_is_published_is_not_trained_where_that_is_asked(trained: Path, tmp
     summary = call("study", "summary", "activation", "--results", results)
     assert summary.err == "Note: 4 of 6 runs of activation are not here, but taken from its table.\n"
     assert call("study", "publish", "activation", "--results", results).code == 0
-    assert call("study", "plan", *more, "--no-calibrate").out.splitlines()[-1] == "2 stored, 4 published."
+    assert call("study", "plan", *more).out.splitlines()[-1] == "2 stored, 4 published."
     assert table.read_bytes() != whole
     told = call("study", "run", *rest, "--until-decided")
     assert (told.code, "--unpublished: --until-decided trains what it judges" in told.err) == (2, True)
