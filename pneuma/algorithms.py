@@ -1,4 +1,4 @@
-"""What trains each learning algorithm, and which of a run's settings it reads.
+"""What trains each learning algorithm, and which of a run's fields it reads.
 
 Data for `pneuma.config`, which resolves a run by it. What an algorithm does not read is at its default
 in a resolved run (None, where only some algorithms have it), and a study that sets it is refused.
@@ -37,7 +37,7 @@ _DQN = (
 )  # fmt: skip
 _TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
 
-ALGORITHM_SETTINGS: dict[str, tuple[str, ...]] = {
+ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs", "learners"),
     "a2c": (*_ACTOR_CRITIC, *_GRADIENT),
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
@@ -46,9 +46,9 @@ ALGORITHM_SETTINGS: dict[str, tuple[str, ...]] = {
     "q-learning": _TABLE,
     "double-q-learning": _TABLE,
 }
-"""Which settings each algorithm reads, beside those that all read; an optimizer's own come on top."""
+"""Which fields each algorithm reads, beside those that all read; an optimizer's own come on top."""
 
-OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_SETTINGS.values() for key in keys)
+OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
 _DQN_DEFAULTS: dict[str, Any] = {
     "buffer_size": 100_000,
@@ -73,7 +73,7 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     "q-learning": _TABLE_DEFAULTS,
     "double-q-learning": _TABLE_DEFAULTS,
 }
-"""What settings are where nothing is said, of those that only some algorithms have.
+"""What fields are where nothing is said, of those that only some algorithms have.
 
 For Stable-Baselines3's and sb3-contrib's learners those are their own, but for a buffer of a tenth.
 """

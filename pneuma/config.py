@@ -1,8 +1,8 @@
 """Run configuration: the typed values that cross every layer, and the names they may take.
 
-A `Run` is one training, complete and frozen: the environment's settings, the learner's, a budget
+A `Run` is one training, complete and frozen: the environment's fields, the learner's, a budget
 and a seed. Studies resolve to runs, engines train them, the store is keyed by them. The environment's
-part is in `env_settings.py`, the algorithms' in `algorithms.py`. Nothing heavy is imported, so that every
+part is in `env_fields.py`, the algorithms' in `algorithms.py`. Nothing heavy is imported, so that every
 command can read it.
 """
 
@@ -11,21 +11,23 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Annotated, Any
+
+from annotated_types import Interval, Len
 
 from pneuma.algorithms import (
     ALGORITHM_DEFAULTS,
     ALGORITHM_ENGINES,
-    ALGORITHM_SETTINGS,
+    ALGORITHM_FIELDS,
     ALGORITHMS,
     MAILMAN,
     OF_ALGORITHMS,
     TABULAR,
 )
-from pneuma.env_settings import (
+from pneuma.env_fields import (
     ACTION_NAMES,
-    ENVIRONMENT_SETTINGS,
+    ENVIRONMENT_FIELDS,
     ENVIRONMENT_SLOTS,
     ENVIRONMENTS,
     OBSERVATIONS,
@@ -37,20 +39,19 @@ from pneuma.env_settings import (
     SPELL_NAMES,
     EnvConfig,
     make_env_config,
-    read_setting,
-    read_settings,
+    read_field,
+    read_fields,
     resolve_world,
-    setting,
 )
 from pneuma.errors import UserError
-from pneuma.values import Choice, Flag, Matching, Number, Several
+from pneuma.values import OneOf, Reads, Share, matching
 
 __all__ = [
     "ACTIVATIONS", "ACTION_NAMES", "BASES", "CLIPPINGS", "ENGINES", "ENGINE_VERSIONS", "ENVIRONMENTS",
-    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_SETTINGS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
-    "OPTIMIZER_SETTINGS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
-    "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_settings", "beyond_engine", "env_config",
-    "make_env_config", "make_run", "read_setting", "read_settings", "settings_read", "stream_seed",
+    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
+    "OPTIMIZER_FIELDS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
+    "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_fields", "beyond_engine", "env_config",
+    "make_env_config", "make_run", "read_field", "read_fields", "fields_read", "stream_seed",
 ]  # fmt: skip
 
 RULES_VERSION = 3
@@ -67,16 +68,16 @@ ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
 """What a fork may begin anew: the optimizer's moments, the players' XP, or the critic's weights."""
-FORK_SETTINGS = ("parent", "fork_step", "fork_reset")
+FORK_FIELDS = ("parent", "fork_step", "fork_reset")
 MAX_SLOTS = 1024
 
-OPTIMIZER_SETTINGS: dict[str, tuple[str, ...]] = {
+OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
     "adam": ("betas", "epsilon"),
     "sgd": ("momentum", "dampening"),
     "rmsprop": ("smoothing", "epsilon", "momentum"),
     "upgd": ("betas", "epsilon", "utility_decay", "noise"),
 }
-"""Which of a run's settings each optimizer reads; the others are None in a resolved run."""
+"""Which of a run's fields each optimizer reads; the others are None in a resolved run."""
 
 _OPTIMIZER_DEFAULTS: dict[str, Any] = {
     "betas": (0.9, 0.999),
@@ -92,94 +93,105 @@ _OPTIMIZER_DEFAULTS: dict[str, Any] = {
 # --- The configuration ---------------------------------------------------------------------------
 
 
-_UNIT = Number(0, 1)
-_LAYERS = Several(Number(1, 65536, whole=True), 1, 8)
+Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=65536)], ...], Len(1, 8)]
+"""Neurons of each hidden layer of a network."""
+Fraction = Annotated[float, Interval(ge=0, lt=1)]
+Steps = Annotated[int, Interval(ge=1, le=10**12)]
+
+
+def _read_limit(value: object) -> float | None:
+    """Read the limit of a norm, which "none" switches off."""
+    if value is None or value == "none":
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 1e9:
+        raise ValueError
+    return float(value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: str = setting(ENVIRONMENTS[0], Choice((*ENVIRONMENTS, MAILMAN)))
-    engine: str = setting(ENGINES[0], Choice(ENGINES))
+    env: Annotated[str, OneOf((*ENVIRONMENTS, MAILMAN))] = ENVIRONMENTS[0]
+    engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
     """What trains it: the compiled engine; Stable-Baselines3 as it is, where that one cannot; or tables."""
-    algorithm: str = setting("ppo", Choice(ALGORITHMS))
-    seed: int = setting(0, Number(0, 2**32 - 1, whole=True))
-    steps: int = setting(50_000, Number(1, 10**12, whole=True))
+    algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
+    seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
+    steps: Steps = 50_000
     """Budget in agent steps, summed over slots."""
-    slots: int = setting(1, Number(1, MAX_SLOTS, whole=True))
+    slots: Annotated[int, Interval(ge=1, le=MAX_SLOTS)] = 1
     """Worlds that collect a rollout side by side."""
-    learners: str = setting("shared", Choice(LEARNERS))
+    learners: Annotated[str, OneOf(LEARNERS)] = "shared"
     """One policy for all players of a world; or each player a learner of its own (independent PPO)."""
 
-    actor: tuple[int, ...] = setting((128,), _LAYERS)
-    critic: tuple[int, ...] = setting((256,), _LAYERS)
-    activation: str = setting("tanh", Choice(ACTIVATIONS))
+    actor: Layers = (128,)
+    critic: Layers = (256,)
+    activation: Annotated[str, OneOf(ACTIVATIONS)] = "tanh"
 
-    gamma: float = setting(0.99, Number(0, 1))
-    gae_lambda: float = setting(0.95, _UNIT)
-    learning_rate: float = setting(3e-4, Number(0, 100, above=True))
-    clip_range: float = setting(0.1, Number(0, 100, above=True))
-    horizon: int = setting(256, Number(2, 10**6, whole=True))
+    gamma: Share = 0.99
+    gae_lambda: Share = 0.95
+    learning_rate: Annotated[float, Interval(gt=0, le=100)] = 3e-4
+    clip_range: Annotated[float, Interval(gt=0, le=100)] = 0.1
+    horizon: Annotated[int, Interval(ge=2, le=10**6)] = 256
     """Steps of one rollout per slot, Stable-Baselines3's n_steps; where values are learned, of one report."""
-    minibatch: int = setting(64, Number(2, 10**6, whole=True))
-    epochs: int = setting(10, Number(1, 1000, whole=True))
-    value_coefficient: float = setting(0.5, Number(0, 1e6))
-    entropy_coefficient: float = setting(0.01, Number(0, 1e6))
-    gradient_limit: float | None = setting(0.5, Number(0, 1e9, above=True, optional=True))
+    minibatch: Annotated[int, Interval(ge=2, le=10**6)] = 64
+    epochs: Annotated[int, Interval(ge=1, le=1000)] = 10
+    value_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = 0.5
+    entropy_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = 0.01
+    gradient_limit: Annotated[float | None, Reads(_read_limit, 'a number above 0, or "none"')] = 0.5
     """Greatest L2 norm of the gradient; None for no limit (thesis section 6.2)."""
-    clip: str = setting("joint", Choice(CLIPPINGS))
+    clip: Annotated[str, OneOf(CLIPPINGS)] = "joint"
     """One norm over actor and critic together, as in Stable-Baselines3, or one for each."""
-    value_baseline: bool = setting(True, Flag())
+    value_baseline: bool = True
     """Whether the critic's values are subtracted from returns to make advantages (thesis section 4.2)."""
 
-    target_kl: float | None = setting(None, Number(0, 100, above=True))
+    target_kl: Annotated[float, Interval(gt=0, le=100)] | None = None
     """TRPO's trust region: the greatest mean KL divergence of one update (thesis Eq. 4.12)."""
-    conjugate_steps: int | None = setting(None, Number(1, 1000, whole=True))
-    line_search_steps: int | None = setting(None, Number(1, 1000, whole=True))
+    conjugate_steps: Annotated[int, Interval(ge=1, le=1000)] | None = None
+    line_search_steps: Annotated[int, Interval(ge=1, le=1000)] | None = None
 
-    exploration: float | None = setting(None, _UNIT)
+    exploration: Share | None = None
     """Chance of a random action where actions are chosen by their values (thesis Eq. 4.4)."""
-    exploration_fraction: float | None = setting(None, _UNIT)
+    exploration_fraction: Share | None = None
     """Share of the budget over which that chance falls to `exploration` from 1."""
-    buffer_size: int | None = setting(None, Number(1, 10**8, whole=True))
+    buffer_size: Annotated[int, Interval(ge=1, le=10**8)] | None = None
     """Newest transitions, over all slots, that DQN replays; as many as a minibatch, it hardly replays."""
-    learning_starts: int | None = setting(None, Number(0, 10**9, whole=True))
+    learning_starts: Annotated[int, Interval(ge=0, le=10**9)] | None = None
     """Agent steps of random actions before the first gradient."""
-    train_every: int | None = setting(None, Number(1, 10**6, whole=True))
+    train_every: Annotated[int, Interval(ge=1, le=10**6)] | None = None
     """Steps per slot between gradients."""
-    gradient_steps: int | None = setting(None, Number(1, 10_000, whole=True))
+    gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] | None = None
     """Gradients that are taken then."""
-    target_every: int | None = setting(None, Number(1, 10**12, whole=True))
+    target_every: Annotated[int, Interval(ge=1, le=10**12)] | None = None
     """Agent steps between copies to the target network; 1 for a copy at every step: as good as none."""
 
-    action_slip: float | None = setting(None, _UNIT)
+    action_slip: Share | None = None
     """Mailman's: chance that the other action is taken instead."""
-    reward_noise: float | None = setting(None, Number(0, 1e6))
+    reward_noise: Annotated[float, Interval(ge=0, le=1e6)] | None = None
     """Mailman's: standard deviation of normal noise on every reward."""
 
-    optimizer: str = setting("adam", Choice(tuple(OPTIMIZER_SETTINGS)))
-    betas: tuple[float, ...] | None = setting(None, Several(Number(0, 1, below=True), 2, 2))
-    epsilon: float | None = setting(None, Number(0, 1, above=True))
-    momentum: float | None = setting(None, Number(0, 1, below=True))
-    dampening: float | None = setting(None, _UNIT)
+    optimizer: Annotated[str, OneOf(tuple(OPTIMIZER_FIELDS))] = "adam"
+    betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = None
+    epsilon: Annotated[float, Interval(gt=0, le=1)] | None = None
+    momentum: Fraction | None = None
+    dampening: Share | None = None
     """Equal to `momentum`, it weighs a new gradient by 1 - beta as the thesis does (torch: but the first)."""
-    smoothing: float | None = setting(None, Number(0, 1, below=True))
+    smoothing: Fraction | None = None
     """Decay of RMSProp's mean square, torch's alpha."""
-    utility_decay: float | None = setting(None, Number(0, 1, below=True))
+    utility_decay: Fraction | None = None
     """Of the mean utility of a weight by which UPGD protects it."""
-    noise: float | None = setting(None, Number(0, 1000))
+    noise: Annotated[float, Interval(ge=0, le=1000)] | None = None
     """Standard deviation of what UPGD perturbs a gradient by, before protection."""
-    weight_decay: float = setting(0.0, Number(0, 1))
+    weight_decay: Share = 0.0
     """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
 
-    evaluation_episodes: int = setting(50, Number(1, 10_000, whole=True))
+    evaluation_episodes: Annotated[int, Interval(ge=1, le=10_000)] = 50
 
-    parent: str = setting("", Matching(r"|[0-9a-f]{16}", "the id of a run"))
+    parent: Annotated[str, matching(r"|[0-9a-f]{16}", "the id of a run")] = ""
     """The run that a fork goes on from; set by `pneuma run fork` alone, as are the next two."""
-    fork_step: int = setting(0, Number(0, 10**12, whole=True))
+    fork_step: Annotated[int, Interval(ge=0, le=10**12)] = 0
     """Agent steps of the parent's checkpoint that a fork begins with."""
-    fork_reset: str = setting("", Choice(("", *FORK_RESETS)))
+    fork_reset: Annotated[str, OneOf(("", *FORK_RESETS))] = ""
 
     @property
     def stream(self) -> str:
@@ -231,30 +243,29 @@ for _base in BASES.values():
     )  # fmt: skip
 
 
-def make_run(settings: Mapping[str, object]) -> Run:
-    """Resolve settings (keys of `Run`) to a complete run: checked, rounded, nothing left implicit.
+def make_run(given: Mapping[str, object]) -> Run:
+    """Resolve fields of a run to a complete run: checked, rounded, nothing left implicit.
 
-    What is not given is as the environment's preset has it. The optimizer's own settings get their
+    What is not given is as the environment's preset has it. The optimizer's own fields get their
     defaults, and those that it does not read become None, so that two ways to write the same training
     are the same run. The budget is rounded up to whole horizons.
 
     Raises:
         UserError: for an unknown key, a value out of range, or two values that do not go together.
     """
-    env = read_setting(Run, "env", settings.get("env", ENVIRONMENTS[0]))
-    left_open = {key for key in _left_to_the_learner() if settings.get(key, ...) is None}
-    settings = {**ENVIRONMENT_SETTINGS.get(env, {}), **settings}
-    values = read_settings(Run, {k: v for k, v in settings.items() if k not in left_open})
+    env = str(given.get("env", ENVIRONMENTS[0]))
+    read = read_fields(Run, {**ENVIRONMENT_FIELDS.get(env, {}), **given})
+    values = {key: value for key, value in read.items() if value is not None or key not in _LEFT_OPEN}
     values = _resolve_learner(resolve_world(values))
     values["engine"] = _engine(values)
     run = Run(**values)
     _check_learner(run)
     whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
-    return run if whole == run.steps else Run(**{**values, "steps": whole})
+    return run if whole == run.steps else replace(run, steps=whole)
 
 
-def settings_read(run: Run) -> frozenset[str]:
-    """Return the names of the settings that the training of a run hangs on, by algorithm and optimizer."""
+def fields_read(run: Run) -> frozenset[str]:
+    """Return the names of the fields that the training of a run hangs on, by algorithm and optimizer."""
     return _read_by(run.algorithm, run.optimizer)
 
 
@@ -302,30 +313,27 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
-    if run.fork_reset == "critic" and "critic" not in settings_read(run):
+    if run.fork_reset == "critic" and "critic" not in fields_read(run):
         raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
 
 
-def _left_to_the_learner() -> set[str]:
-    """Return the settings that None leaves open."""
-    return {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values() for key in own)}
-
-
 def _read_by(algorithm: str, optimizer: str) -> frozenset[str]:
-    """Return the names of the settings that an algorithm reads, with an optimizer if it has one."""
-    own = ALGORITHM_SETTINGS[algorithm]
+    """Return the names of the fields that an algorithm reads, with an optimizer if it has one."""
+    own = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
         return frozenset(own) | _READ_BY_ALL
-    return frozenset((*own, *OPTIMIZER_SETTINGS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
+    return frozenset((*own, *OPTIMIZER_FIELDS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
 
 
+_LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values() for key in own)}
+"""Fields that None leaves open."""
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
-_OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_SETTINGS.values() for key in own)
+_OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_FIELDS.values() for key in own)
 _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - {*_OF_WORLDS, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
 
 
 def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
-    """Fill the settings of algorithm and optimizer, and drop what nothing reads."""
+    """Fill the fields of algorithm and optimizer, and drop what nothing reads."""
     algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
     read = _read_by(algorithm, optimizer)
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
@@ -344,7 +352,7 @@ def env_config(run: Run) -> EnvConfig:
     return EnvConfig(**{item.name: getattr(run, item.name) for item in fields(EnvConfig)})
 
 
-def as_settings(config: EnvConfig) -> dict[str, Any]:
+def as_fields(config: EnvConfig) -> dict[str, Any]:
     """Return a configuration as a flat dictionary that JSON can hold; `make_run` reads it back."""
     return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(config).items()}
 

@@ -11,6 +11,16 @@ from collections.abc import Iterable
 
 NEAR = 0.6
 """How alike a name must be to be offered in place of a wrong one."""
+MOST_LISTED = 10
+"""Names that an error lists at most: the likest, where there are more."""
+MEANT = {
+    "lr": "learning_rate", "reward": "return", "rewards": "return", "ep_rew_mean": "return",
+    "n_steps": "horizon", "num_steps": "horizon", "batch_size": "minibatch", "minibatch_size": "minibatch",
+    "n_epochs": "epochs", "update_epochs": "epochs", "clip_coef": "clip_range", "activation_fn": "activation",
+    "ent_coef": "entropy_coefficient", "vf_coef": "value_coefficient", "max_grad_norm": "gradient_limit",
+    "n_envs": "slots", "num_envs": "slots", "total_timesteps": "steps",
+}  # fmt: skip
+"""What other programs, and people, call a field, a quantity or an outcome."""
 SHORTEST_BEGINNING = 4
 """Letters of a word that can be told to be a name's beginning."""
 
@@ -41,19 +51,30 @@ def counted(count: int, noun: str) -> str:
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near.
 
-    The beginning of a long name, misspelt, is near as well: `final-shre` of `final-share-killed`.
+    The beginning of a long name, misspelt, is near as well: `final-shre` of `final-share-killed`; and so is
+    a name that others give the same thing: `lr` of `learning_rate`.
     """
-    known = list(names)
-    likeness = {name: _likeness(str(word).lower(), name) for name in known}
-    best = max(known, key=likeness.__getitem__, default="")
+    likeness = _likenesses(word, names)
+    best = max(likeness, key=likeness.__getitem__, default="")
     return f" (did you mean {best}?)" if likeness.get(best, 0.0) >= NEAR else ""
 
 
 def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
     """Build the error for a name that is none of `names`, with the nearest right one."""
     known = list(names)
-    between = "; " if any("," in name for name in known) else ", "
-    return UserError(f"unknown {what} {word!r}{nearest_name(word, known)}; known are {between.join(known)}")
+    hint, between = nearest_name(word, known), "; " if any("," in name for name in known) else ", "
+    more = len(known) - MOST_LISTED
+    if more > 1:
+        likeness = _likenesses(word, known)
+        likest = {*sorted(known, key=lambda name: -likeness[name])[:MOST_LISTED]}
+        known = [*(name for name in known if name in likest), f"{more} more"]
+    return UserError(f"unknown {what} {word!r}{hint}; known are {between.join(known)}")
+
+
+def _likenesses(word: str, names: Iterable[str]) -> dict[str, float]:
+    """Return how alike a word and each name are, from 0 to 1."""
+    own = str(word).lower()
+    return {name: 1.0 if MEANT.get(own) == name else _likeness(own, name) for name in names}
 
 
 def _likeness(word: str, name: str) -> float:

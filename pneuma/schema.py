@@ -13,13 +13,24 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from functools import cache
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+    with_config,
+)
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
+from typing_extensions import TypedDict
 
 from pneuma.errors import UserError, nearest_name, unknown_name
 
@@ -86,6 +97,57 @@ def plain(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
+# --- Fields of a dataclass -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FieldsOf:
+    """Says of a dictionary that it holds some fields of a dataclass, each of its type; for `Annotated`.
+
+    Attributes:
+        owner: the dataclass.
+        elsewhere: fields that are not set here, and what sets them.
+    """
+
+    owner: type
+    elsewhere: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fields that may be set."""
+        return tuple(own.name for own in fields(self.owner) if own.name not in self.elsewhere)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        hints = get_type_hints(self.owner, include_extras=True)
+        table = TypedDict(self.owner.__name__, {key: hints[key] for key in self.names}, total=False)  # type: ignore[misc]
+        schema = handler.generate_schema(with_config(CONFIG)(table))
+        return core_schema.no_info_before_validator_function(self._refuse_others, schema)
+
+    def _refuse_others(self, data: Any) -> Any:
+        for key in data if isinstance(data, Mapping) else ():
+            if key in self.elsewhere:
+                raise wrong(f"{key} is set by {self.elsewhere[key]}, not here", key)
+        refuse_unknown(data, self.names)
+        return data
+
+
+def read_dataclass_fields(owner: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Check some fields of a dataclass and return each in its type.
+
+    Raises:
+        UserError: naming the field, its value and what is allowed.
+    """
+    try:
+        return _fields_adapter(owner).validate_python(plain(values))
+    except ValidationError as error:
+        raise UserError(complaint(error, values)[2]) from None
+
+
+@cache
+def _fields_adapter(owner: type) -> TypeAdapter[dict[str, Any]]:
+    return TypeAdapter(Annotated[dict[str, Any], FieldsOf(owner)])
+
+
 # --- Files -----------------------------------------------------------------------------------------
 
 
@@ -103,6 +165,21 @@ class TomlFile:
         place = f"{self.path}, line {line}" if line else str(self.path)
         table = f"[{'.'.join(where)}] " if where else ""
         return UserError(f"{place}: {table}{message}")
+
+    def table(self, where: Where) -> dict[str, Any]:
+        """Return a table, empty when there is none, and refuse another value in its place."""
+        value: Any = self.data
+        for key in where:
+            value = value.get(key, {})
+            if not isinstance(value, dict):
+                raise self.mistake(where[:-1], f"{key} must be a table, not {shown(value)}", key)
+        return dict(value)
+
+    def refuse_unknown(self, where: Where, given: Mapping[str, Any], allowed: tuple[str, ...]) -> None:
+        """Raise for the first key of a table that is none of `allowed`."""
+        for key in given:
+            if key not in allowed:
+                raise self.mistake(where, str(unknown_name("key", key, allowed)), key)
 
 
 def read_toml(path: Path) -> TomlFile:
@@ -122,15 +199,15 @@ def read_toml(path: Path) -> TomlFile:
         raise UserError(f"{path}: not TOML: {error}") from None
 
 
-def read_model(model: type[Model], file: TomlFile, where: Where = ()) -> Model:
-    """Check a table of a file, the whole file by default.
+def read_model(
+    model: type[Model], file: TomlFile, where: Where = (), usual: Mapping[str, Any] | None = None
+) -> Model:
+    """Check a table of a file, the whole file by default; `usual` is what it has where it says nothing.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    data = file.data
-    for key in where:
-        data = data.get(key, {})
+    data = {**(usual or {}), **file.table(where)}
     try:
         return model.model_validate(plain(data))
     except ValidationError as error:
@@ -149,8 +226,8 @@ _ALLOWED = {
     "string_type": "a text",
     "string_too_short": "a text that is not empty",
     "tuple_type": "a list",
-    "too_short": "a list of at least {min_length}",
-    "too_long": "a list of at most {max_length}",
+    "too_short": "{what} of at least {min_length}",
+    "too_long": "{what} of at most {max_length}",
     "greater_than": "above {gt}",
     "greater_than_equal": "at least {ge}",
     "less_than": "below {lt}",
@@ -169,7 +246,8 @@ def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, s
         return tuple(where), "", f"the key {key!r} is missing"
     if first["loc"][-1:] == ("[key]",):  # a table's name, where only some are known
         (*where, key) = map(str, first["loc"][:-1])
-        return tuple(where), key, str(unknown_name("key", key, _names(first)))
+        named = first["type"] != "literal_error" and f"the name {key!r} is not allowed{_allowed(first, key)}"
+        return tuple(where), key, named or str(unknown_name("key", key, _names(first)))
     path, value = _followed(first, data)
     if isinstance(value, Mapping) and first["type"] == "wrong":
         return path, context["key"], context["message"]
@@ -200,7 +278,8 @@ def _allowed(error: ErrorDetails, value: Any) -> str:
         allowed = "one of " + ", ".join(name for name in names if name)
     else:
         context = {key: _bound(own) for key, own in error.get("ctx", {}).items()}
-        allowed = _ALLOWED.get(error["type"], error["msg"]).format(**context)
+        what = "a table" if isinstance(value, Mapping) else "a list"
+        allowed = _ALLOWED.get(error["type"], error["msg"]).format(**context, what=what)
     return f"{next(filter(None, hints), '')}: {allowed}"
 
 

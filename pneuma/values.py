@@ -1,29 +1,101 @@
-"""What a value of a configuration may be: readers that check and convert it, and say what is allowed."""
+"""What a value of a configuration may be, declared without loading pydantic, which checks it; and as text."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike, fspath
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval
 
 MOST_NAMES = 8
 """As many as there can be players in a world."""
 
+Share = Annotated[float, Interval(ge=0, le=1)]
 
-def shown_setting(value: object) -> str:
-    """Return a setting's value as people read it: a list without its brackets, nothing as "none"."""
+
+@dataclass(frozen=True)
+class OneOf:
+    """Says that a text is one of a few names; the empty one, where it is among them, leaves it open."""
+
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.literal_schema(list(self.names))
+
+
+@dataclass(frozen=True)
+class Reads:
+    """Says that a value is what a function makes of it, which raises ValueError for what is not allowed.
+
+    Attributes:
+        read: the function.
+        allowed: what is allowed, in words.
+        names: those known beforehand, to suggest one of them.
+    """
+
+    read: Callable[[Any], Any]
+    allowed: str
+    names: tuple[str, ...] = ()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import PydanticCustomError, core_schema
+
+        def read(value: Any) -> Any:
+            try:
+                return self.read(value)
+            except (ValueError, TypeError):
+                context = {"allowed": self.allowed, "names": self.names}
+                raise PydanticCustomError("allowed", "{allowed}", context) from None
+
+        return core_schema.no_info_plain_validator_function(read)
+
+
+def matching(pattern: str, allowed: str) -> Reads:
+    """Say that a text has a certain form."""
+
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or not re.fullmatch(pattern, value):
+            raise ValueError
+        return value
+
+    return Reads(read, allowed)
+
+
+def names_like(pattern: str, allowed: str, names: tuple[str, ...] = ()) -> Reads:
+    """Say that a value is a name of a certain form, or a list of one a player; a tuple in the end.
+
+    As a text its names have commas between them, which no name has.
+    """
+
+    def read(value: Any) -> tuple[str, ...]:
+        each = tuple(value.split(",") if isinstance(value, str) else value)
+        if not 1 <= len(each) <= MOST_NAMES:
+            raise ValueError
+        if not all(isinstance(name, str) and re.fullmatch(pattern, name) for name in each):
+            raise ValueError
+        return each
+
+    return Reads(read, allowed, names)
+
+
+def shown_value(value: object) -> str:
+    """Return a field's value as people read it: a list without its brackets, nothing as "none"."""
     if isinstance(value, list | tuple):
-        return ", ".join(map(shown_setting, value)) or "none"
+        return ", ".join(map(shown_value, value)) or "none"
     if isinstance(value, bool):
         return str(value).lower()
     return "none" if value in (None, "") else str(value)
 
 
 def shown_level(value: object) -> str:
-    """Return a setting's value where others stand beside it, between commas: a list in brackets."""
-    shown = shown_setting(value)
+    """Return a field's value where others stand beside it, between commas: a list in brackets."""
+    shown = shown_value(value)
     return f"[{shown}]" if "," in shown else shown
 
 
@@ -73,38 +145,6 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """One of a few names; the empty one, where it is among them, leaves the choice open."""
-
-    names: tuple[str, ...]
-
-    def read(self, value: object) -> str:
-        """Return the name, or raise ValueError."""
-        if value not in self.names:
-            raise ValueError
-        return str(value)
-
-    @property
-    def allowed(self) -> str:
-        """Say in words what is allowed."""
-        return "one of " + ", ".join(name for name in self.names if name)
-
-
-@dataclass(frozen=True)
-class Flag:
-    """True or false."""
-
-    allowed: str = "true or false"
-
-    def read(self, value: object) -> bool:
-        """Return the flag, or raise ValueError."""
-        value = _plain(value)
-        if not isinstance(value, bool):
-            raise ValueError
-        return value
-
-
-@dataclass(frozen=True)
 class Text:
     """A name or a path."""
 
@@ -117,42 +157,6 @@ class Text:
         if not isinstance(text, str) or not (text or self.empty):
             raise ValueError
         return text
-
-
-@dataclass(frozen=True)
-class Names:
-    """A name, or a list of names with one for each player; always a tuple in the end.
-
-    As a text its names have commas between them, which no name has.
-    """
-
-    pattern: str
-    allowed: str
-    names: tuple[str, ...] = ()
-    """Those known beforehand, to suggest one of them."""
-
-    def read(self, value: object) -> tuple[str, ...]:
-        """Return the names, or raise ValueError."""
-        names = value.split(",") if isinstance(value, str) else value
-        if not isinstance(names, (list, tuple)) or not 1 <= len(names) <= MOST_NAMES:
-            raise ValueError
-        if not all(isinstance(name, str) and re.fullmatch(self.pattern, name) for name in names):
-            raise ValueError
-        return tuple(names)
-
-
-@dataclass(frozen=True)
-class Matching:
-    """A text of a certain form."""
-
-    pattern: str
-    allowed: str
-
-    def read(self, value: object) -> str:
-        """Return the text, or raise ValueError."""
-        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
-            raise ValueError
-        return value
 
 
 @dataclass(frozen=True)
@@ -184,7 +188,7 @@ def _plain(value: object) -> object:
     return value.item()  # type: ignore[attr-defined]
 
 
-Reader = Number | Choice | Flag | Text | Several | Names | Matching
+Reader = Number | Text | Several
 
 
 def as_tuple(value: Any) -> Any:

@@ -1,7 +1,7 @@
 """The worlds that a study or a search can be run in: one row each, asked by everything that tells them apart.
 
-A name that ends in `-WORLD` stands for the study or search of that name in that world; the text's has no
-ending.
+A name that ends in `-WORLD` stands for the study or search of that name in that world; without an ending
+it stands for the usual one, which is the text's but where a study's file lists others alone.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def split_world(name: str) -> tuple[str, str]:
     return name, TEXT
 
 
-def chosen_world(name: str, world: str | None) -> tuple[str, str]:
-    """Return a study's own name, and the world that the name and the option --world stand for together.
+def chosen_world(name: str, world: str | None) -> tuple[str, str | None]:
+    """Return a study's own name, and the world that it and the option --world name together, if any.
 
     Raises:
         UserError: where they stand for two worlds.
@@ -81,7 +81,7 @@ def chosen_world(name: str, world: str | None) -> tuple[str, str]:
     own, told = split_world(name)
     if told != TEXT and world not in (None, told):
         raise UserError(f"--world {world}: the name {name} stands for the world {told}")
-    return own, world or told
+    return own, world or (None if told == TEXT else told)
 
 
 def world_option(world: str) -> list[str]:

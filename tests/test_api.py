@@ -16,7 +16,7 @@ from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.sources import open_study
 from pneuma.api import evaluate, load_policy, open_data, run_study
-from pneuma.config import as_settings, make_env_config, make_run, stream_seed
+from pneuma.config import as_fields, make_env_config, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.engines.team import Team
@@ -90,7 +90,7 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
     layers = ((np.zeros((60, 5), np.float32), np.zeros(5, np.float32)),)
     critic = ((np.zeros((60, 1), np.float32), np.zeros(1, np.float32)),)
     files = {
-        "run.json": json.dumps({"run": as_settings(run)}).encode(),
+        "run.json": json.dumps({"run": as_fields(run)}).encode(),
         "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
     }
     store.save_run("0123456789abcdef", Status("done", run.steps), files)

@@ -28,7 +28,3 @@ def test_no_two_streams_share_a_seed() -> None:
     seeds = {stream_seed(*key) for key in keys}
     assert len(seeds) == len(keys) == 50 * 6 * 20
     assert all(0 <= seed < 2**64 for seed in seeds)
-
-
-def test_slot_zero_is_the_stream_without_a_slot() -> None:
-    assert stream_seed("3", "weights") == stream_seed("3", "weights", 0)

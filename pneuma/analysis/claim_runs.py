@@ -18,7 +18,7 @@ from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.run_view import view
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.claimed import training_command
 from pneuma.study.origins import processors
@@ -326,7 +326,7 @@ def _joined(
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:
     """Return cells in the form of a study's record."""
     runs = [
-        {"condition": cell.condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_settings(cell.run)}
+        {"condition": cell.condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_fields(cell.run)}
         for cell in cells
     ]
     named = {"study": study.name, "title": study.title, "figure": study.figure, "baseline": study.baseline}

@@ -26,11 +26,10 @@ from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.verdicts import MARGINAL
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, complaint, plain
-from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
+from pneuma.schema import Table, TomlFile, Where, complaint, plain, read_toml, shown
+from pneuma.study.claimed import read_fixed_runs
 from pneuma.study.files import checksum
-from pneuma.study.spec import Study, load_study, studies_folder
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.study.spec import CLAIMS_FILE, Study, load_study, studies_folder
 from pneuma.worlds import WORLDS
 
 LOGS = "logs"

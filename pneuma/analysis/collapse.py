@@ -2,19 +2,17 @@
 
     stretches of signs and evaluations of a run → Diagnosis → incidence per condition
 
-A run collapses where, for a twentieth of its budget or more, most updates of its policy have no entropy
-and one action alone; or where two evaluations or more in a row kill at most half of its best, a tenth of the
-monsters less than that best, and the best had been a tenth above the random player. It has recovered where
-that ends and does not come again, and relearned where it then kills four fifths of its best before. Returns
-are not looked at: XP that never resets lets them sink in a straight line without any collapse.
+A run collapses where one of three lasts (docs/outcomes.md gives the numbers): its policy has no entropy and
+one action alone; it kills far less than at its best; or, in worlds that never reset XP, its return has been
+above zero and lies below, so that it has died more often than it has killed. It has recovered where that
+ends and does not come again, and relearned where it then kills nearly as much as at its best before.
 
-Logs that hold neither actions nor evaluations are judged by their entropy alone; what could not be
+Logs that hold neither actions nor evaluations are judged by their entropy and return alone; what could not be
 seen is told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +22,7 @@ from pneuma.analysis.intervals import incidence_interval
 from pneuma.analysis.run_view import RunView, view
 from pneuma.analysis.signs import (
     FALL,
+    LOSS,
     NO_ENTROPY,
     ONE_ACTION,
     SIGNS,
@@ -36,7 +35,7 @@ from pneuma.analysis.signs import (
 from pneuma.analysis.tables import FinishedRun, StudyData
 
 SHORTEST = 0.05
-"""Share of the budget that a policy of one action must last to be one."""
+"""Share of the budget that a policy of one action, or a return below zero, must last to be a collapse."""
 GAP = 0.01
 """Share of the budget over which a sign may be interrupted."""
 MOST = 0.5
@@ -58,7 +57,7 @@ class Diagnosis:
         collapsed: whether it ever did.
         onset_step: agent steps after the first update, or evaluation, of the collapse.
         onset_update: the number of that update; None where the run's settings do not tell.
-        sound_step: the last update, or evaluation, before it: from where a fork can begin.
+        sound_step: the last update, evaluation or best return before it: from where a fork can begin.
         signs: those of `SIGNS` that held over most of it.
         unseen: those that the run's records cannot tell of; of a fork a fall from what its parent had.
         recovered_step: where the last collapse ended; None where one lasts to the run's end.
@@ -74,38 +73,43 @@ class Diagnosis:
     recovered_step: int | None = None
     relearned: bool | None = None
 
+    @property
+    def blind(self) -> bool:
+        """Whether the run's records tell of no sign at all."""
+        return len(self.unseen) == len(SIGNS)
+
 
 def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
     """Diagnose a run, as it stood at a step where one is given."""
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
-    found, falls = _clipped(data.source.signs(run), seen), _falls(seen, steps, shares)
-    unseen = _unseen(found, bool(falls or (len(steps) and not run.begun)))  # a fork's best was its parent's
+    found, falls, losses = _clipped(data.source.signs(run), seen), _falls(seen, steps, shares), _losses(seen)
+    judged = {*found, *([LOSS] if losses is not None else [])}
+    if falls or (len(steps) and not run.begun):  # a fork's best was its parent's
+        judged.add(FALL)
+    unseen = tuple(sign for sign in SIGNS if sign not in judged)
     distance = _update_steps(data, run)
     gap = GAP * seen.until + (distance or 0)
-    spells = joined(_one_action(found, seen, gap, distance or 1) + falls, gap)
+    sunk = _lasting(joined(losses or [], gap), seen)
+    spells = joined(_one_action(found, seen, gap, distance or 1) + falls + sunk, gap)
     if not spells:
         return Diagnosis(False, unseen=unseen)
     (onset, last), ended = spells[0], spells[-1][1]
-    fell = [fall for fall in falls if onset <= fall[0] <= last]
-    held = [sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST]
+    fell, lost = ([own for own in parts if onset <= own[0] <= last] for parts in (falls, sunk))
+    held = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
+    held |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
     lasts = ended >= min(run.end, seen.last_step) - gap or ended >= max(steps, default=np.inf)
     recovered = None if lasts else int(ended)
     return Diagnosis(
         True,
         onset_step=int(onset),
         onset_update=round(onset / distance) if distance else None,
-        sound_step=_sound_step(onset, fell, steps, distance),
-        signs=tuple(sign for sign in SIGNS if sign in held or (sign == FALL and fell)),
+        sound_step=_sound_step(seen, onset, fell, lost, steps, distance),
+        signs=tuple(sign for sign in SIGNS if sign in held),
         unseen=unseen,
         recovered_step=recovered,
         relearned=_relearned(seen, steps, shares, onset, recovered),
     )
-
-
-def _unseen(found: Mapping[str, object], falls_judged: bool) -> tuple[str, ...]:
-    """Return the signs of which nothing can be told."""
-    return tuple(sign for sign in SIGNS if sign not in found and not (sign == FALL and falls_judged))
 
 
 def diagnoses(data: StudyData) -> pd.DataFrame:
@@ -126,27 +130,27 @@ def incidence(data: StudyData) -> pd.DataFrame:
 
     Runs whose records can tell of no sign at all are left out; `unknown` counts them.
     """
-    whole = diagnoses(data)
-    blind = whole["unseen"] == ", ".join(SIGNS)
-    found = whole[~blind]
     rows = []
     for condition in data.conditions:
-        own = found[found["condition"] == condition]
-        count, runs = int(own["collapsed"].sum()), len(own)
-        interval = incidence_interval(count, runs)
+        runs = data.of_condition(condition)
+        every = [diagnose(data, run) for run in runs]
+        statuses = [run.status for run, own in zip(runs, every, strict=True) if not own.blind]
+        found = [own for own in every if not own.blind]
+        count = sum(own.collapsed for own in found)
+        interval = incidence_interval(count, len(found))
         rows.append(
             {
                 "condition": condition,
-                "runs": runs,
-                "diverged": int((own["status"] == "diverged").sum()),
+                "runs": len(found),
+                "diverged": statuses.count("diverged"),
                 "collapsed": count,
-                "share": count / runs if runs else float("nan"),
+                "share": count / len(found) if found else float("nan"),
                 "low": interval.low,
                 "high": interval.high,
                 "interval": interval.method,
-                "recovered": int(own["recovered_step"].notna().sum()),
-                "relearned": int(own["relearned"].fillna(False).sum()),
-                "unknown": int((blind & (whole["condition"] == condition)).sum()),
+                "recovered": sum(own.recovered_step is not None for own in found),
+                "relearned": sum(bool(own.relearned) for own in found),
+                "unknown": len(every) - len(found),
             }
         )
     return pd.DataFrame(rows)
@@ -169,9 +173,24 @@ def _one_action(found: dict[str, list[Stretch]], seen: RunView, gap: float, dist
     parts = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
         parts = both(parts, found[ONE_ACTION])
-    shortest = SHORTEST * seen.until
-    long_enough = [spell for spell in joined(parts, gap) if spell[1] - spell[0] >= shortest]
-    return [spell for spell in long_enough if share_held(parts, spell, distance) > MOST]
+    lasting = _lasting(joined(parts, gap), seen)
+    return [spell for spell in lasting if share_held(parts, spell, distance) > MOST]
+
+
+def _lasting(spells: list[Stretch], seen: RunView) -> list[Stretch]:
+    """Return the spells that last long enough to be a collapse."""
+    return [spell for spell in spells if spell[1] - spell[0] >= SHORTEST * seen.until]
+
+
+def _losses(seen: RunView) -> list[Stretch] | None:
+    """Return where the return lies below zero, having been above; None where it would tell nothing.
+
+    In a world that resets XP a low return is one episode's alone. What logs were of is not known.
+    """
+    steps, returns = seen.curve("return")
+    if not len(steps) or seen.data.settings(seen.run).get("xp_scope") == "episode":
+        return None
+    return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
 
 def _falls(seen: RunView, steps: np.ndarray, shares: np.ndarray) -> list[Stretch]:
@@ -185,10 +204,20 @@ def _falls(seen: RunView, steps: np.ndarray, shares: np.ndarray) -> list[Stretch
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
 
 
-def _sound_step(onset: float, fell: list[Stretch], steps: np.ndarray, distance: int | None) -> int:
-    """Return the last update before the onset, or the last evaluation where a fall is the onset."""
+def _sound_step(
+    seen: RunView,
+    onset: float,
+    fell: list[Stretch],
+    lost: list[Stretch],
+    steps: np.ndarray,
+    distance: int | None,
+) -> int:
+    """Return the last evaluation before a fall, the best return before a loss, or else the last update."""
     if fell and fell[0][0] == onset:
         return int(max(steps[steps < onset], default=0))
+    if lost and lost[0][0] == onset:
+        points, returns = seen.curve("return")
+        return int(points[returns[points < onset].argmax()])
     return int(max(onset - (distance or 1), 0))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator
 
 import pandas as pd
@@ -76,10 +77,23 @@ def _is_held(data: StudyData, quantity: str, window: str | None) -> bool:
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     """Return a table in one of `EXPORT_FORMATS`."""
     if form == "csv":
-        return frame.to_csv(index=False, lineterminator="\n").encode()
+        return _unrunnable(frame).to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
     return (_to_latex if form == "latex" else _to_markdown)(frame).encode()
+
+
+def _unrunnable(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table in which a spreadsheet runs no text: names may be untrusted."""
+    texts = frame.select_dtypes(include=["object", "string"])
+    return frame.assign(**{str(name): [_as_text(cell) for cell in texts[name]] for name in texts})
+
+
+def _as_text(cell: object) -> object:
+    """Return a cell, with a quotation mark before a text that would be a formula."""
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    return cell if re.fullmatch(r"[+-][\d.]+(e[+-]?\d+)?", cell) else "'" + cell
 
 
 def _to_latex(frame: pd.DataFrame) -> str:

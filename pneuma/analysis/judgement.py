@@ -10,6 +10,7 @@ been run, the chance of any false verdict stays at most the list's alpha.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,7 @@ import numpy as np
 from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, measure_of
 from pneuma.analysis.claims import LOGS, PLACES, Claim, ClaimList, LogContrast, PublishedLogs
 from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
+from pneuma.analysis.design import not_admitted
 from pneuma.analysis.intervals import LEVEL, around
 from pneuma.analysis.power import seeds_needed
 from pneuma.analysis.pvalues import student_tails
@@ -40,6 +42,10 @@ from pneuma.study.store import Store
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
+WITH_CONTENT, BY_LETTER, OPEN, UNDECIDABLE, NOT_RUN = STANDINGS = (
+    "decided with content", "decided by the letter", "open", "could not be decided", "not run yet",
+)  # fmt: skip
+"""What verdicts come to, as they are counted (docs/evidence.md)."""
 VERDICTS = (SUPPORTED, REFUTED, MIXED, INCONCLUSIVE, UNTESTABLE)
 
 
@@ -85,9 +91,7 @@ class Verdict:
     @property
     def decisive(self) -> Comparison | None:
         """The contrast that decides: the surest where one is enough for the verdict, else the least sure."""
-        deciding = [own for own in self.comparisons if own.verdict == self.verdict] or [*self.comparisons]
-        one_is_enough = self.verdict == (REFUTED if self.claim.need == "all" else SUPPORTED)
-        return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
+        return _decisive(self.comparisons, self.verdict, self.claim.need)
 
     @property
     def seeds_needed(self) -> int | None:
@@ -105,9 +109,25 @@ class Verdict:
         return list(dict.fromkeys(run_id for own in self.comparisons for run_id in own.run_ids))
 
     @property
-    def not_run(self) -> bool:
-        """Whether it lacks runs that can be trained."""
-        return TRAIN_WITH in self.reason
+    def standing(self) -> str:
+        """What it comes to, of `STANDINGS`.
+
+        Decided by the letter alone is what is supported by an effect that lies within the margin, or refuted
+        though the claimed direction is borne out.
+        """
+        if self.verdict == UNTESTABLE:
+            return NOT_RUN if TRAIN_WITH in self.reason else UNDECIDABLE
+        if self.verdict == INCONCLUSIVE:
+            return OPEN
+        if self.reason == AS_CLAIMED_BUT_SMALL:
+            return BY_LETTER
+        own = self.decisive
+        margin = self.claim.of("margin", own.outcome) if own else None
+        if own and margin and self.verdict == SUPPORTED and self.claim.direction not in MARGINAL:
+            size = abs(math.log(own.contrast.effect)) if self.claim.kind == "spread" else own.contrast.effect
+            within = math.log(margin) if self.claim.kind == "spread" else margin
+            return BY_LETTER if abs(size) < within else WITH_CONTENT
+        return WITH_CONTENT
 
 
 def judge(claims: ClaimList, store: Store) -> list[Verdict]:
@@ -120,16 +140,18 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     Raises:
         UserError: for a damaged published table.
     """
-    runs = ClaimRuns(store, claims)
+    runs, refused = ClaimRuns(store, claims), not_admitted(claims)
     cases = [(claim, place) for claim in claims.claims.values() for place in PLACES]
     return [
-        _judge_one(claim, place, runs, claims)
+        _judge_one(claim, place, runs, claims, refused.get((claim.name, place), ""))
         for claim, place in cases
         if place != LOGS or claim.contrasts_in(place)
     ]
 
 
-def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> Verdict:
+def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
+    if refused:
+        return Verdict(claim, place, UNTESTABLE, f"not admitted: {refused}")
     if place == LOGS:
         made = [_of_logs(claims.logs, claim, own, _level(claim, place, claims)) for own in claim.logs]
     elif place in claim.worlds:
@@ -159,6 +181,22 @@ def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> 
 def _level(claim: Claim, place: str, claims: ClaimList) -> float:
     """Return the level of an interval that holds for all contrasts of the list at once."""
     return 1 - claims.head.alpha / claims.factor(claim, place)
+
+
+def decisive_of(verdict: Verdict) -> list[Comparison]:
+    """Return, for each outcome of a claim, the contrast that decides on it."""
+    found: list[Comparison] = []
+    for outcome in dict.fromkeys(own.outcome for own in verdict.comparisons):
+        each = [own for own in verdict.comparisons if own.outcome == outcome]
+        word = together([own.verdict for own in each], verdict.claim.need)
+        found += filter(None, [_decisive(each, word or INCONCLUSIVE, verdict.claim.need)])
+    return found
+
+
+def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Comparison | None:
+    deciding = [own for own in comparisons if own.verdict == verdict] or [*comparisons]
+    one_is_enough = verdict == (REFUTED if need == "all" else SUPPORTED)
+    return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
 
 
 # --- Contrasts -----------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ import numpy as np
 
 from pneuma.analysis.collapse import Diagnosis, diagnose
 from pneuma.analysis.run_view import RunView, Series, ends_before, mean_height, view
-from pneuma.analysis.signs import SIGNS
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError, nearest_name, unknown_name
@@ -137,7 +136,7 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
 
 def _no_sign(data: StudyData, run: FinishedRun, name: str, at_step: float | None) -> str:
     found = diagnose(data, run, at_step)
-    if len(found.unseen) == len(SIGNS):
+    if found.blind:
         return f"{data.source.what} holds no sign of collapse"
     if found.collapsed:
         return f"no evaluation tells of {name}"
@@ -220,7 +219,7 @@ def _of_peaks(seen: RunView, quantity: str, take: Callable[[np.ndarray], np.floa
 def _diagnosis(seen: RunView) -> Diagnosis | None:
     """Return the run's diagnosis; None where its records tell of no sign at all."""
     found = diagnose(seen.data, seen.run, seen.until)
-    return None if len(found.unseen) == len(SIGNS) else found
+    return None if found.blind else found
 
 
 def _collapsed(seen: RunView) -> float:

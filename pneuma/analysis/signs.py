@@ -10,8 +10,9 @@ from collections.abc import Mapping
 import numpy as np
 
 NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL = "no entropy", "one action", "dead units", "fall"
-SIGNS = (NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL)
-"""What thesis section 6.1 describes; the last shows in evaluations, not in updates."""
+LOSS = "return below zero"
+SIGNS = (NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL, LOSS)
+"""What thesis section 6.1 describes; the last two show in evaluations and in returns, not in updates."""
 
 LEAST_ENTROPY = 0.1
 """Nats; of the 1.6 of five equal actions. Thesis 6.1: "the agent had 0 entropy". One action then has a

@@ -20,7 +20,7 @@ from pneuma.errors import UserError
 
 STUDY = "bench-scaling"
 COMMANDS: dict[str, tuple[str, ...]] = {
-    "study plan": ("study", "plan", "{file}", "--no-calibrate"),
+    "study plan": ("study", "plan", "{file}"),
     "study run, all stored": ("study", "run", "{file}", "--quiet"),
     "study status": ("study", "status", STUDY),
     "run list": ("run", "list"),

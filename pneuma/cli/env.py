@@ -209,7 +209,7 @@ def _story(worlds: Any) -> str:
 @contextmanager
 def _blaming_rewards(worlds: Any) -> Iterator[None]:
     """Turn what a reward of the user's own raises into a line that names its place."""
-    from pneuma.env.blame import blame_reward
+    from pneuma.env.reward import blame_reward
 
     try:
         yield

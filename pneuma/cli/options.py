@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import functools
 import inspect
-import json
 import math
 import os
 import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.claimed import CLAIMS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
 from pneuma.study.plan import Selection
-from pneuma.study.spec import MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.worlds import TEXT, WORLDS
 
 
@@ -266,7 +265,7 @@ def selecting_words(selection: Selection) -> list[str]:
         words += ["--engine", selection.engine]
     words += [word for name in selection.conditions for word in ("--condition", name)]
     for key, value in (selection.settings or {}).items():
-        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
+        words += ["--set", f"{key}={value if isinstance(value, str) else dumps(value)}"]
     return words
 
 
@@ -294,7 +293,19 @@ def _read_value(text: str) -> Any:
 
 def print_json(document: object) -> None:
     """Print the one JSON document of a command; numbers that JSON has not, as NaN, are null in it."""
-    print(json.dumps(_without_nan(document), indent=2, allow_nan=False))
+    print(dumps(_without_nan(document), indent=2, allow_nan=False))
+
+
+def print_listed(kind: str, tables: Mapping[str, Mapping[str, Any]], json: bool) -> None:
+    """Print names, titles and sections of shipped files, whose contents are given by their names."""
+    rows = [{kind: name, "title": t["title"], "section": t.get("section", "")} for name, t in tables.items()]
+    if json:
+        many = {"study": "studies", "search": "searches"}[kind]
+        return print_json({"schema": 1, many: rows})
+    for row in rows:
+        section = f"thesis section {row['section']}" if row["section"] else ""
+        print(f"{row[kind]:<18} {row['title']:<44} {section}")
+    return None
 
 
 def _without_nan(value: object) -> object:

@@ -46,7 +46,7 @@ class ProgressDisplay:
 
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
-            BarColumn(),
+            BarColumn(bar_width=20),
             TextColumn("{task.fields[runs]}"),
             MofNCompleteColumn(),
             TextColumn("steps"),

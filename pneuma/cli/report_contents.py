@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma import __version__
-from pneuma.analysis.effects import effects_table, study_effects
+from pneuma.analysis.crossed import effects_table, study_effects
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sources import open_study
 from pneuma.analysis.summaries import summary_table
@@ -25,7 +25,7 @@ from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
 from pneuma.cli.options import selecting_words
 from pneuma.cli.plain_text import command
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
-from pneuma.config import BASES, as_settings, make_run
+from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import (
     Conditions,
@@ -42,7 +42,7 @@ from pneuma.figures.verdict_words import judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 from pneuma.worlds import TEXT, WORLDS, in_world, split_world, world_option
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
@@ -314,7 +314,7 @@ def _base(study: str, some: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
     """Return what a study's conditions are set against: its base, or the defaults where none is known."""
     if study in spec.list_studies():
         base = spec.load_study(study).base
-        return base, as_settings(make_run(BASES[base]))
+        return base, as_fields(make_run(BASES[base]))
     return "the defaults", default_settings(some)
 
 
@@ -323,7 +323,7 @@ def _value(settings: Mapping[str, Any], key: str) -> str:
     if key not in settings:
         return "unknown"
     value = settings[key]
-    shown = json.dumps(value) if isinstance(value, dict) else shown_setting(value)
+    shown = json.dumps(value) if isinstance(value, dict) else shown_value(value)
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 

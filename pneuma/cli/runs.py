@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,13 +15,13 @@ from pneuma.cli.fork import fork
 from pneuma.cli.options import Json, Results, print_json, read_path
 from pneuma.cli.out_files import check_file, write_file
 from pneuma.cli.plain_text import plain
-from pneuma.config import EnvConfig, Run, make_run
+from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study import stored_runs
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import Holder, StoredRun
-from pneuma.values import shown_setting
+from pneuma.study.stored_runs import ListedRun, StoredRun
+from pneuma.values import shown_value
 
 app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
@@ -31,23 +31,6 @@ app.command("fork", short_help="Go on from a checkpoint with something changed."
 
 RESULTS = Path("results")
 EXPORTS = (".zip", ".onnx")
-
-GROUPS: dict[str, tuple[str, ...]] = {
-    "environment": ("env", *(field.name for field in fields(EnvConfig)), "action_slip", "reward_noise"),
-    "budget": ("engine", "algorithm", "seed", "steps", "slots", "evaluation_episodes"),
-    "network": ("actor", "critic", "activation"),
-    "optimizer": (
-        *("optimizer", "learning_rate", "betas", "epsilon", "momentum", "dampening", "smoothing"),
-        *("utility_decay", "noise", "weight_decay", "gradient_limit", "clip"),
-    ),
-    "action values": (
-        *("exploration", "exploration_fraction", "buffer_size", "learning_starts", "train_every"),
-        *("gradient_steps", "target_every"),
-    ),
-    "fork": ("parent", "fork_step", "fork_reset"),
-    "learner": (),
-}
-"""Settings of a run as they are shown together; what is in no other group belongs to the last."""
 
 RunName = Annotated[
     str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
@@ -59,11 +42,7 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
     runs = stored_runs.list_runs(Store(results))
     if json:
-        rows = [
-            {"run_id": run.run_id, **_standing(run.status), "seed": run.seed, "studies": _rows(run.holders)}
-            for run in runs
-        ]
-        return print_json({"schema": 1, "runs": rows})
+        return print_json({"schema": 1, "runs": [_row(run, run.seed) for run in runs]})
     if not runs:
         none = "" if results.is_dir() else ": there is no such folder"
         print(f"No run is stored in {results} yet{none}.")
@@ -78,7 +57,7 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
 @app.command(short_help="Show what produced a stored run.")
 def show(
     name: RunName,
-    all_: Annotated[bool, typer.Option("--all", help="Show every setting, defaults too.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Show every field, defaults too.")] = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -86,14 +65,21 @@ def show(
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
     usual = stored_runs.default_settings(run.settings)
-    differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     if json:
-        return print_json(_document(run, {key: usual.get(key) for key in differing}))
+        resumed = any(resume.get("differences") for resume in run.resumes)
+        document = {
+            "settings": dict(run.settings),
+            "defaults": {key: usual.get(key) for key in run.settings if run.settings[key] != usual.get(key)},
+            "provenance": dict(run.provenance),
+            "resumed_elsewhere": resumed,
+            "files": [{"name": f.name, "bytes": f.size_bytes, "state": f.state} for f in run.files],
+        }
+        return print_json({"schema": 1, **_row(run, run.settings.get("seed")), **document})
     detail = f" ({plain(run.status.detail)})" if run.status.detail else ""
     print(f"run {run.run_id}: {plain(run.status.name)}{detail}, {run.status.step:,} steps trained")
     for held in run.holders:
         print(f"study {plain(held.study)}, condition {plain(held.condition)}, seed {held.seed}")
-    _print_settings(run.settings, differing, usual, all_)
+    _print_fields(run, usual, all_)
     _print_provenance(run)
     for study, word in _unlike_most(store, run).items():
         print(f"  unlike     {word} than most runs of study {plain(study)}: its bits could differ")
@@ -194,35 +180,19 @@ def _resolved(run: StoredRun) -> Run:
 # --- Showing ---------------------------------------------------------------------------------------
 
 
-def _print_settings(
-    settings: Mapping[str, Any], differing: Mapping[str, Any], usual: Mapping[str, Any], all_: bool
-) -> None:
-    """Print the settings in groups: those that differ from the defaults, then on demand the others."""
-    if not settings:
+def _print_fields(run: StoredRun, usual: Mapping[str, Any], all_: bool) -> None:
+    """Print the fields that are not as usual, then on demand the others."""
+    if not run.settings:
         print("\nIts configuration is missing or damaged.")
         return
-    print("\nSettings that are not the environment's and optimizer's defaults")
-    for group, key in _grouped(differing):
-        print(f"  {group:<12} {plain(key)} = {_value(settings[key])}   (default {_value(usual.get(key))})")
-    if not differing:
-        print("  none")
-    if not all_:
-        print("  (--all shows the others)")
-        return
-    print("\nSettings at their defaults")
-    for group, key in _grouped({key: value for key, value in settings.items() if key not in differing}):
-        print(f"  {group:<12} {plain(key)} = {_value(settings[key])}")
-
-
-def _grouped(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return (group, key) of settings, in the groups' order; the group is told once."""
-    named = {key for keys in GROUPS.values() for key in keys}
-    ordered = [(group, key) for group, keys in GROUPS.items() for key in keys if key in settings]
-    ordered += [(next(reversed(GROUPS)), key) for key in settings if key not in named]
-    told = ["", *(group for group, _ in ordered)]
-    return [
-        ("" if group == before else group, key) for (group, key), before in zip(ordered, told, strict=False)
-    ]
+    differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
+    print("\nFields that are not the environment's and optimizer's defaults")
+    for key, value in differing.items():
+        print(f"  {plain(key)} = {_value(value)}   (default {_value(usual.get(key))})")
+    print("\nFields at their defaults" if all_ else "  (--all shows the others)")
+    for key, value in run.settings.items():
+        if all_ and key not in differing:
+            print(f"  {plain(key)} = {_value(value)}")
 
 
 def _print_provenance(run: StoredRun) -> None:
@@ -233,23 +203,15 @@ def _print_provenance(run: StoredRun) -> None:
         print("\nIts provenance is missing or damaged.")
     else:
         print("\nNo provenance: it is written when a run has ended.")
-    rows = {
-        "imported": about.get("imported"),
-        "started": about.get("started"),
-        "wall time": f"{about['wall_seconds']} s" if "wall_seconds" in about else None,
-        "commit": about.get("commit"),
-        "machine": _machine(about),
-        "python": about.get("python"),
-        "packages": _pairs(about.get("packages")),
-    }
-    for key, value in rows.items():
-        if value is not None:
-            print(f"  {key:<10} {_value(value)}")
+    for key, value in about.items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {own}" for name, own in value.items())
+        if key not in ("resumes", "attempts"):
+            print(f"  {plain(key):<12} {_value(value)}")
     for resume in run.resumes:
         differences = resume.get("differences") or []
-        flag = "as before" if not differences else "NOT as before, its bits could differ: "
-        where = f"at step {_value(resume.get('step'))}, {_value(resume.get('at'))}"
-        print(f"  resumed    {where}: {flag}{_several(differences)}")
+        same = f"NOT as before, its bits could differ: {_value(differences)}" if differences else "as before"
+        print(f"  resumed      at step {_value(resume.get('step'))}, {_value(resume.get('at'))}: {same}")
 
 
 def _unlike_most(store: Store, run: StoredRun) -> dict[str, str]:
@@ -263,49 +225,14 @@ def _unlike_most(store: Store, run: StoredRun) -> dict[str, str]:
     return found
 
 
-def _machine(about: Mapping[str, Any]) -> str | None:
-    parts = [str(about[key]) for key in ("system", "cpu") if about.get(key)]
-    parts += [f"{about['cores']} cores"] if about.get("cores") else []
-    parts += (
-        [f"{about['threads']} thread" + ("s" if about["threads"] != 1 else "")] if "threads" in about else []
-    )
-    return ", ".join(parts) or None
-
-
-def _pairs(packages: object) -> str | None:
-    if not isinstance(packages, dict):
-        return None
-    return ", ".join(f"{name} {version}" for name, version in packages.items())
-
-
-def _several(differences: object) -> str:
-    rows = differences if isinstance(differences, list) else [differences]
-    return "; ".join(_value(row) for row in rows)
-
-
-def _document(run: StoredRun, defaults: Mapping[str, Any]) -> dict[str, Any]:
+def _row(run: StoredRun | ListedRun, seed: Any) -> dict[str, Any]:
+    """Return what `list` and `show` say of a run, as JSON has it."""
+    status, studies = run.status, [asdict(holder) for holder in run.holders]
     return {
-        "schema": 1,
-        "run_id": run.run_id,
-        **_standing(run.status),
-        "seed": run.settings.get("seed"),
-        "studies": _rows(run.holders),
-        "settings": dict(run.settings),
-        "defaults": dict(defaults),
-        "provenance": dict(run.provenance),
-        "resumed_elsewhere": any(resume.get("differences") for resume in run.resumes),
-        "files": [{"name": f.name, "bytes": f.size_bytes, "state": f.state} for f in run.files],
-    }
-
-
-def _standing(status: Any) -> dict[str, Any]:
-    return {"status": status.name, "step": status.step}
-
-
-def _rows(held: tuple[Holder, ...]) -> list[dict[str, Any]]:
-    return [asdict(holder) for holder in held]
+        "run_id": run.run_id, "status": status.name, "step": status.step, "seed": seed, "studies": studies,
+    }  # fmt: skip
 
 
 def _value(value: object) -> str:
     """Write a value for people."""
-    return plain(json_module.dumps(value) if isinstance(value, dict) else shown_setting(value))
+    return plain(json_module.dumps(value) if isinstance(value, dict) else shown_value(value))

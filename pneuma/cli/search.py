@@ -11,11 +11,12 @@ import typer
 
 from pneuma.cli import search_run
 from pneuma.cli.figure_files import Formats, draw_files, read_formats
-from pneuma.cli.options import Json, Results, WorldName, print_json, read_path
+from pneuma.cli.options import Json, Results, WorldName, print_json, print_listed, read_path
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.search_run import SearchName, search_document, told_value
 from pneuma.cli.study_output import check_choice
 from pneuma.errors import counted
+from pneuma.study.spec import studies_folder
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, world_option
 
@@ -38,16 +39,10 @@ app.command(short_help="Train winners of searches on fresh seeds.")(search_run.p
 @app.command("list")
 def list_(json: Json = False) -> None:
     """List the shipped searches."""
-    from pneuma.search.spec import list_searches, load_search
+    from pneuma.schema import read_toml
 
-    searches = [load_search(name) for name in list_searches()]
-    if json:
-        rows = [{"search": s.name, "title": s.title, "section": s.section} for s in searches]
-        return print_json({"schema": 1, "searches": rows})
-    for search in searches:
-        section = f"thesis section {search.section}" if search.section else ""
-        print(f"{search.name:<18} {search.title:<44} {section}")
-    return None
+    files = sorted((studies_folder() / "search").glob("*.toml"))
+    return print_listed("search", {path.stem: read_toml(path).data for path in files}, json)
 
 
 @app.command()
@@ -59,7 +54,7 @@ def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
     if json:
         document = {key: value for key, value in asdict(search).items() if key != "name"}
         return print_json({"schema": 1, "search": search.name, **document})
-    print(plain(search.title) + (f" (thesis section {plain(search.section)})" if search.section else ""))
+    print(plain(search.title + (f" (thesis section {search.section})" if search.section else "")))
     if search.about:
         print(f"\n{plain(search.about)}")
     print("\nSpace:")

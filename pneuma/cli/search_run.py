@@ -189,15 +189,15 @@ def _task(
     steps: str | None,
 ) -> Task:
     """Return the search and budget that options ask for."""
-    from pneuma.config import Run, read_setting
+    from pneuma.config import Run, read_field
     from pneuma.search.spec import FIXABLE, load_search
     from pneuma.search.trials import Task
 
     search = load_search(name, world)
     for key in over:
-        if key not in FIXABLE:
-            raise unknown_name("key of --set", key, FIXABLE)
-    over = {key: read_setting(Run, key, value) for key, value in over.items()}
+        if key not in FIXABLE.names:
+            raise unknown_name("key of --set", key, FIXABLE.names)
+    over = {key: read_field(Run, key, value) for key, value in over.items()}
     budget = _budget(search, preset or "quick", trials, seeds, steps)
     file = str(Path(name).resolve()) if name.endswith(".toml") else ""
     return Task(search.with_settings(over, over) if over else search, budget, file, over)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from pneuma.cli import (
-    study_effects,
-    study_map,
+    study_crossed,
     study_output,
     study_plot,
     study_run,
@@ -18,14 +18,15 @@ from pneuma.cli import (
     study_trajectories,
     study_verify,
 )
-from pneuma.cli.options import Json, Results, StudyName, WorldName, print_json
+from pneuma.cli.options import Json, Results, StudyName, WorldName, print_json, print_listed
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import is_shipped, known_studies, study_record
 from pneuma.cli.study_run import by_value
-from pneuma.config import as_settings, make_run
-from pneuma.study import claimed, plan, spec
+from pneuma.config import as_fields, make_run
+from pneuma.study import plan, spec
+from pneuma.study.spec import Preset
 from pneuma.study.store import Store
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -39,8 +40,8 @@ app.command()(study_output.export)
 app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
-app.command(short_help="Say in which other settings a contrast holds.")(study_map.robustness)
-app.command(short_help="Test what matters where settings are crossed.")(study_effects.effects)
+app.command(short_help="Say in which other settings a contrast holds.")(study_crossed.robustness)
+app.command(short_help="Test what matters where settings are crossed.")(study_crossed.effects)
 app.command(short_help="Say where trained policies go, and how that ends.")(study_trajectories.trajectories)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
@@ -48,14 +49,10 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 @app.command("list")
 def list_(json: Json = False) -> None:
     """List the shipped studies."""
-    studies = [spec.load_study(name) for name in spec.list_studies()]
-    if json:
-        names = [{"study": s.name, "title": s.title, "section": s.section} for s in studies]
-        return print_json({"schema": 1, "studies": names})
-    for study in studies:
-        section = f"thesis section {study.section}" if study.section else ""
-        print(f"{study.name:<18} {study.title:<36} {section}")
-    return None
+    from pneuma.schema import read_toml
+
+    tables = {name: read_toml(spec.studies_folder() / f"{name}.toml").data for name in spec.list_studies()}
+    return print_listed("study", tables, json)
 
 
 @app.command(short_help="Show what a study compares, and its presets.")
@@ -77,34 +74,36 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
                 "world": study.world,
                 "worlds": list(study.worlds),
                 "baseline": study.baseline,
-                "conditions": {c: study.settings(c) for c in study.conditions},
+                "conditions": {c: study.fields(c) for c in study.conditions},
                 "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
             }
         )
-    print(f"{study.title}" + (f" (thesis section {study.section})" if study.section else ""))
+    print(plain(study.title + (f" (thesis section {study.section})" if study.section else "")))
     if study.about:
-        print(f"\n{study.about}")
+        print(f"\n{plain(study.about)}")
     print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
     for key, values in differing.items():
-        print(f"  {key}: {by_value(values)}")
-    print(f"Compared with: {study.baseline}")
+        print(f"  {key}: {plain(by_value(values))}")
+    print(f"Compared with: {plain(study.baseline)}")
     print(f"Runs in: {', '.join(study.worlds)} (here {study.world})")
     print("\nAll conditions share:")
-    for key, value in as_settings(make_run(study.settings(study.baseline))).items():
+    for key, value in as_fields(make_run(study.fields(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):
-            print(f"  {key} = {shown_setting(value)}")
+            print(f"  {key} = {plain(shown_value(value))}")
     print("\nPresets:")
     for preset, amount in study.presets.items():
-        print(f"  {preset:<9} {len(amount.seeds)} seeds x {amount.steps:,} steps")
-        for condition, own in amount.conditions.items():
-            print(f"  {'':<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
-    for i, (condition, own) in enumerate(claimed.fixed_amounts(study).items()):
-        head = "" if i else claimed.CLAIMS
-        print(f"  {head:<9} {condition}: {len(own.seeds)} seeds x {own.steps:,} steps")
+        _print_amounts(preset, {"": amount, **amount.conditions})
+    from pneuma.study.claimed import fixed_amounts
+
+    _print_amounts(spec.CLAIMS, fixed_amounts(study))
     return None
 
 
-# --- Helpers -------------------------------------------------------------------------------------
+def _print_amounts(preset: str, amounts: Mapping[str, Preset]) -> None:
+    """Print how much a preset runs: of all conditions, and of those named."""
+    for i, (condition, own) in enumerate(amounts.items()):
+        told = f"{plain(condition)}: " if condition else ""
+        print(f"  {'' if i else preset:<9} {told}{len(own.seeds)} seeds x {own.steps:,} steps")
 
 
 def _show_record(record: dict[str, Any], json: bool) -> None:

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
 
 RESULTS = Path("results")
-MOST_PUBLISHED_BYTES = 20_000_000
-"""Over all studies (design section 4)."""
 
 
 @selects
@@ -84,7 +82,11 @@ def export(
 ) -> None:
     """Write a study's records as one tidy table."""
     check_choice("--table", table, EXPORT_TABLES)
-    _check_curve_options(table, band, window)
+    for option, value, allowed in (("--band", band, EDGED_BANDS), ("--window", window, WINDOWS)):
+        if value is not None:
+            check_choice(option, value, allowed)
+            if table != "curves":
+                raise UserError(f"{option} {value}: goes with --table curves alone")
     form = format or EXPORT_SUFFIXES.get(out.suffix, "csv" if str(out) == "-" else "")
     if not form:
         endings = ", ".join(EXPORT_SUFFIXES)
@@ -92,13 +94,9 @@ def export(
     check_choice("--format", form, EXPORT_FORMATS)
     if json and str(out) == "-":
         raise UserError("--json: standard output is for the table; name a file by --out")
-    store = Store(results)
-    record = study_record(store, name, selection, world)
+    data = open_data(Store(results), name, selection, world, mixed=table in PUBLISHED_TABLES)
     from pneuma.analysis.export import encode_table, lacks_window
-    from pneuma.analysis.sources import open_study
 
-    data = open_study(store, record, mixed=table in PUBLISHED_TABLES)
-    tell_left_out(data)
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
     if str(out) != "-":
@@ -112,17 +110,8 @@ def export(
     write_file(out, encoded)
     if json:
         return print_json({"schema": 1, "file": str(out), "rows": rows})
-    print(f"wrote {out}: {rows:,} rows")
+    print(f"wrote {plain(str(out))}: {rows:,} rows")
     return None
-
-
-def _check_curve_options(table: str, band: str | None, window: str | None) -> None:
-    """Refuse options of curves that are unknown, or go with another table."""
-    for option, value, allowed in (("--band", band, EDGED_BANDS), ("--window", window, WINDOWS)):
-        if value is not None:
-            check_choice(option, value, allowed)
-            if table != "curves":
-                raise UserError(f"{option} {value}: goes with --table curves alone")
 
 
 @selects
@@ -155,13 +144,11 @@ def publish(
     """
     kept = _read_curves(curves)
     store = Store(results)
-    record = study_record(store, name, selection, world)
+    data = open_data(store, name, selection, world, mixed=False, tell=False)
     from pneuma.analysis.published import PublishedRuns, published_path
     from pneuma.analysis.published_times import encode_times, times_path
     from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
-    from pneuma.analysis.sources import open_study
 
-    data = open_study(store, record, mixed=False)
     if isinstance(data.source, PublishedRuns):
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
     path = published_path(store, data.study)
@@ -177,7 +164,6 @@ def publish(
     store.write(path, encoded)
     times = {run_id: before.times[run_id] for run_id in staying if run_id in before.times} if before else {}
     store.write(times_path(store, data.study), encode_times(data, times))
-    _tell_size(store)
     if json:
         counts = {"runs": len(data.runs), "staying": len(staying), "of_other_studies": elsewhere}
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
@@ -229,15 +215,6 @@ def _refuse_losses(
         )
 
 
-def _tell_size(store: Store) -> None:
-    """Say so where the published tables of all studies come to more than one commits."""
-    from pneuma.analysis.published import published_path, published_studies
-
-    size = sum(published_path(store, study).stat().st_size for study in published_studies(store))
-    if size > MOST_PUBLISHED_BYTES:
-        say(f"Note: published tables come to {size / 1e6:.1f} MB; more than 20 MB is a lot to commit.", True)
-
-
 def _with_other_studies(
     store: Store, data: StudyData, own: PublishedRuns | None, curves: tuple[str, ...] | None, rounding: bool
 ) -> PublishedRuns | None:
@@ -266,6 +243,19 @@ def _read_curves(told: str | None) -> tuple[str, ...] | None:
     return tuple(own for name in names for own in (ACTION_QUANTITIES if name == "actions" else (name,)))
 
 
+def open_data(
+    store: Store, name: str, selection: Selected, world: str | None, *, mixed: bool = True, tell: bool = True
+) -> StudyData:
+    """Open a study's data, as `open_study` does, and say how many runs of the selection are left out."""
+    record = study_record(store, name, selection, world)
+    from pneuma.analysis.sources import open_study
+
+    data = open_study(store, record, mixed=mixed)
+    if tell:
+        tell_left_out(data)
+    return data
+
+
 def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
     """Say how many runs of a selection are not shown, or not here, if any."""
     from pneuma.analysis.partly_published import PartlyPublished
@@ -284,3 +274,9 @@ def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
     """Refuse a value of an option that is none of those allowed."""
     if value not in allowed:
         raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
+
+
+def tell_written(files: Iterable[Path]) -> None:
+    """Say which files were written."""
+    for path in files:
+        print(f"wrote {plain(str(path))}")

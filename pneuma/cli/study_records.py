@@ -11,7 +11,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Status, Store
 from pneuma.study.trust import own_things
-from pneuma.worlds import TEXT, check_world, in_world, split_world
+from pneuma.worlds import check_world, split_world
 
 Read = TypeVar("Read")
 
@@ -161,7 +161,7 @@ def _record_name(name: str, world: str | None) -> str:
     if is_shipped(name):
         return spec.load_study(name, world).name
     stem = Path(name).stem if name.endswith(".toml") else name
-    return in_world(stem, world or TEXT)
+    return spec.name_in_world(stem, world)
 
 
 def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:

@@ -31,7 +31,7 @@ from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
@@ -276,7 +276,7 @@ def by_value(values: Mapping[str, Any]) -> str:
     """Return each value of a setting with the conditions that have it."""
     having: dict[str, list[str]] = {}
     for condition, value in values.items():
-        having.setdefault(shown_setting(value), []).append(condition)
+        having.setdefault(shown_value(value), []).append(condition)
     return "; ".join(f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
 
 

@@ -25,53 +25,43 @@ RESULTS = Path("results")
 
 @dataclass(frozen=True)
 class _Standing:
-    """How a study stands.
-
-    Attributes:
-        record: of its runs.
-        states: of each of them.
-        marks: by run, in what it was trained otherwise than most.
-        jobs: by run, its job in Slurm's queue.
-    """
+    """How the runs of a study's record stand; by run, how it is unlike most, and its job in Slurm's queue."""
 
     record: Mapping[str, Any]
     states: list[RunState]
-    marks: Mapping[str, str]
+    unlike_most: Mapping[str, str]
     jobs: Mapping[str, Job]
 
     def document(self) -> dict[str, Any]:
         """Return it as one JSON object."""
         runs = [
             {
-                **{key: state.run[key] for key in ("run_id", "condition", "seed")},
-                "status": state.status,
-                "step": state.step,
-                "published": state.published,
-                "trained": False,
+                **{key: own.run[key] for key in ("run_id", "condition", "seed")},
+                **{"status": own.status, "step": own.step, "published": own.published, "trained": False},
             }
-            for state in self.states
+            for own in self.states
         ]
         jobs = {run_id: {"job": job.id, "state": job.state} for run_id, job in self.jobs.items()}
         study = self.record["study"]
-        return {"schema": 1, "study": study, "runs": runs, "unlike_most": self.marks, "jobs": jobs}
+        return {"schema": 1, "study": study, "runs": runs, "unlike_most": self.unlike_most, "jobs": jobs}
 
     def tell(self) -> None:
         """Print it: a line of counts, then a line a run."""
-        counts = ", ".join(f"{n} {told}" for told, n in Counter(state.told for state in self.states).items())
+        counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in self.states).items())
         print(f"{plain(self.record['study'])}: {counts}")
         if "adaptive" in self.record:
             _tell_looks(self.record)
-        width = max((len(plain(state.run["condition"])) for state in self.states), default=0)
-        for state in self.states:
-            run_id = state.run["run_id"]
-            job = self.jobs.get(run_id)
-            notes = (
-                state.reached,
-                f"job {job.id} {job.state.lower()}" if job else "",
-                f"({self.marks[run_id]} than most)" if run_id in self.marks else "",
-            )
-            who = f"{plain(state.run['condition']):<{width}} seed {state.run['seed']:<6} {run_id}"
-            print("  ".join(["", who, state.told, *filter(None, notes)]))
+        width = max((len(plain(own.run["condition"])) for own in self.states), default=0)
+        for own in self.states:
+            run_id, seed = own.run["run_id"], own.run["seed"]
+            parts = [f"  {plain(own.run['condition']):<{width}} seed {seed:<6} {run_id}", own.told]
+            if own.reached:
+                parts.append(own.reached)
+            if job := self.jobs.get(run_id):
+                parts.append(f"job {job.id} {job.state.lower()}")
+            if run_id in self.unlike_most:
+                parts.append(f"({self.unlike_most[run_id]} than most)")
+            print("  ".join(parts))
 
 
 @selects

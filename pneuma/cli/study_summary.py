@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,9 +26,8 @@ from pneuma.cli.options import (
     say,
     selects,
 )
-from pneuma.cli.plain_text import command, plain
-from pneuma.cli.study_output import tell_left_out
-from pneuma.cli.study_records import study_record
+from pneuma.cli.plain_text import command, plain, print_table
+from pneuma.cli.study_output import open_data, tell_written
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import Supervision
@@ -42,6 +41,10 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 FORK_SEEDS = "3"
+COLUMNS = 3
+"""Outcomes in the table that is printed unless more is asked for."""
+COUNTS = ("runs", "diverged", "collapsed")
+"""What a summary tells besides outcomes."""
 
 
 @selects
@@ -55,6 +58,9 @@ def summary(
             help="One of docs/outcomes.md, instead of the usual (may be repeated).",
         ),
     ] = None,
+    all_: Annotated[
+        bool, typer.Option("--all", help="Print every statistic of all usual outcomes, not three means.")
+    ] = False,
     selection: Selected = None,
     world: WorldName = None,
     results: Results = RESULTS,
@@ -73,8 +79,10 @@ def summary(
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
     tell_step(data)
-    for part in _readable(data, table, outcome or ()):
-        print("\n" + part)
+    if outcome or all_:
+        _print_statistics(data, table, outcome or ())
+    else:
+        _print_means(data, table)
     return None
 
 
@@ -108,7 +116,8 @@ def collapse(
     formats = read_figures_asked(out, format)
     if fork and out is not None:
         raise UserError("--out: does not go with --fork; `pneuma study plot` draws the forks")
-    if not fork and (idle := _idle(run, fork_seeds, workers, trust)):
+    of_forks = {"run": run, "fork-seeds": fork_seeds != FORK_SEEDS, "workers": workers, "trust": trust}
+    if idle := next((option for option, given in of_forks.items() if given and not fork), None):
         raise UserError(f"--{idle}: goes with --fork alone")
     store = Store(results)
     data = open_data(store, name, selection, world, mixed=not fork)
@@ -121,17 +130,21 @@ def collapse(
         plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
         how = Supervision(workers=read_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
-    figures = [] if out is None else _drawn_collapses(data, out, formats)
+    files: list[Path] = []
+    if out is not None:
+        from pneuma.figures.collapse import draw_collapse
+        from pneuma.figures.panels import stem_of
+
+        files = draw_collapse(data, out, stem_of(data, "collapse"), formats)
     if json:
         document = {"schema": 1, "study": data.study, "runs": records(found)}
-        print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, figures))})
+        print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, files))})
         return 0
-    _print_collapses(data, found, incidence(data))
+    _print_collapses(found[found["collapsed"]], incidence(data))
     if any(store.has_checkpoints(run_id) for run_id in found["run_id"][found["collapsed"]]):
         again = command("study", "collapse", data.study, "--fork", "--results", store.root)
         say(f"To show the cause: {again}", quiet=quiet)
-    for path in figures:
-        print(f"wrote {plain(str(path))}")
+    tell_written(files)
     return 0
 
 
@@ -143,27 +156,10 @@ def tell_step(data: StudyData) -> None:
         print(f"Budgets are unlike: all as they stood at {step:,} steps, {plain(step_words(data))}.")
 
 
-def _idle(run: list[str] | None, fork_seeds: str, workers: str | None, trust: bool) -> str:
-    """Return the first option of forks that was given; empty where none was."""
-    given = {"run": run, "fork-seeds": fork_seeds != FORK_SEEDS, "workers": workers, "trust": trust}
-    return next((name for name, value in given.items() if value), "")
-
-
-def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> list[Path]:
-    from pneuma.figures.collapse import draw_collapse
-    from pneuma.figures.panels import stem_of
-
-    return draw_collapse(data, out, stem_of(data, "collapse"), formats)
-
-
-def open_data(store: Store, name: str, selection: Any, world: str | None, *, mixed: bool = True) -> StudyData:
-    """Open a study's data, as `open_study` does, saying how many runs of the selection are left out."""
-    record = study_record(store, name, selection, world)
-    from pneuma.analysis.sources import open_study
-
-    data = open_study(store, record, mixed=mixed)
-    tell_left_out(data)
-    return data
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return rows for `print_json`: None for what there is not."""
+    known = table.astype(object).where(table.notna(), None)
+    return [{str(key): value for key, value in row.items()} for row in known.to_dict("records")]
 
 
 def _parents(data: StudyData, found: pd.DataFrame, wanted: Sequence[str]) -> dict[str, int]:
@@ -182,41 +178,75 @@ def _parents(data: StudyData, found: pd.DataFrame, wanted: Sequence[str]) -> dic
         if sum(run_id.startswith(prefix) for run_id in steps) != 1 or len(prefix) < 4:
             known = ", ".join(run_id[:8] for run_id in steps)
             raise UserError(f"--run {prefix}: is no collapsed run of study {data.study}; there are {known}")
-    return {
-        run_id: step
-        for run_id, step in steps.items()
-        if not wanted or any(run_id.startswith(prefix) for prefix in wanted)
-    }
+    return {run_id: step for run_id, step in steps.items() if run_id.startswith(tuple(wanted) or "")}
 
 
 # --- For people ------------------------------------------------------------------------------------
 
 
-def _readable(data: StudyData, table: pd.DataFrame, asked: Sequence[str]) -> Iterable[str]:
-    """Yield a block of lines for each outcome, that was asked for or has a value: a condition a line."""
+def _print_means(data: StudyData, table: pd.DataFrame) -> None:
+    """Print a line for each condition: the means of the first outcomes that any has, and its failures."""
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import shown_with_interval
 
-    width = _width(data)
+    means = table[table["statistic"] == "mean"]
+    names = list(dict.fromkeys(means["outcome"]))[:COLUMNS]
+    units = [find_outcome(name).unit for name in names]
+    heads = [f"{name} ({unit})" if unit else name for name, unit in zip(names, units, strict=True)]
+    rows = []
+    for condition in data.conditions:
+        own = table[table["condition"] == condition]
+        cells = [_cell(own, name, "mean") for name in names]
+        failures = [_cell(own, name, "share") for name in ("collapsed", "diverged")]
+        rows.append((condition, len(data.of_condition(condition)), *cells, *failures))
+    print()
+    print_table(("condition", "runs", *heads, "collapsed", "diverged"), rows)
+    print("\nMeans, and shares of runs, with 95 % intervals. Medians, spread and other outcomes: --all.")
+
+
+def _print_statistics(data: StudyData, table: pd.DataFrame, asked: Sequence[str]) -> None:
+    """Print a table for each outcome that was asked for or has a value, and one of failures."""
+    from pneuma.analysis.outcomes import find_outcome
+
     for outcome in dict.fromkeys([*asked, *table["outcome"]]):
-        if outcome in ("runs", "diverged", "collapsed"):
+        if outcome in COUNTS:
             continue
         found = find_outcome(outcome)
-        lines = [f"{outcome}: {found.words}{_beside(data) if found.source == 'times' else ''}"]
-        told = dict(iter(table[table["outcome"] == outcome].groupby("condition", sort=False)))
+        print(f"\n{outcome}: {found.words}{_core_share(data) if found.source == 'times' else ''}")
+        own = table[table["outcome"] == outcome]
+        statistics = list(dict.fromkeys(own["statistic"]))
+        rows: list[Sequence[object]] = []
         for condition in data.conditions:
-            if condition not in told:
-                lines.append(f"  {plain(condition):<{width}} n = 0   {_lack(data, condition, outcome)}")
-                continue
-            own = told[condition]
-            cells = [
-                f"{_WORDS.get(row['statistic'], row['statistic'])} "
-                f"{shown_with_interval(row['value'], row['low'], row['high'])}"
-                for row in own.to_dict("records")
-            ]
-            lines.append(f"  {plain(condition):<{width}} n = {own['runs'].iloc[0]:<3} {'  '.join(cells)}")
-        yield "\n".join(lines)
-    yield "\n".join(_failures(data, table))
+            told = own[own["condition"] == condition]
+            if told.empty:
+                rows.append((condition, 0, _lack(data, condition, outcome)))
+            else:
+                cells = [_cell(told, outcome, statistic) for statistic in statistics]
+                rows.append((condition, told["runs"].iloc[0], *cells))
+        print_table(("condition", "n", *(_HEADS.get(name, name) for name in statistics or [""])), rows)
+    print("\nshare of runs that diverged, and that collapsed (pneuma study collapse)")
+    shares = table[table["statistic"] == "share"]
+    heads = list(dict.fromkeys(shares["outcome"]))
+    print_table(
+        ("condition", *heads),
+        (
+            (name, *(_cell(shares[shares["condition"] == name], head, "share") for head in heads))
+            for name in data.conditions
+        ),
+    )
+
+
+_HEADS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baseline)"}
+
+
+def _cell(table: pd.DataFrame, outcome: str, statistic: str) -> str:
+    """Return a statistic of a condition with its interval; – for none."""
+    from pneuma.analysis.rounding import shown_with_interval
+
+    own = table[(table["outcome"] == outcome) & (table["statistic"] == statistic)]
+    if own.empty:
+        return "–"
+    row = own.iloc[0]
+    return shown_with_interval(row["value"], row["low"], row["high"])
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:
@@ -228,64 +258,41 @@ def _lack(data: StudyData, condition: str, outcome: str) -> str:
     return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
 
 
-def _beside(data: StudyData) -> str:
-    """Say how much of a core those runs had whose times are told."""
+def _core_share(data: StudyData) -> str:
+    """Say how much of a core those runs had whose times are told, where one had too little."""
     from pneuma.analysis.outcomes import QUIET
 
     shares = [data.source.processor_share(run) for run in data.runs]
     known = [share for share in shares if share is not None]
-    if len(known) == len(shares) and min(known, default=1.0) >= QUIET:
+    if len(known) == len(shares) and min(known) >= QUIET:
         return ""
-    told = [f"least {min(known):.0%}"] if known else []
-    if len(known) < len(shares):
-        told.append(f"of {counted(len(shares) - len(known), 'run')} not recorded")
-    return f" (share of a core: {', '.join(told)}; no claim is judged below {QUIET:.0%})"
+    told = f"least {min(known):.0%}" if known else "not recorded"
+    return f" (share of a core: {told}; no claim is judged below {QUIET:.0%})"
 
 
-_WORDS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baseline)", "median": "median"}
-
-
-def _width(data: StudyData) -> int:
-    """Return how wide the column of conditions is."""
-    return max(len(plain(condition)) for condition in data.conditions) + 1
-
-
-def _failures(data: StudyData, table: pd.DataFrame) -> Iterable[str]:
-    from pneuma.analysis.rounding import shown_with_interval
-
-    width = _width(data)
-    yield "share of runs that diverged, and that collapsed (pneuma study collapse)"
-    for condition in data.conditions:
-        own = table[(table["condition"] == condition) & (table["statistic"] == "share")]
-        cells = [
-            f"{row['outcome']} {shown_with_interval(row['value'], row['low'], row['high'])}"
-            for row in own.to_dict("records")
-        ]
-        yield f"  {plain(condition):<{width}} {'  '.join(cells)}"
-
-
-def _print_collapses(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame) -> None:
-    width = _width(data)
-    for row in found[found["collapsed"]].to_dict("records"):
-        update = "" if _missing(row["onset_update"]) else f"update {row['onset_update']:,}, "
-        after = "" if _missing(row["recovered_step"]) else f"; recovered at step {row['recovered_step']:,}"
-        again = " and relearned" if row["relearned"] is True else ""
-        told = f"{plain(row['condition']):<{width}} seed {row['seed']:<6} {row['run_id']}"
-        print(f"{told}  {update}step {row['onset_step']:,}: {row['signs']}{after}{again}")
-    for row in shares.to_dict("records"):
-        interval = f", 95 % interval {row['low']:.0%} to {row['high']:.0%}" if row["runs"] else ""
-        unknown = f"; of {counted(row['unknown'], 'run')} no sign is recorded" if row["unknown"] else ""
-        told = f"{row['collapsed']} of {row['runs']} runs collapsed{interval}{unknown}"
-        print(f"{plain(row['condition']):<{width}} {told}")
-
-
-def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return rows for `print_json`: None for what there is not."""
-    known = table.astype(object).where(table.notna(), None)
-    return [{str(key): value for key, value in row.items()} for row in known.to_dict("records")]
-
-
-def _missing(value: object) -> bool:
-    import pandas as pd
-
-    return value is None or value is pd.NA
+def _print_collapses(collapsed: pd.DataFrame, shares: pd.DataFrame) -> None:
+    """Print the runs that collapsed, and the share of each condition's that did."""
+    if len(collapsed):
+        print_table(
+            ("condition", "seed", "run", "step", "signs", "recovered at step"),
+            (
+                (
+                    row["condition"],
+                    row["seed"],
+                    row["run_id"],
+                    f"{row['onset_step']:,}",
+                    row["signs"],
+                    f"{row['recovered_step']:,}{' and relearned' * bool(row['relearned'])}"
+                    if row["recovered_step"]
+                    else "never",
+                )
+                for row in records(collapsed)
+            ),
+        )
+        print()
+    rows = []
+    for row in records(shares):
+        interval = f"{row['low']:.0%} to {row['high']:.0%}" if row["runs"] else "–"
+        unknown = f"of {counted(row['unknown'], 'run')} no sign is recorded" if row["unknown"] else ""
+        rows.append((row["condition"], f"{row['collapsed']} of {row['runs']} runs", interval, unknown))
+    print_table(("condition", "collapsed", "95 % interval", ""), rows)

@@ -23,8 +23,9 @@ from pneuma.cli.options import (
     selects,
 )
 from pneuma.cli.plain_text import plain
-from pneuma.cli.study_summary import open_data, records
-from pneuma.env_settings import is_own_level, is_random_level
+from pneuma.cli.study_output import open_data
+from pneuma.cli.study_summary import records
+from pneuma.env_fields import is_own_level, is_random_level
 from pneuma.errors import UserError
 from pneuma.study.store import Store
 from pneuma.study.trust import REWARD, own_things

@@ -18,6 +18,7 @@ from pneuma.study.store import Store
 from pneuma.worlds import WORLDS, check_world
 
 if TYPE_CHECKING:
+    from pneuma.analysis.claims import ClaimList
     from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Comparison, Verdict
 
@@ -35,6 +36,9 @@ def verify(
         Path | None,
         typer.Option("--claims", metavar="FILE", parser=read_path, help="Other claims than the thesis's."),
     ] = None,
+    design: Annotated[
+        bool, typer.Option("--design", help="Say what the seeds of each claim can tell, and read no runs.")
+    ] = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -47,6 +51,8 @@ def verify(
     for name in claims or ():
         if name not in known.claims:
             raise unknown_name("claim", name, known.claims)
+    if design:
+        return _check_design(known, claims or (), world, json)
     every = judge(known, Store(results))
     shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
     if json:
@@ -89,6 +95,10 @@ def _document(one: Verdict) -> dict[str, Any]:
         "direction": claim.direction,
         "margin": claim.of("margin", claim.outcomes[0]),
         "need": claim.need,
+        "standing": one.standing,
+        "outcomes": list(claim.outcomes),
+        "simultaneous": _ends(contrast.simultaneous) if contrast else None,
+        "context": claim.context,
         "contrasts": [_contrast(own) for own in one.comparisons],
         "run_ids": one.run_ids,
     }
@@ -98,9 +108,11 @@ def _contrast(own: Comparison) -> dict[str, Any]:
     return {
         "a": own.a,
         "b": own.b,
+        "outcome": own.outcome,
         "verdict": own.verdict,
         "effect": own.contrast.effect,
         "interval": _ends(own.contrast.interval),
+        "simultaneous": _ends(own.contrast.simultaneous),
         "p": own.p,
         "seeds": list(own.contrast.seeds),
         "seeds_needed": own.seeds_needed,
@@ -112,18 +124,82 @@ def _ends(interval: Interval) -> list[float] | None:
     return [interval.low, interval.high] if interval.exists else None
 
 
+# --- The design check --------------------------------------------------------------------------------
+
+
+def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, json: bool) -> None:
+    """Print what the seeds of claims can tell, and which claims are not admitted."""
+    from pneuma.analysis.design import check_design, not_admitted
+
+    refused = not_admitted(known)
+    plans = [
+        own
+        for own in check_design(known)
+        if (not claims or own.claim.name in claims) and world in (None, own.world)
+    ]
+    if json:
+        rows = [
+            {
+                "claim": own.claim.name,
+                "world": own.world,
+                **{key: getattr(own, key) for key in _PLANNED},
+                "seeds": list(own.seeds),
+                "margin": own.claim.of("margin", own.outcome),
+                "admitted": (own.claim.name, own.world) not in refused,
+            }
+            for own in plans
+        ]
+        head = {"schema": 1, "claims_hash": known.digest, "alpha": known.head.alpha}
+        return print_json({**head, "pilot": known.pilot is not None, "design": rows})
+    lines: list[tuple[str, ...]] = [
+        ("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", "")
+    ]
+    for own in plans:
+        numbers = (own.detectable, own.plausible, own.provable, own.claim.of("margin", own.outcome))
+        cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
+        seeds = "/".join(map(str, own.seeds))
+        lines.append(
+            (plain(own.claim.name), own.world, own.outcome, seeds, *cells, own.reason or "decidable")
+        )
+    _print_columns(lines)
+    if known.pilot is None:
+        print("\nThe list has no pilot: every claim is admitted.")
+        return None
+    print(f"\nNot admitted, of {len({(own.claim.name, own.world) for own in plans})} claims in worlds:")
+    for (name, where), reason in refused.items():
+        print(f"  {plain(name)}, {where}: {plain(reason)}")
+    print("found: the least difference found with 80 % power; shown: the least margin shown for arms alike.")
+    return None
+
+
+_PLAN_HEAD = ("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", "")
+_PLANNED = ("outcome", "a", "b", "alpha", "spread", "detectable", "provable", "plausible", "reason")
+
+
+def _print_columns(rows: Sequence[Sequence[str]]) -> None:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
 # --- For people ----------------------------------------------------------------------------------
 
 
 def _print_table(shown: Sequence[Verdict]) -> None:
     """Print a line for each claim: its verdicts side by side, and numbers of the first place with some."""
+    from pneuma.analysis.judgement import STANDINGS
+
     by_claim: dict[str, dict[str, Verdict]] = {}
     for one in shown:
         by_claim.setdefault(one.claim.name, {})[one.place] = one
-    rows = [_HEAD, *(_row(places) for places in by_claim.values())]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
-    for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    _print_columns([_HEAD, *(_row(places) for places in by_claim.values())])
+    counts: dict[str, Counter[str]] = {}
+    for one in shown:
+        counts.setdefault(one.place, Counter())[one.standing] += 1
+    print()
+    _print_columns(
+        [("", *STANDINGS), *((at, *(str(own[word]) for word in STANDINGS)) for at, own in counts.items())]
+    )
 
 
 def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:

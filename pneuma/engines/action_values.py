@@ -14,7 +14,7 @@ import numpy as np
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.env.worlds import Worlds
-from pneuma.env_settings import MOST_STEPS
+from pneuma.env_fields import MOST_STEPS
 
 WEIGHT_LEFT_OUT = 0.01
 """What is earned beyond a truncated episode counts until its discount is less than this."""

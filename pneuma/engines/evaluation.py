@@ -23,7 +23,7 @@ from pneuma.engines.team import Team
 from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
-from pneuma.env_settings import own_rewards
+from pneuma.env_fields import own_rewards
 
 
 class Evaluation:

@@ -25,14 +25,14 @@ from pneuma.config import (
     SPELL_NAMES,
     Run,
     env_config,
-    settings_read,
+    fields_read,
 )
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
-from pneuma.env_settings import are_own_characters, is_own_level
+from pneuma.env_fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
 
 ONNX_OPSET = 17
@@ -129,7 +129,7 @@ def reads_only_shipped_files(run: Run) -> bool:
 def _check_shape(policy: Policy, run: Run) -> None:
     networks = {"actor": policy.actor, "critic": policy.critic}
     hidden = {name: tuple(len(bias) for _, bias in own[:-1]) for name, own in networks.items() if own}
-    of_run = {name: getattr(run, name) for name in networks if name in settings_read(run)}
+    of_run = {name: getattr(run, name) for name in networks if name in fields_read(run)}
     if (policy.activation, hidden) != (run.activation, of_run):
         raise UserError("policy.safetensors: is not of the shape that its run.json says")
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from pneuma.config import OPTIMIZER_SETTINGS, Run, stream_seed
+from pneuma.config import OPTIMIZER_FIELDS, Run, stream_seed
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.upgd import UPGD
 
@@ -158,7 +158,7 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
 
     Stable-Baselines3 uses epsilon 1e-5 only when given none, torch's own 1e-8 otherwise.
     """
-    names = OPTIMIZER_SETTINGS[run.optimizer]
+    names = OPTIMIZER_FIELDS[run.optimizer]
     own = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
     stream = {"stream": run.stream} if run.optimizer == "upgd" else {}
     return {**own, **stream, "weight_decay": run.weight_decay}

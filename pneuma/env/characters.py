@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from pneuma.config import SHIPPED_CHARACTERS
 from pneuma.env import state
 from pneuma.env.level import Level
-from pneuma.env.tiled import START_CODE, read_text
+from pneuma.env.tiled import START_CODE
 from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.values import Number, Several, Text
+from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 
 TICKS_PER_SECOND = 60
 TICKS_PER_STEP = 8
@@ -29,44 +29,141 @@ TICKS_PER_STEP = 8
 DATA = Path(__file__).parent / "data"
 FACINGS = ("down", "left", "up", "right")
 
-_POINTS = Number(0, 1e6)
-_SECONDS = Number(0, 60)
-_SIDE = Number(1, 4096)
-_BOX = Several(_SIDE, 2, 2)
-_OFFSET = Several(Number(-4096, 4096), 2, 2)
-_FORM: dict[str, dict[str, Any]] = {
-    "players": {
-        "hp": Number(0, 1e6, above=True), "energy": _POINTS, "attack": _POINTS, "magic": _POINTS,
-        "speed": Number(0, 3000), "body": _BOX, "body_at": _OFFSET, "weapon": Text(),
-        "invulnerable": _SECONDS, "energy_recovery": _POINTS,
-    },
-    "weapons": {
-        "damage": _POINTS, "swing": Number(1 / TICKS_PER_SECOND, 60), "knock_back": Number(0, 3000),
-        "knock_back_time": _SECONDS, "box": _BOX, "reach": None, "hilt": None,
-    },
-    "spells": {
-        "strength": _POINTS, "cost": _POINTS, "cast": Number(1 / TICKS_PER_SECOND, 60),
-        "length": _SIDE, "width": _SIDE,
-    },
-    "monsters": {
-        "code": Number(0, 2**28 - 1, whole=True), "hp": Number(0, 1e6, above=True),
-        "speed": Number(0, 3000), "body": _BOX, "body_at": _OFFSET, "notice": _POINTS,
-        "notice_at": _OFFSET, "attack": _POINTS, "attack_at": _OFFSET, "stand_off": _POINTS,
-        "damage": _POINTS, "bite_time": Number(1 / TICKS_PER_SECOND, 500),
-        "invulnerable": _SECONDS, "xp": _POINTS, "heal": _POINTS, "knock_back": Number(0, 3000),
-        "knock_back_time": _SECONDS,
-    },
-}  # fmt: skip
-_OPTIONAL = {
-    "players": ("body_at",),
-    "weapons": ("hilt",),
-    "spells": ("length", "width"),
-    "monsters": ("body_at", "notice_at", "attack_at", "knock_back", "knock_back_time"),
-}
-_MIDDLE = (0.0, 0.0)
+_Points = Annotated[float, Field(ge=0, le=1e6)]
+_Hp = Annotated[float, Field(gt=0, le=1e6)]
+_Speed = Annotated[float, Field(ge=0, le=3000)]
+_Seconds = Annotated[float, Field(ge=0, le=60)]
+_Lasting = Annotated[float, Field(ge=1 / TICKS_PER_SECOND, le=60)]
+_Side = Annotated[float, Field(ge=1, le=4096)]
+_Offset = Annotated[float, Field(ge=-4096, le=4096)]
+_Ahead = Annotated[float, Field(ge=0, le=4096)]
+_Box = Annotated[tuple[_Side, ...], Field(min_length=2, max_length=2)]
+_Place = Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=2)]
 
-Characters = Mapping[str, Mapping[str, Mapping[str, Any]]]
-"""{"players" | "weapons" | "spells" | "monsters": {name: {key: value}}}."""
+
+class _Body(Table):
+    """What players and monsters have in common."""
+
+    hp: _Hp
+    speed: _Speed
+    body: _Box
+    body_at: _Place = (0.0, 0.0)
+    """Centre of the body from the position."""
+    invulnerable: _Seconds
+
+    @model_validator(mode="after")
+    def _position_inside(self) -> _Body:
+        if any(abs(at) >= side / 2 for at, side in zip(self.body_at, self.body, strict=True)):
+            told = f"body_at = {list(self.body_at)} with body = {list(self.body)} is not allowed"
+            raise wrong(f"{told}: the position must lie inside the body")  # which may be at the grid's edge
+        return self
+
+
+class Player(_Body):
+    """A class of players."""
+
+    energy: _Points
+    attack: _Points
+    magic: _Points
+    weapon: str
+    energy_recovery: _Points
+
+
+class Reach(Table):
+    """For each way faced a place from the player, or a distance straight ahead."""
+
+    down: _Place | _Ahead
+    left: _Place | _Ahead
+    up: _Place | _Ahead
+    right: _Place | _Ahead
+
+    def places(self) -> list[tuple[float, ...]]:
+        """Return x and y from the player by facing."""
+        ways = ((0, 1), (-1, 0), (0, -1), (1, 0))
+        own = [getattr(self, facing) for facing in FACINGS]
+        return [
+            each if isinstance(each, tuple) else (each * x, each * y)
+            for each, (x, y) in zip(own, ways, strict=True)
+        ]
+
+
+class Weapon(Table):
+    """A weapon."""
+
+    damage: _Points
+    swing: _Lasting
+    knock_back: _Speed
+    knock_back_time: _Seconds
+    box: _Box
+    reach: Reach
+    hilt: Reach | None = None
+
+
+class Heal(Table):
+    """The spell that heals."""
+
+    strength: _Points
+    cost: _Points
+    cast: _Lasting
+
+
+class Flame(Heal):
+    """The spell that burns a box ahead."""
+
+    length: _Side
+    width: _Side
+
+
+class Spells(Table):
+    """All spells."""
+
+    flame: Flame
+    heal: Heal
+
+
+class Monster(_Body):
+    """A kind of monster."""
+
+    code: Annotated[int, Field(ge=0, lt=2**28)]
+    notice: _Points
+    notice_at: _Place = (0.0, 0.0)
+    attack: _Points
+    attack_at: _Place = (0.0, 0.0)
+    stand_off: _Points
+    damage: _Points
+    bite_time: Annotated[float, Field(ge=1 / TICKS_PER_SECOND, le=500)]
+    xp: _Points
+    heal: _Points
+    knock_back: _Speed | None = None
+    knock_back_time: _Seconds | None = None
+
+    @model_validator(mode="after")
+    def _whole_knock_back(self) -> Monster:
+        if (self.knock_back is None) != (self.knock_back_time is None):
+            raise wrong("knock_back and knock_back_time go together")
+        return self
+
+
+class Characters(Table):
+    """Everybody, and all that they fight with."""
+
+    players: dict[str, Player]
+    weapons: dict[str, Weapon]
+    spells: Spells
+    monsters: dict[str, Monster]
+
+    @model_validator(mode="after")
+    def _known_names(self) -> Characters:
+        for name, player in self.players.items():
+            if player.weapon not in self.weapons:
+                raise wrong(f"[players.{name}] weapon: {unknown_name('weapon', player.weapon, self.weapons)}")
+        codes = {START_CODE: "a start place"}
+        for name, monster in self.monsters.items():
+            if monster.code in codes:
+                told = f"code = {monster.code} already stands for {codes[monster.code]}"
+                raise wrong(f"[monsters.{name}] {told}")
+            codes[monster.code] = name
+        return self
 
 
 def load_characters(name: str = "") -> Characters:
@@ -78,32 +175,18 @@ def load_characters(name: str = "") -> Characters:
     Raises:
         UserError: naming file, table, key and value.
     """
-    with open(DATA / "characters.toml", "rb") as file:
-        characters = tomllib.load(file)
+    file = read_toml(DATA / "characters.toml")
     for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
-        _override(characters, path)
-    return characters
+        own = read_toml(path)
+        file = TomlFile(path, own.text, _laid_over(file.data, own.data))
+    return read_model(Characters, file)
 
 
-def _override(characters: dict[str, Any], path: Path) -> None:
-    """Lay a file over the characters so far, and check that what comes of it holds together."""
-    for group, members in _read_file(path).items():
-        known = list(characters[group])
-        for member, values in members.items():
-            if group == "spells" and member not in known:
-                raise UserError(f"{path}: {unknown_name('spell', member, known)}")
-            characters[group][member] = {**characters[group].get(member, {}), **values}
-            _check_complete(path, group, member, characters[group][member], known)
-    for member, values in characters["players"].items():
-        if values["weapon"] not in characters["weapons"]:
-            problem = unknown_name("weapon", values["weapon"], characters["weapons"])
-            raise UserError(f"{path}: [players.{member}] weapon: {problem}")
-    codes = {START_CODE: "a start place"}
-    for member, values in characters["monsters"].items():
-        code = int(values["code"])
-        if code in codes:
-            raise UserError(f"{path}: [monsters.{member}] code = {code} already stands for {codes[code]}")
-        codes[code] = member
+def _laid_over(data: Any, own: Any, depth: int = 2) -> Any:
+    """Return tables in which a file's own keys stand in place of others', down to those of a character."""
+    if depth < 0 or not isinstance(own, dict) or not isinstance(data, dict):
+        return own
+    return {**data, **{key: _laid_over(data.get(key, {}), value, depth - 1) for key, value in own.items()}}
 
 
 def character_files(name: str) -> list[Path]:
@@ -119,7 +202,7 @@ def character_files(name: str) -> list[Path]:
 
 def monster_codes(characters: Characters) -> dict[int, str]:
     """Return which entity code of a level's layer stands for which kind of monster."""
-    return {int(kind["code"]): name for name, kind in characters["monsters"].items()}
+    return {kind.code: name for name, kind in characters.monsters.items()}
 
 
 def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequence[str]) -> np.ndarray:
@@ -132,15 +215,15 @@ def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequen
     """
     stats = np.zeros(len(classes), state.PLAYER_STATS)
     for row, name, weapon in zip(stats, classes, weapons, strict=True):
-        if name not in characters["players"]:
-            raise unknown_name("class", name, characters["players"])
-        character = characters["players"][name]
-        weapon = character["weapon"] if weapon == "own" else weapon
-        if weapon not in characters["weapons"]:
-            raise unknown_name("weapon", weapon, ["own", *characters["weapons"]])
+        if name not in characters.players:
+            raise unknown_name("class", name, characters.players)
+        character = characters.players[name]
+        weapon = character.weapon if weapon == "own" else weapon
+        if weapon not in characters.weapons:
+            raise unknown_name("weapon", weapon, ["own", *characters.weapons])
         _fill_player(row, character)
-        _fill_weapon(row, characters["weapons"][weapon], character)
-        _fill_spells(row, characters["spells"], character)
+        _fill_weapon(row, characters.weapons[weapon], character)
+        _fill_spells(row, characters.spells, character)
     return stats
 
 
@@ -150,7 +233,7 @@ def monster_stats(
     """Return the stats and home of each monster of a level, shape (M,), dtype `state.MONSTER_STATS`."""
     stats = np.zeros(len(level.monsters), state.MONSTER_STATS)
     for row, (kind, x, y) in zip(stats, level.monsters, strict=True):
-        _fill_monster(row, characters["monsters"][kind])
+        _fill_monster(row, characters.monsters[kind])
         row["home_x"], row["home_y"] = x, y
         row["reach_squared"] = _reach(row, players, magic) ** 2
     return stats
@@ -188,70 +271,57 @@ def _ticks(seconds: float) -> int:
     return round(seconds * TICKS_PER_SECOND)
 
 
-def _fill_player(row: Any, character: Mapping[str, Any]) -> None:
-    row["hp"], row["energy"] = character["hp"], character["energy"]
-    row["energy_gain"] = character["energy_recovery"] * character["magic"] / TICKS_PER_SECOND
-    row["speed"] = character["speed"] / TICKS_PER_SECOND
+def _fill_player(row: Any, character: Player) -> None:
+    row["hp"], row["energy"] = character.hp, character.energy
+    row["energy_gain"] = character.energy_recovery * character.magic / TICKS_PER_SECOND
+    row["speed"] = character.speed / TICKS_PER_SECOND
     _fill_body(row, character)
-    row["safe"] = _ticks(character["invulnerable"])
+    row["safe"] = _ticks(character.invulnerable)
 
 
-def _fill_body(row: Any, character: Mapping[str, Any]) -> None:
-    row["half_width"], row["half_height"] = (side / 2 for side in character["body"])
-    row["body_x"], row["body_y"] = character.get("body_at", _MIDDLE)
+def _fill_body(row: Any, character: _Body) -> None:
+    row["half_width"], row["half_height"] = (side / 2 for side in character.body)
+    row["body_x"], row["body_y"] = character.body_at
 
 
-def _fill_weapon(row: Any, weapon: Mapping[str, Any], character: Mapping[str, Any]) -> None:
-    row["damage"] = weapon["damage"] + character["attack"]
-    row["swing"] = _ticks(weapon["swing"])
-    row["knock_ticks"] = _ticks(weapon["knock_back_time"])
-    row["knock_speed"] = weapon["knock_back"] / TICKS_PER_SECOND
-    _fill_box(row, "sword", weapon["box"], weapon["reach"])
-    row["hilt_x"], row["hilt_y"] = _by_facing(weapon.get("hilt", weapon["reach"]))
+def _fill_weapon(row: Any, weapon: Weapon, character: Player) -> None:
+    row["damage"] = weapon.damage + character.attack
+    row["swing"] = _ticks(weapon.swing)
+    row["knock_ticks"] = _ticks(weapon.knock_back_time)
+    row["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
+    _fill_box(row, "sword", weapon.box, weapon.reach)
+    row["hilt_x"], row["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
 
 
-def _fill_spells(row: Any, spells: Mapping[str, Any], character: Mapping[str, Any]) -> None:
-    flame, heal = spells["flame"], spells["heal"]
-    row["flame_ticks"], row["heal_ticks"] = _ticks(flame["cast"]), _ticks(heal["cast"])
-    row["flame_damage"] = flame["strength"] + character["magic"]
-    row["flame_cost"], row["heal_cost"] = flame["cost"], heal["cost"]
-    row["heal"] = heal["strength"]
-    _fill_box(row, "flame", (flame["length"], flame["width"]), dict.fromkeys(FACINGS, flame["length"] / 2))
+def _fill_spells(row: Any, spells: Spells, character: Player) -> None:
+    flame, heal = spells.flame, spells.heal
+    row["flame_ticks"], row["heal_ticks"] = _ticks(flame.cast), _ticks(heal.cast)
+    row["flame_damage"] = flame.strength + character.magic
+    row["flame_cost"], row["heal_cost"] = flame.cost, heal.cost
+    row["heal"] = heal.strength
+    _fill_box(row, "flame", (flame.length, flame.width), Reach(**dict.fromkeys(FACINGS, flame.length / 2)))
 
 
-def _fill_box(row: Any, name: str, box: Sequence[float], reach: Mapping[str, Any]) -> None:
+def _fill_box(row: Any, name: str, box: Sequence[float], reach: Reach) -> None:
     """Write where a box is by facing; its sides are those of facing left or right."""
     along, across = box[0] / 2, box[1] / 2
-    row[f"{name}_x"], row[f"{name}_y"] = _by_facing(reach)
+    row[f"{name}_x"], row[f"{name}_y"] = zip(*reach.places(), strict=True)
     row[f"{name}_half_width"] = [across, along, across, along]
     row[f"{name}_half_height"] = [along, across, along, across]
 
 
-def _by_facing(reach: Mapping[str, Any]) -> tuple[list[float], list[float]]:
-    """Return x and y from the player by facing; a plain number is a distance straight ahead."""
-    ahead = {"down": (0, 1), "left": (-1, 0), "up": (0, -1), "right": (1, 0)}
-    places = [
-        (reach[name] * ahead[name][0], reach[name] * ahead[name][1])
-        if _is_number(reach[name])
-        else reach[name]
-        for name in FACINGS
-    ]
-    return [x for x, _ in places], [y for _, y in places]
-
-
-def _fill_monster(row: Any, character: Mapping[str, Any]) -> None:
+def _fill_monster(row: Any, character: Monster) -> None:
     for name in ("hp", "stand_off", "damage", "xp", "heal"):
-        row[name] = character[name]
-    row["speed"] = character["speed"] / TICKS_PER_SECOND
+        row[name] = getattr(character, name)
+    row["speed"] = character.speed / TICKS_PER_SECOND
     _fill_body(row, character)
-    row["notice_squared"], row["attack_squared"] = character["notice"] ** 2, character["attack"] ** 2
-    row["notice_x"], row["notice_y"] = character.get("notice_at", _MIDDLE)
-    row["attack_x"], row["attack_y"] = character.get("attack_at", _MIDDLE)
-    row["bite_ticks"] = _ticks(character["bite_time"])
-    row["safe"] = _ticks(character["invulnerable"])
-    own = "knock_back" in character
-    row["knock_ticks"] = _ticks(character["knock_back_time"]) if own else -1
-    row["knock_speed"] = character["knock_back"] / TICKS_PER_SECOND if own else 0.0
+    row["notice_squared"], row["attack_squared"] = character.notice**2, character.attack**2
+    row["notice_x"], row["notice_y"] = character.notice_at
+    row["attack_x"], row["attack_y"] = character.attack_at
+    row["bite_ticks"] = _ticks(character.bite_time)
+    row["safe"] = _ticks(character.invulnerable)
+    row["knock_ticks"] = -1 if character.knock_back_time is None else _ticks(character.knock_back_time)
+    row["knock_speed"] = (character.knock_back or 0.0) / TICKS_PER_SECOND
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
@@ -274,74 +344,3 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
         y = np.abs(y) + players[f"{name}_half_height"]
         furthest.append(float(np.hypot(x, y).max()) + furthest[0])
     return max(furthest) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0
-
-
-# --- A user's file --------------------------------------------------------------------------------
-
-
-def _read_file(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
-    """Read and check a file of characters."""
-    text = read_text(path)
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
-        raise UserError(f"{path}: not TOML: {error}") from None
-    for group, members in data.items():
-        if group not in _FORM:
-            raise UserError(f"{path}: {unknown_name('table', group, _FORM)}")
-        if not isinstance(members, dict):
-            raise UserError(f"{path}: {group} must hold tables, one for each name")
-        for member, values in members.items():
-            if not isinstance(values, dict):
-                raise UserError(f"{path}: [{group}.{member}] must be a table")
-            data[group][member] = {
-                key: _read_value(f"{path}: [{group}.{member}]", group, key, value)
-                for key, value in values.items()
-            }
-    return data
-
-
-def _read_value(where: str, group: str, key: str, value: object) -> Any:
-    form = _FORM[group]
-    if key not in form:
-        raise UserError(f"{where} unknown key {key!r}{nearest_name(key, form)}; known are {', '.join(form)}")
-    if key in ("reach", "hilt"):
-        sound = isinstance(value, dict) and set(value) == set(FACINGS)
-        if not sound or not all(_is_place(side) for side in value.values()):  # type: ignore[attr-defined]
-            names = ", ".join(FACINGS)
-            raise UserError(
-                f"{where} {key} = {value!r} is not allowed: a number or [x, y] for each of {names}"
-            )
-        return value
-    try:
-        return form[key].read(value)
-    except (ValueError, TypeError, OverflowError):
-        raise UserError(f"{where} {key} = {value!r} is not allowed: {form[key].allowed}") from None
-
-
-def _is_place(value: object) -> bool:
-    if isinstance(value, list):
-        return len(value) == 2 and all(_is_number(side) for side in value)
-    return _is_number(value) and value >= 0  # type: ignore[operator]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and -4096 <= value <= 4096
-
-
-def _check_complete(
-    path: Path, group: str, member: str, values: Mapping[str, Any], known: Sequence[str]
-) -> None:
-    """Refuse a new character that lacks something, half a knock-back, and a position outside the body."""
-    lacking = [key for key in _FORM[group] if key not in values and key not in _OPTIONAL.get(group, ())]
-    if lacking:
-        keys = f"the key{'s' if len(lacking) > 1 else ''} {', '.join(map(repr, lacking))}"
-        raise UserError(f"{path}: [{group}.{member}] is new{nearest_name(member, known)} and lacks {keys}")
-    if ("knock_back" in values) != ("knock_back_time" in values) and group == "monsters":
-        raise UserError(f"{path}: [{group}.{member}] knock_back and knock_back_time go together")
-    away, sides = values.get("body_at", _MIDDLE), values.get("body", (1.0, 1.0))
-    if any(abs(at) >= side / 2 for at, side in zip(away, sides, strict=True)):  # it may lie off the grid
-        raise UserError(
-            f"{path}: [{group}.{member}] body_at = {list(away)} with body = {list(sides)} is not allowed: "
-            "the position must lie inside the body"
-        )

@@ -29,8 +29,8 @@ from gymnasium.vector import AutoresetMode
 from pneuma.algorithms import MAILMAN
 from pneuma.config import EnvConfig, make_env_config
 from pneuma.env import MO_ENVIRONMENTS, REGISTERED
-from pneuma.env.blame import blame_reward
 from pneuma.env.parallel import PneumaParallelEnv, parallel_env
+from pneuma.env.reward import blame_reward
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv, PneumaMOEnv, refuse_reward
 from pneuma.env.vector import PneumaVectorEnv

@@ -21,7 +21,7 @@ The map is the whole grid of tiles. So is the land of random levels: each sees t
 same numbers, whichever are played together.
 
 `pneuma/Pneuma-v0` has layout thesis, all monsters, nearest first, unit scale: the quantities of the
-thesis's section 5.1. A layout's own choices are in `pneuma.env_settings.OBSERVATION_SETTINGS`.
+thesis's section 5.1. A layout's own choices are in `pneuma.env_fields.OBSERVATION_FIELDS`.
 """
 
 from __future__ import annotations

@@ -12,10 +12,10 @@ from pettingzoo import ParallelEnv
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
-from pneuma.env.options import chosen_starts, read_options
-from pneuma.env.slots import ending_info
+from pneuma.env.saving import Snapshot
+from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
@@ -68,7 +68,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
 
         `options={"start": i}` puts player 0 at the i-th start place, and the others at the next.
         """
-        start = chosen_starts(self.worlds, read_options(options).get("start"))
+        start = chosen_starts(self.worlds, (options or {}).get("start"))
         if seed is not None or not self._keyed:
             fresh = seed if seed is not None else int(seeding.np_random()[0].integers(2**63))
             self.worlds.seed([fresh])

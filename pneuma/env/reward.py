@@ -26,7 +26,8 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import redirect_stdout
 from importlib.util import cache_from_source
 from pathlib import Path
@@ -35,7 +36,6 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules
-from pneuma.env.blame import blame_reward
 from pneuma.env.own_modules import module_files, module_in
 from pneuma.errors import UserError
 
@@ -150,9 +150,7 @@ def custom_rewards(
     try:
         rewards = np.asarray(function(events, players, stats), np.float64)
     except Exception as error:  # whatever a stranger's function does
-        said = " ".join(str(error).split())
-        told = f"{type(error).__name__}: {said}" if said else type(error).__name__
-        raise blame_reward(error, [name]) or _refusal(function, name, told) from error
+        raise blame_reward(error, [name]) or _refusal(function, name, _said(error)) from error
     if rewards.shape != events.shape:
         raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
     rewards = np.where(present(events), rewards, 0.0)
@@ -169,6 +167,34 @@ def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
     code = getattr(function, "__code__", None)
     where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
     return UserError(f"reward {name!r}: {where}{problem}")
+
+
+def blame_reward(error: BaseException, rewards: Sequence[str]) -> UserError | None:
+    """Return what to tell a user whose reward raised an error, or None if none of them did.
+
+    Args:
+        error: what was caught; the errors that led to it are looked at too.
+        rewards: names as in a configuration; those of `module:function` are a user's own.
+    """
+    modules = {name.partition(":")[0]: name for name in rewards if ":" in name}
+    for each in _chain(error):
+        for frame, line in reversed(list(traceback.walk_tb(each.__traceback__))):
+            name = modules.get(frame.f_globals.get("__name__", ""))
+            if name:
+                return UserError(f"reward {name!r}: {frame.f_code.co_filename}, line {line}: {_said(each)}")
+    return None
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and those that it was raised from or while handling."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _said(error: BaseException) -> str:
+    """Return an error's kind and message in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
 
 
 def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> np.ndarray:

@@ -341,8 +341,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         player.busy -= 1
         if player.armed:
             _raise_sword(player, stats, tick)
-    if settings.magic:  # else nobody ever spends any
-        player.energy = min(player.energy + stats.energy_gain, stats.energy)
+    player.energy = min(player.energy + stats.energy_gain, stats.energy)
     if settings.deadly_coast and _at_sea(s, s.worlds[w].level, player):
         tick.there = 0
         tick.strikes = 0

@@ -13,11 +13,11 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 
 from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.env import rules
-from pneuma.env.options import chosen_starts, read_options
-from pneuma.env.slots import Slots, ending_info
+from pneuma.env.saving import Snapshot
+from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
@@ -87,7 +87,7 @@ class PneumaVecEnv(Rendering, VecEnv):
         players count.
         """
         every = slice(None, None, self.slots.players)
-        asked = [read_options(options).get("start") for options in self._options[every]]
+        asked = [options.get("start") for options in self._options[every]]
         starts = chosen_starts(self.state, asked)
         if self._seeds[0] is not None:
             self.state.seed([int(seed) for seed in self._seeds[every] if seed is not None])

@@ -12,11 +12,11 @@ from gymnasium import spaces
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP, most_hp
-from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
-from pneuma.env.slots import ending_info
+from pneuma.env.saving import Snapshot
+from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
@@ -85,7 +85,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; see `gymnasium.Env.reset`. The same seed begins the same world."""
-        start = chosen_starts(self.state, read_options(options).get("start"))
+        start = chosen_starts(self.state, (options or {}).get("start"))
         super().reset(seed=seed)
         if seed is not None or not self._keyed:
             self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])

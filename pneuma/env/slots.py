@@ -7,6 +7,7 @@ When the world ends, all of its slots that were not idle end with it, and all be
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import numpy as np
@@ -102,3 +103,29 @@ def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
         "xp": float(row["xp"]),
         "hp": float(row["hp"]),
     }
+
+
+def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
+    """Return the start places that `reset` is asked for, shape (N,), or None for the usual ones.
+
+    Args:
+        worlds: which are reset.
+        start: None; the index of a start place; or one for each world, of which some may be None.
+
+    Raises:
+        TypeError: for what is no whole number.
+        ValueError: for a place that the level does not have, or not one for each world.
+    """
+    if start is None:
+        return None
+    asked = list(start) if np.ndim(start) else [start] * len(worlds)
+    places = len(worlds.level.starts)
+    chosen = worlds.usual_starts.copy()
+    for world, one in enumerate(asked):
+        if one is not None and not 0 <= operator.index(one) < places:
+            raise ValueError(f"start {one!r}: the level has places 0 to {places - 1}")
+        if one is not None and world < len(worlds):
+            chosen[world] = one
+    if len(asked) != len(worlds):
+        raise ValueError(f"start = {start!r}: one index, or one for each of {len(worlds)} worlds")
+    return chosen

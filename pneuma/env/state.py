@@ -145,7 +145,6 @@ SETTINGS = _record(
     ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
     ("ending_cost", "f8"),  # XP lost by an ending other than the coast's
     ("keep_xp", "i4"),  # from episode to episode
-    ("magic", "i4"),
     ("layout", "i4"),  # of observations
     ("observe_facing", "i4"),
     ("fixed_order", "i4"),

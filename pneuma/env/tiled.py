@@ -77,7 +77,7 @@ class Header(Table):
     title: Annotated[str, Field(min_length=1)]
     tile: Annotated[float, Field(ge=8, le=4096)] = 64.0
     """Side of a tile in pixels; players move 5 a tick and look one tile ahead."""
-    origin: tuple[_Pixels, _Pixels] | None = None
+    origin: Annotated[tuple[_Pixels, ...], Field(min_length=2, max_length=2)] | None = None
     """Column and row of the tile at whose upper left corner (0, 0) lies; None: the centre."""
     coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] | None = None
     """Ground codes where the land ends; None: those called water in [ground], or 0."""
@@ -259,7 +259,7 @@ def _entities(grid: Grid | None, monster_codes: Mapping[int, str], header: Heade
         return []
     kinds = kinds_by_code(monster_codes)
     _refuse_unknown(grid, (EMPTY, *kinds))
-    refuse_many(grid.where, np.count_nonzero(grid.codes != EMPTY))
+    refuse_many(grid.where, int((grid.codes != EMPTY).sum()))
     left, top = header.corner(grid.codes.shape)
     entities = []
     for row, column in np.argwhere(grid.codes != EMPTY).tolist():

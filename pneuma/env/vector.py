@@ -13,12 +13,12 @@ from gymnasium.vector.utils import batch_space
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
-from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
+from pneuma.env.saving import Snapshot
 from pneuma.env.single import parts_space, refuse_reward
-from pneuma.env.slots import Slots, ending_info
+from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
@@ -81,7 +81,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises:
             ResetNeeded: when the first reset is of some worlds only.
         """
-        told = read_options(options, ("start", "reset_mask"))
+        told = options or {}
         starts = chosen_starts(self.state, told.get("start"))
         seeds = self._seeds(seed)
         mask = self._reset_mask(told.get("reset_mask"))

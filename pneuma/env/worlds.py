@@ -6,11 +6,10 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -19,32 +18,15 @@ from gymnasium.utils import seeding
 
 from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
-from pneuma.env.given import checked, refuse_nowhere
 from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.random_level import parse_name
 from pneuma.env.reward import custom_rewards, load_reward, present, reward_code
+from pneuma.env.saving import Snapshot, fingerprint, refuse_nowhere, restore_world, save_world
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The whole state of one world: what it needs to go on as it would have.
-
-    Attributes:
-        worlds, players, monsters: (1,), (1, P) and (1, M), as in `Worlds`.
-        fits: names the levels and characters that it can be put back among.
-        returns: (P,) what the episode has paid so far, from a face that counts it.
-    """
-
-    worlds: np.ndarray
-    players: np.ndarray
-    monsters: np.ndarray
-    fits: str
-    returns: np.ndarray | None = None
 
 
 class Worlds:
@@ -94,7 +76,7 @@ class Worlds:
         names = ACTION_NAMES + (SPELL_NAMES if config.magic else ())
         self.action_space = spaces.Discrete(len(names))
         self._allocate(count, len(names))
-        self._fits = self._fingerprint()
+        self._fits = fingerprint(self)
         self._try_rewards()
 
     def _allocate(self, count: int, actions: int) -> None:
@@ -151,9 +133,9 @@ class Worlds:
     def _take_addresses(self) -> None:
         """Note where the arrays lie, and look at them in the other ways that are needed."""
         self._handle = state.make_handle(self._arrays)
+        whole = self.worlds, self.players, self.monsters, self.events
+        self.raw = tuple(state.raw(each) for each in whole)  # bytes: NumPy copies those faster
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
-        self._raw = tuple(state.raw(each) for each in (self.worlds, self.players, self.monsters))
-        self._raw_events = state.raw(self.events)
 
     def __len__(self) -> int:
         """Return the number of worlds."""
@@ -199,7 +181,6 @@ class Worlds:
         row["credit_near"] = config.kill_credit == "near"
         row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
-        row["magic"] = config.magic
         fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
@@ -229,8 +210,8 @@ class Worlds:
         Raises:
             ValueError: for a mask or starts of another shape or kind, or a start place that there is not.
         """
-        which = self._every if mask is None else checked(mask, len(self), "b", "mask")
-        usual = self.usual_starts if starts is None else checked(starts, len(self), "iu", "starts")
+        which = self._every if mask is None else _checked(mask, (len(self),), "b", "mask")
+        usual = self.usual_starts if starts is None else _checked(starts, (len(self),), "iu", "starts")
         if usual.max(initial=0) >= (count := len(self.level.starts)):
             raise ValueError(f"start {usual.max()} is none of the level's {count}")
         rules.reset_worlds(self._handle, usual, which)
@@ -245,7 +226,7 @@ class Worlds:
         Raises:
             ValueError: for anything else.
         """
-        actions = checked(actions, self.players.shape, "iu", "actions")
+        actions = _checked(actions, self.players.shape, "iu", "actions")
         if actions.size and not 0 <= actions.min() <= actions.max() < self.action_space.n:
             raise ValueError(f"actions {actions.min()} to {actions.max()} are outside {self.action_space}")
         return self.advance(actions)
@@ -291,21 +272,12 @@ class Worlds:
     # --- Saving and restoring ---------------------------------------------------------------------
 
     def save(self, world: int) -> Snapshot:
-        """Return a copy of one world's state; it can be pickled, sent and restored elsewhere.
+        """Return a copy of one world's state; it can be sent and restored elsewhere.
 
         Raises:
             ValueError: when there is no such world, or no episode has ever begun in it.
         """
-        if not self.worlds["players_left"][self._index(world)] and self.ending(world) == "running":
-            raise ValueError(f"no episode has begun in world {world}: reset it first")
-        one = slice(world, world + 1)
-        worlds, players, monsters = self._raw
-        return Snapshot(
-            worlds[one].copy().view(state.WORLD),
-            players[one].copy().view(state.PLAYER),
-            monsters[one].copy().view(state.MONSTER),
-            self._fits,
-        )
+        return save_world(self, world, self._fits)
 
     def restore(self, world: int, snapshot: Snapshot) -> None:
         """Put a saved state into one world, of this or of another `Worlds` of equal levels and characters.
@@ -315,41 +287,9 @@ class Worlds:
 
         Raises:
             ValueError: when there is no such world, or for a state of another number of players, of
-                other levels, classes, weapons or monsters.
+                other levels, classes, weapons or monsters, or where other things stop whoever moves.
         """
-        self._index(world)
-        if snapshot.fits != self._fits or snapshot.worlds["level"].item() >= len(self.levels):
-            raise ValueError(self._misfit(snapshot))
-        worlds, players, monsters = self._raw
-        worlds[world] = snapshot.worlds.view(worlds.dtype)[0]
-        players[world] = snapshot.players.view(players.dtype)[0]
-        monsters[world] = snapshot.monsters.view(monsters.dtype)[0]
-        self._raw_events[world] = state.NO_EVENTS
-
-    def _index(self, world: int) -> int:
-        if not 0 <= world < len(self.worlds):
-            raise ValueError(f"world {world}: there are worlds 0 to {len(self.worlds) - 1}")
-        return world
-
-    def _misfit(self, snapshot: Snapshot) -> str:
-        """Say why a state cannot be put back here."""
-        for name in ("players", "monsters"):
-            own, other = getattr(self, name).shape[1], getattr(snapshot, name).shape[1]
-            if own != other:
-                return f"a state of {other} {name} does not fit a world of {own}"
-        return "a state of another level, class, weapon or kind of monster does not fit this world"
-
-    def _fingerprint(self) -> str:
-        """Return a digest of the levels and of who lives there: not of what is seen, paid or allowed."""
-        digest = hashlib.sha256(state.LAYOUT_DIGEST.encode())
-        for level in self.levels:
-            digest.update(repr((level.left, level.top, level.tile, level.terrain.shape)).encode())
-            digest.update(level.terrain.tobytes() + level.starts.tobytes())
-        for stats in (self.player_stats, self.monster_stats):
-            for name in stats.dtype.names or ():
-                if name not in _SEEN_OR_PAID:
-                    digest.update(stats[name].tobytes())
-        return digest.hexdigest()
+        restore_world(self, world, snapshot, self._fits)
 
     def observe(self) -> None:
         """Write all observations and masks from the state as it is, which may have been written by hand.
@@ -359,8 +299,7 @@ class Worlds:
         Raises:
             ValueError: for bodies that are nowhere on the grid, face nowhere or fly too fast.
         """
-        kinds = self.monster_stats[self.worlds["level"]]
-        refuse_nowhere(self.level, self.players, self.player_stats, self.monsters, kinds)
+        refuse_nowhere(self)
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
         self._observe()
@@ -374,6 +313,15 @@ def world_key(seed: int) -> int:
     return int(seeding.np_random(seed)[0].integers(2**64, dtype=np.uint64))
 
 
+def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -> np.ndarray:
+    """Return what was given as the compiled rules take it, booleans or int64; they look no index up twice."""
+    array = np.asarray(given)
+    if array.shape != shape or array.dtype.kind not in kinds:
+        of = "booleans" if kinds == "b" else "whole numbers"
+        raise ValueError(f"{what}: must be {of} of shape {shape}, not {array.dtype} of {array.shape}")
+    return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
+
+
 def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
@@ -383,12 +331,8 @@ def _resolved(config: EnvConfig) -> EnvConfig:
     return make_env_config({item.name: getattr(config, item.name) for item in fields(EnvConfig)})
 
 
-_ADDRESSES = ("_handle", "_arrays", "_shown", "_raw", "_raw_events")
+_ADDRESSES = ("_handle", "_arrays", "_shown", "raw")
 """What of `Worlds` holds only where it is."""
-_SEEN_OR_PAID = (
-    "reward", "perceived", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
-)  # fmt: skip
-"""Stats that no state depends on."""
 
 
 def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:

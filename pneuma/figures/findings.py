@@ -2,11 +2,11 @@
 
     pages and RESULTS/published → the same pages with the verdicts as they are
 
-    python -m pneuma.figures.findings PAGE... [--results RESULTS]
+    python -m pneuma.figures.findings PAGE... [--results RESULTS] [--picture FOLDER]
 
 `make figures` runs this over README.md and docs/findings.md. A mark is a comment, which Markdown does not
 show: `<!-- claim NAME -->` for a paragraph, `<!-- verdicts NAME... -->` for a table, `<!-- counts -->` for
-how many claims have each verdict; `<!-- end -->` closes each. Only published tables are read, so that every
+what the verdicts come to; `<!-- end -->` closes each. Only published tables are read, so that every
 clone writes the same words.
 """
 
@@ -21,19 +21,17 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from pneuma.analysis.claim_runs import TRAIN_WITH
-from pneuma.analysis.judgement import Verdict
+from pneuma.analysis.judgement import NOT_RUN, STANDINGS, Verdict
 from pneuma.analysis.published import PUBLISHED
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import verdict_words as words
-from pneuma.figures.verdict_words import MEANINGS, PLACES, JudgedClaim, judged_claims
+from pneuma.figures.verdict_words import PLACES, JudgedClaim, judged_claims
+from pneuma.figures.verdicts import draw_verdicts
 from pneuma.study.store import Store, write_whole
 
 _END = "<!-- end -->"
 _PART = re.compile(rf"<!-- (claim|verdicts|counts)((?: [\w.-]+)*) -->\n((?:(?!<!--).)*){_END}", re.DOTALL)
 _MARK = re.compile(r"<!--\s*(?:claim|verdict|count|end)\w*\b[^>]*-->")
-
-NOT_RUN = "not run yet"
-"""What is said of a claim that lacks runs, and so is no more than untestable so far."""
 
 
 def published_claims(results: Path) -> dict[str, JudgedClaim]:
@@ -87,7 +85,7 @@ def _paragraph(chosen: Sequence[JudgedClaim]) -> str:
 
 def _verdict(verdict: Verdict) -> str:
     """Return a verdict as a sentence: the word, what decides it, what is lacking."""
-    if verdict.not_run:
+    if verdict.standing == NOT_RUN:
         command = verdict.reason.partition(TRAIN_WITH)[2].strip()
         few = "" if "no runs" in verdict.reason else ", not all"
         return f"{NOT_RUN}{few} (`{command}`)."
@@ -117,19 +115,19 @@ def _table(claims: Sequence[JudgedClaim]) -> str:
 def _cell(verdict: Verdict | None) -> str:
     if verdict is None:
         return "–"
-    if verdict.not_run:
+    if verdict.standing == NOT_RUN:
         return NOT_RUN
     own = None if verdict.verdict == "untestable" else words.decisive(verdict)
     return f"**{verdict.verdict}** {words.effect(own) if own else ''}".strip()
 
 
 def _counts(claims: Sequence[JudgedClaim]) -> str:
-    """Return how many claims have each verdict, place by place."""
-    rows = [["Judged in", *MEANINGS, NOT_RUN]]
+    """Return what the verdicts come to, place by place."""
+    rows = [["Judged in", *STANDINGS]]
     for place, label in PLACES.items():
         found = [one.verdicts[place] for one in claims if place in one.verdicts]
-        counted = Counter(NOT_RUN if one.not_run else one.verdict for one in found)
-        rows.append([label, *(str(counted[word]) for word in (*MEANINGS, NOT_RUN))])
+        counted = Counter(one.standing for one in found)
+        rows.append([label, *(str(counted[word]) for word in STANDINGS)])
     return _markdown(rows)
 
 
@@ -145,8 +143,13 @@ _WRITERS: dict[str, Callable[[Sequence[JudgedClaim]], str]] = {
 }
 
 
-def main(pages: Iterable[Path], results: Path) -> None:
-    """Write every page anew, or none; leave all as they are where nothing is published.
+def main(pages: Iterable[Path], results: Path, picture: Path | None = None) -> None:
+    """Write every page anew, or none, and draw all verdicts; leave all where nothing is published.
+
+    Args:
+        pages: to be written.
+        results: the results folder.
+        picture: the folder that the picture of all verdicts goes to; None for none.
 
     Raises:
         UserError: for a page that cannot be read, or has a wrong mark, or without a results folder.
@@ -161,12 +164,15 @@ def main(pages: Iterable[Path], results: Path) -> None:
     for page, text in written.items():
         write_whole(page, text.encode())
         print(f"wrote the verdicts of {page}")
+    for path in draw_verdicts(claims, picture) if picture else ():
+        print(f"drew {path}")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("pages", nargs="+", type=Path)
     parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--picture", type=Path, help="folder for the picture of all verdicts")
     try:
         main(**vars(parser.parse_args()))
     except (UserError, OSError, UnicodeDecodeError) as error:

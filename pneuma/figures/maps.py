@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
+from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.robustness import HOLDS, OPEN, REVERSED, Map, robustness_map
 from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import headline_of, label_rows, notes_of, put_texts, round_ticks, runs_told
 from pneuma.figures.style import COLOURS, GREY, INK, SIZES, house_style, save_figure
-from pneuma.values import shown_level, shown_setting
+from pneuma.values import shown_level, shown_value
 
 SIZE = SIZES["page"]
 ROW_INCHES, AROUND_INCHES = 0.17, 0.75
@@ -101,7 +101,7 @@ def _draw_map(axes: Axes, found: Map) -> None:
     axes.text(
         -0.02, 1.03, _read(factors), ha="right", va="bottom", transform=axes.transAxes, fontsize="small"
     )
-    better, worse = map(shown_setting, found.values)
+    better, worse = map(shown_value, found.values)
     axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=f"{better} less {worse}{_unit(found)}")
     if find_outcome(found.outcome).bounds == (0.0, 1.0):
         axes.xaxis.set_major_formatter(FuncFormatter(_points))

@@ -21,9 +21,9 @@ from pneuma.analysis.curves import Curve, LogCurve
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import ACTION_NAMES
-from pneuma.env_settings import SHIPPED_CHARACTERS, SHIPPED_LEVELS
+from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import CAPTION, GREY, MARKERS, Size, clean
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
 
 FEW_RUNS = 5
@@ -51,7 +51,7 @@ def stem_of(data: StudyData, *parts: str) -> str:
 
     It carries the fields that `--set` changed, so that a variant never replaces the study's own figure.
     """
-    changed = "-".join(f"{key}={shown_setting(value)}" for key, value in changed_fields(data).items())
+    changed = "-".join(f"{key}={shown_value(value)}" for key, value in changed_fields(data).items())
     told = [_slug(changed, LONGEST_VARIANT), _slug("-".join(parts), LONGEST_STEM)]
     return "-".join([data.figure, *filter(None, told)])
 
@@ -71,7 +71,7 @@ def changed_fields(data: StudyData) -> dict[str, Any]:
 
 def title_of(data: StudyData) -> str:
     """Return a study's title, the fields that a variant changed, and where it is played."""
-    changed = ", ".join(f"{key} = {shown_setting(value)}" for key, value in changed_fields(data).items())
+    changed = ", ".join(f"{key} = {shown_value(value)}" for key, value in changed_fields(data).items())
     told = data.title.removesuffix(f" ({data.world})") + (f" ({changed})" if changed else "")
     titles = {world.env: world.title for world in WORLDS.values()}
     shipped = all(

@@ -27,7 +27,7 @@ from pneuma.analysis.sources import open_published
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
-from pneuma.config import BASES, as_settings, make_run
+from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
@@ -41,7 +41,7 @@ from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories
 from pneuma.study.files import write_whole
 from pneuma.study.provenance import available_cores
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 RESULTS = Path("results")
 COMMAND = "make figures"
@@ -133,8 +133,8 @@ def _write_settings(folder: Path) -> Entries:
 
 def settings_table() -> pd.DataFrame:
     """Return the two bases of every study: a row for each field, its value in either, whether they differ."""
-    bases = [as_settings(make_run(settings)) for settings in BASES.values()]
-    rows = [[name, *(shown_setting(base[name]) for base in bases)] for name in SETTINGS]
+    bases = [as_fields(make_run(settings)) for settings in BASES.values()]
+    rows = [[name, *(shown_value(base[name]) for base in bases)] for name in SETTINGS]
     table = pd.DataFrame(rows, columns=["setting", *BASES])
     table["differs"] = ["yes" if one != other else "" for _, one, other in rows]
     return table

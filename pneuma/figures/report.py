@@ -37,7 +37,7 @@ from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.trajectories import draw_trajectories
 from pneuma.figures.verdict_words import MEANINGS, PLACES
-from pneuma.values import shown_setting
+from pneuma.values import shown_value
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
@@ -304,7 +304,7 @@ def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> I
             lambda folder, forms: draw_trajectories(data, found, folder, "ways", forms),
         )  # fmt: skip
     if maps := study_maps(data):
-        values = ":".join(map(shown_setting, maps[0].values)).replace(", ", ",")
+        values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
         yield picture(
             "in which cells contrasts hold",
             f"robustness {study} --contrast {quote(f'{maps[0].setting}={values}')}",

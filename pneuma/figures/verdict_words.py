@@ -18,6 +18,7 @@ MEANINGS = {
     "where none is claimed, it shows that there is none larger than the margin.",
     "refuted": "It finds one in the other direction, or shows that there is none larger than the margin; "
     "where none is claimed, it finds one beyond it.",
+    "mixed": "One of two outcomes supports it, and the other refutes it.",
     "inconclusive": "It finds neither; where it can be told, with how many seeds an arm it might.",
     "untestable": "Nothing can be concluded from these runs, for the reason given.",
 }

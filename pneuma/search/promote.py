@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import Run, as_settings, env_config, make_run
+from pneuma.config import Run, as_fields, env_config, make_run
 from pneuma.errors import UserError
 from pneuma.search.spec import Budget, Objective
 from pneuma.search.storage import Outcomes, Searched
 from pneuma.search.trials import Task, Told, objective_value
-from pneuma.study.conditions import unread_settings
-from pneuma.study.definition import join_settings
 from pneuma.study.plan import Plan
+from pneuma.study.spec import join_fields, unread_fields
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
 
@@ -117,7 +116,7 @@ def _conditions(searched: Searched) -> dict[str, Any]:
     search, budget = searched.task.search, searched.task.budget
     run = _run(searched, search.space.fixed)
     varied = {key for parameter in search.space.parameters for key in parameter.keys}
-    world = {key: value for key, value in as_settings(env_config(run)).items() if key not in varied}
+    world = {key: value for key, value in as_fields(env_config(run)).items() if key not in varied}
     return {
         **world,
         "env": run.env,
@@ -188,12 +187,12 @@ def _toml(value: Any) -> str:
 
 def _settings_that_count(searched: Searched, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of a condition's settings that its algorithm and optimizer read; no study has others."""
-    unread = unread_settings([_run(searched, settings)], settings)
+    unread = unread_fields([_run(searched, settings)], settings)
     return {key: value for key, value in settings.items() if key not in unread}
 
 
 def _run(searched: Searched, settings: Mapping[str, Any]) -> Run:
-    return make_run(join_settings(searched.task.search.space.base, settings))
+    return make_run(join_fields(searched.task.search.space.base, settings))
 
 
 # --- What was gained -------------------------------------------------------------------------------
@@ -213,7 +212,7 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     )
     fresh = Task(task.search, Budget(1, planned.seeds, task.budget.steps))
     outcomes = Outcomes(fresh, store)  # so that a diverged run counts as it did in the search
-    searched_steps = make_run({**as_settings(won[0].run), "steps": task.budget.steps}).steps
+    searched_steps = make_run({**as_fields(won[0].run), "steps": task.budget.steps}).steps
     found = {}
     for seen, objective in zip(winner.trial.values, task.search.objectives, strict=True):
         value, base = (objective_value(objective, arm, outcomes) for arm in (won, lost))

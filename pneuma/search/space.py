@@ -1,4 +1,4 @@
-"""The search space: what each parameter may be, and how it becomes settings of a run.
+"""The search space: what each parameter may be, and how it becomes fields of a run.
 
 A parameter is a field of the run, or a named choice between bundles of fields, such as two sizes of
 network. It may hang on another: a momentum counts only where the optimizer has one.
@@ -6,20 +6,23 @@ network. It may hang on another: a momentum counts only where the optimizer has 
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import combinations, product
 from typing import Any
 
-from pneuma.config import ENVIRONMENTS, Run, as_settings, make_run, read_settings
-from pneuma.env_settings import ENVIRONMENT_SETTINGS
+from pneuma.config import ENVIRONMENTS, Run, as_fields, make_run, read_fields
+from pneuma.env_fields import ENVIRONMENT_FIELDS
 from pneuma.errors import UserError
-from pneuma.study.conditions import does_nothing, unread_settings
-from pneuma.study.spec import join_settings
+from pneuma.study.spec import does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
 Params = Mapping[str, Any]
 """What is suggested for a trial: numbers, and the names of choices."""
+
+
+CORNERS = 256
+"""Trials that a space is tried with before any is trained."""
 
 
 class Unsound(UserError):
@@ -44,19 +47,19 @@ class Range:
         """Return both ends."""
         return [self.low, self.high]
 
-    def settings(self, name: str, value: Any) -> dict[str, Any]:
+    def fields(self, name: str, value: Any) -> dict[str, Any]:
         """Return what a value sets."""
         return {name: value}
 
-    def value_in(self, name: str, settings: Mapping[str, Any]) -> Any:
-        """Return the value that settings hold; None where that is outside."""
-        value = settings.get(name)
+    def value_in(self, name: str, given: Mapping[str, Any]) -> Any:
+        """Return the value that the fields hold; None where that is outside."""
+        value = given.get(name)
         return value if value is not None and self.low <= value <= self.high else None
 
 
 @dataclass(frozen=True)
 class Choices:
-    """Some settings to choose from, each with a name."""
+    """Some values, or bundles of fields, to choose from, each with a name."""
 
     settings_of: Mapping[str, Mapping[str, Any]]
 
@@ -65,13 +68,13 @@ class Choices:
         """Return every name."""
         return list(self.settings_of)
 
-    def settings(self, name: str, value: Any) -> dict[str, Any]:
+    def fields(self, name: str, value: Any) -> dict[str, Any]:
         """Return what a choice sets."""
         return dict(self.settings_of[value])
 
-    def value_in(self, name: str, settings: Mapping[str, Any]) -> Any:
-        """Return the choice whose settings are among those given; None where there is none."""
-        return next((choice for choice, own in self.settings_of.items() if _agree(own, settings)), None)
+    def value_in(self, name: str, given: Mapping[str, Any]) -> Any:
+        """Return the choice whose fields are among those given; None where there is none."""
+        return next((choice for choice, own in self.settings_of.items() if _agree(own, given)), None)
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ class Space:
     Attributes:
         parameters: each after those that it hangs on.
         fixed: what every trial sets besides, over the base.
-        base: name of the settings to start from.
+        base: name of the fields to start from.
     """
 
     parameters: tuple[Parameter, ...]
@@ -122,20 +125,20 @@ class Space:
                 params[parameter.name] = suggest(parameter)
         return params
 
-    def settings(self, params: Params) -> dict[str, Any]:
+    def fields(self, params: Params) -> dict[str, Any]:
         """Return what a trial sets on top of the base, in fields of the run."""
-        settings = dict(self.fixed)
+        given = dict(self.fixed)
         for parameter in self.parameters:
             if parameter.name in params:
-                settings.update(parameter.domain.settings(parameter.name, params[parameter.name]))
-        return settings
+                given.update(parameter.domain.fields(parameter.name, params[parameter.name]))
+        return given
 
-    def params_of(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the parameters that give settings, as far as the space holds them."""
+    def params_of(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters that give the fields, as far as the space holds them."""
         params: dict[str, Any] = {}
         for parameter in self.parameters:
-            value = parameter.domain.value_in(parameter.name, settings)
-            if value is not None and parameter.counts({**settings, **params}):
+            value = parameter.domain.value_in(parameter.name, given)
+            if value is not None and parameter.counts({**given, **params}):
                 params[parameter.name] = value
         return params
 
@@ -144,7 +147,7 @@ class Space:
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
     def check(self, unread: Iterable[str]) -> None:
-        """Refuse a space that makes no run at some end of a range or at two, or has what does nothing.
+        """Refuse a space that makes no run at ends of its ranges, or has what does nothing.
 
         Args:
             unread: keys of `fixed` of which one that no run reads is refused.
@@ -157,84 +160,52 @@ class Space:
                 if key in self.fixed:
                     raise Unsound(f"{key} is searched by [space.{parameter.name}]", ("run",), key)
         corners = list(self.corners())
-        for own, _ in corners:
+        for params, _ in corners:
             set_by: dict[str, str] = {}
-            for name, value in own.items():
-                for key in self.parameter(name).domain.settings(name, value):
+            for name, value in params.items():
+                for key in self.parameter(name).domain.fields(name, value):
                     if (first := set_by.setdefault(key, name)) != name:
                         raise Unsound(f"{key} is searched by [space.{first}], too", ("space", name))
         for parameter in self.parameters:
-            runs = [run for own, run in corners if parameter.name in own]
-            for key in unread_settings(runs, parameter.keys) if runs else ():
+            runs = [run for params, run in corners if parameter.name in params]
+            for key in unread_fields(runs, parameter.keys) if runs else ():
                 raise Unsound(does_nothing(key, runs), ("space", parameter.name))
         runs = [run for _, run in corners]
-        for key in unread_settings(runs, unread):
+        for key in unread_fields(runs, unread):
             raise Unsound(does_nothing(key, runs), ("run",), key)
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
-        """Yield every end of every range, and every two together, as parameters, with the run they make.
+        """Yield trials at ends of the ranges, drawn alike each time, each with the run it makes.
 
         Raises:
             Unsound: where one makes no run.
         """
-        for own in self._corners():
-            params = {**self._usual(), **self._enabling(own), **own}
-            if not all(self.parameter(name).counts(self._known(params)) for name in own):
-                continue
-            settings = self.settings({p.name: params[p.name] for p in self.parameters if p.name in params})
+        draw = random.Random(0)
+        for _ in range(CORNERS):
+            params = self.ask(lambda parameter: draw.choice(parameter.domain.extremes))
             try:
-                run = make_run(join_settings(self.base, settings))
+                run = make_run(join_fields(self.base, self.fields(params)))
             except UserError as error:
-                told = ", ".join(f"{name} = {value}" for name, value in own.items())
-                raise Unsound(f"{told}: {error}", ("space", next(iter(own)))) from None
-            yield own, run
+                told = ", ".join(f"{name} = {value}" for name, value in params.items())
+                at_fault = [name for name in params if str(error).startswith(f"{name} ")]
+                raise Unsound(f"{error}, with {told}", ("space", *at_fault)) from None
+            yield params, run
 
     @property
     def _start(self) -> dict[str, Any]:
-        return usual_settings(self.base, self.fixed)
+        return usual_fields(self.base, self.fixed)
 
     def _known(self, params: Params) -> dict[str, Any]:
         """Return what a `when` may name: fields as they are beside parameters, and these themselves."""
-        return {**self._start, **self.settings(params), **params}
-
-    def _corners(self) -> Iterator[dict[str, Any]]:
-        singles = [(parameter,) for parameter in self.parameters]
-        for group in [*singles, *combinations(self.parameters, 2)]:
-            for values in product(*(parameter.domain.extremes for parameter in group)):
-                yield {parameter.name: value for parameter, value in zip(group, values, strict=True)}
-
-    def _usual(self) -> dict[str, Any]:
-        """Return a value inside the space for each parameter that hangs on no other: the base's if it can."""
-        base = self.params_of(self._start)
-        return {
-            parameter.name: base.get(parameter.name, parameter.domain.extremes[0])
-            for parameter in self.parameters
-            if not parameter.when
-        }
-
-    def _enabling(self, own: Params) -> dict[str, Any]:
-        """Return values for the parameters on which those of `own` hang, so that they count."""
-        wanted: dict[str, list[Any]] = {}
-        for key, values in [item for name in own for item in self.parameter(name).when.items()]:
-            wanted[key] = [value for value in wanted.get(key, values) if value in values]
-        found: dict[str, Any] = {}
-        for key, shared in wanted.items():
-            for parameter in self.parameters if shared else ():  # without one in common they never meet
-                if parameter.name == key:
-                    found[key] = shared[0]
-                elif isinstance(parameter.domain, Choices):  # of bundles, one may set the field
-                    for choice, settings in parameter.domain.settings_of.items():
-                        if key in settings and as_tuple(settings[key]) in shared:
-                            found.setdefault(parameter.name, choice)
-        return found
+        return {**self._start, **self.fields(params), **params}
 
 
-def usual_settings(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
+def usual_fields(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
     """Return every field of the run as a base and what is fixed have it, not yet checked as one run."""
-    own = join_settings(base, fixed)
-    brought = ENVIRONMENT_SETTINGS.get(own.get("env", ENVIRONMENTS[0]), {})
-    return {**as_settings(Run()), **brought, **read_settings(Run, own)}
+    own = join_fields(base, fixed)
+    brought = ENVIRONMENT_FIELDS.get(own.get("env", ENVIRONMENTS[0]), {})
+    return {**as_fields(Run()), **brought, **read_fields(Run, own)}
 
 
-def _agree(own: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
-    return all(as_tuple(settings.get(key)) == as_tuple(value) for key, value in own.items())
+def _agree(own: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
+    return all(as_tuple(given.get(key)) == as_tuple(value) for key, value in own.items())

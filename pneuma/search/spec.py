@@ -13,54 +13,29 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval, MinLen
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, FORK_SETTINGS, Run
+from pneuma.config import BASES, FORK_FIELDS, Run, Steps, read_field
 from pneuma.errors import UserError, counted, unknown_name
+from pneuma.schema import FieldsOf, Table, TomlFile, Where, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
-from pneuma.search.space import Choices, Parameter, Range, Space, Unsound, usual_settings
-from pneuma.search.table import By, Table
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, studies_folder
-from pneuma.study.toml_file import TomlFile, read_toml, shown
-from pneuma.values import Choice, Flag, Number, Text
-from pneuma.worlds import TEXT, check_world, chosen_world, in_world, split_world, world_fields
+from pneuma.search.space import Choices, Parameter, Range, Space, Unsound, usual_fields
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, refuse_taken_name, studies_folder
+from pneuma.values import OneOf, Reads, Share
+from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
-SETTABLE = tuple(f.name for f in fields(Run) if f.name not in ("seed", "steps", "engine", *FORK_SETTINGS))
-"""Fields of a run that a search may vary."""
-FIXABLE = (*SETTABLE, "engine")
-"""Those that it may fix for all its trials."""
-_TOP_KEYS = (
-    "title", "section", "about", "base", "start", "generation", "run", "objectives", "space", "sampler",
-    "pruner", "presets",
-)  # fmt: skip
-_COUNT = Number(1, 10_000, whole=True)
-_SHARE = Number(0, 1)
-
-Options = Mapping[str, tuple[Any, Number | Flag]]
-
-SAMPLERS: Mapping[str, Options] = {
-    "tpe": {"startup_trials": (10, _COUNT), "candidates": (24, _COUNT), "multivariate": (True, Flag())},
-    "random": {},
-    "gp": {"startup_trials": (10, _COUNT)},
-    "nsga-ii": {
-        "population": (16, Number(2, 10_000, whole=True)),
-        "mutation": (0.1, _SHARE),
-        "crossover": (0.9, _SHARE),
-    },
-}
-"""Each option with its usual value and what it may be; none is left to Optuna."""
-PRUNERS: Mapping[str, Options] = {
-    "": {},
-    "median": {"rungs": (3, Number(2, 10, whole=True)), "startup_trials": (5, _COUNT)},
-    "wilcoxon": {"startup_seeds": (2, _COUNT), "threshold": (0.1, Number(0, 1, above=True, below=True))},
-}
-"""The median compares trials at rungs of the budget, wilcoxon seed by seed."""
+FIXABLE = FieldsOf(Run, {"seed": "a preset", "steps": "a preset"} | dict.fromkeys(FORK_FIELDS, "`run fork`"))
+"""Fields of a run that a search may fix for all its trials."""
+SETTABLE = FieldsOf(Run, {**FIXABLE.elsewhere, "engine": "[run]"})
+"""Those that it may vary."""
 
 
 @dataclass(frozen=True)
@@ -164,15 +139,13 @@ def load_search(name: str, world: str | None = None) -> Search:
     shipped = studies_folder() / "search"
     if name.endswith(".toml"):
         path = Path(name)
-        if path.stem in list_searches() and path.resolve() != (shipped / path.name).resolve():
-            raise UserError(f"{path}: a shipped search is called {path.stem}; give yours another file name")
-        if (told := split_world(path.stem)[1]) != TEXT:
-            raise UserError(f"{path}: -{told} ends the names of searches in that world; give another")
-        return read_search(read_toml(path)).in_world(world or TEXT)
-    own, world = chosen_world(name, world)
-    if own not in list_searches():
-        raise unknown_name("search", name, list_searches())
-    return read_search(read_toml(shipped / f"{own}.toml")).in_world(world)
+        refuse_taken_name(path, shipped / path.name, "search")
+    else:
+        own, world = chosen_world(name, world)
+        if own not in list_searches():
+            raise unknown_name("search", name, list_searches())
+        path = shipped / f"{own}.toml"
+    return read_search(path).in_world(world or TEXT)
 
 
 def read_search_seeds(value: object) -> tuple[int, ...]:
@@ -182,7 +155,7 @@ def read_search_seeds(value: object) -> tuple[int, ...]:
         ValueError: for anything else.
     """
     seeds = read_seeds(value)
-    return seeds if isinstance(value, (list, tuple)) else tuple(FIRST_SEED + seed for seed in seeds)
+    return seeds if isinstance(value, list | tuple) else tuple(FIRST_SEED + seed for seed in seeds)
 
 
 def check_budget(search: Search, budget: Budget) -> None:
@@ -206,158 +179,234 @@ def check_budget(search: Search, budget: Budget) -> None:
             )
 
 
-# --- The file --------------------------------------------------------------------------------------
+# --- What the file may hold ------------------------------------------------------------------------
+
+Count = Annotated[int, Interval(ge=1, le=10_000)]
 
 
-def read_search(file: TomlFile) -> Search:
-    """Check a file and return its search."""
-    top = Table(file, ()).only(_TOP_KEYS)
-    for key in ("objectives", "space", "presets"):
-        if not top.inner(key).data:
-            raise top.mistake(f"[{key}] is missing or empty", key)
-    space = _read_space(top)
-    bases = By(lambda names: tuple(map(Choice(tuple(BASES)).read, names)), f"a list of {', '.join(BASES)}")
-    start = top.read("start", bases, ())
-    objectives = tuple(_read_objective(top.inner("objectives", name)) for name in file.table(("objectives",)))
-    search = Search(
-        name=file.path.stem,
-        title=top.read("title", Text("a text")),
-        section=top.read("section", Text("a text", empty=True), ""),
-        about=" ".join(top.read("about", Text("a text", empty=True), "").split()),
+class ObjectiveTable(Table):
+    """[objectives.NAME]."""
+
+    outcome: Annotated[str, passes(find_outcome)]
+    over_seeds: Annotated[str, OneOf(OVER_SEEDS)] = "mean"
+    direction: Annotated[str, OneOf(DIRECTIONS)] = "maximize"
+
+
+class BudgetTable(Table):
+    """[presets.NAME]."""
+
+    trials: Count
+    seeds: Annotated[tuple[int, ...], Reads(read_search_seeds, SEEDS_ALLOWED)]
+    steps: Steps
+
+
+class Named(Table):
+    """The name of a sampler or pruner; those with options derive from it. None is left to Optuna."""
+
+    name: str
+
+
+class Tpe(Named):
+    """Options of the tree-structured Parzen estimator."""
+
+    startup_trials: Count = 10
+    candidates: Count = 24
+    multivariate: bool = True
+
+
+class GaussianProcess(Named):
+    """Options of a search by Gaussian processes."""
+
+    startup_trials: Count = 10
+
+
+class Nsga(Named):
+    """Options of the genetic algorithm NSGA-II."""
+
+    population: Annotated[int, Interval(ge=2, le=10_000)] = 16
+    mutation: Share = 0.1
+    crossover: Share = 0.9
+
+
+class Median(Named):
+    """Gives up what is behind the median of the trials at rungs of the budget."""
+
+    rungs: Annotated[int, Interval(ge=2, le=10)] = 3
+    startup_trials: Count = 5
+
+
+class Wilcoxon(Named):
+    """Gives up what is behind the best trial seed by seed."""
+
+    startup_seeds: Count = 2
+    threshold: Annotated[float, Interval(gt=0, lt=1)] = 0.1
+
+
+SAMPLERS: Mapping[str, type[Named]] = {
+    "tpe": Tpe,
+    "random": Named,
+    "gp": GaussianProcess,
+    "nsga-ii": Nsga,
+}
+PRUNERS: Mapping[str, type[Named]] = {"": Named, "median": Median, "wilcoxon": Wilcoxon}
+
+
+class SearchFile(Table):
+    """The whole file; samplers, pruners and parameters have models by their names and keys."""
+
+    title: Annotated[str, MinLen(1)]
+    section: str = ""
+    about: str = ""
+    base: Annotated[str, OneOf(tuple(BASES))]
+    start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
+    generation: Annotated[int, Interval(ge=1, le=256)] = 8
+    run: Annotated[dict[str, Any], FIXABLE] = {}
+    objectives: Annotated[dict[str, ObjectiveTable], MinLen(1)]
+    space: Annotated[dict[str, dict[str, Any]], MinLen(1)]
+    sampler: dict[str, Any] = {}
+    pruner: dict[str, Any] = {}
+    presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], BudgetTable], MinLen(1)]
+
+
+class RangeTable(Table):
+    """[space.FIELD] with two ends."""
+
+    low: Any
+    high: Any
+    log: bool = False
+    when: dict[str, Any] = {}
+
+
+class ChoicesTable(Table):
+    """[space.FIELD] with a list of values."""
+
+    choices: Annotated[tuple[Any, ...], MinLen(2)]
+    when: dict[str, Any] = {}
+
+
+class BundlesTable(Table):
+    """[space.NAME] with tables of several fields each."""
+
+    choices: Annotated[dict[str, Annotated[dict[str, Any], SETTABLE]], MinLen(2)]
+    when: dict[str, Any] = {}
+
+
+# --- The search that it makes ----------------------------------------------------------------------
+
+
+def read_search(path: Path) -> Search:
+    """Read a search's file.
+
+    Raises:
+        UserError: naming file, line, key, value and what is allowed.
+    """
+    file = read_toml(path)
+    said = read_model(SearchFile, file)
+    parameters: list[Parameter] = []
+    for name in said.space:
+        parameters.append(_read_parameter(file, name, parameters))
+    space = Space(tuple(parameters), said.run, said.base)
+    try:
+        space.check(unread=said.run)
+    except Unsound as error:
+        raise file.mistake(error.where, str(error), error.key) from None
+    objectives = tuple(Objective(name, **own.model_dump()) for name, own in said.objectives.items())
+    pruner = _read_options(file, "pruner", PRUNERS, "")
+    if len(objectives) > 1 and pruner["name"]:
+        raise file.mistake(("pruner",), f"{pruner['name']} goes with one objective alone", "name")
+    if pruner["name"] == "wilcoxon" and objectives[0].over_seeds == "deviation":
+        raise file.mistake(("pruner",), "wilcoxon compares single seeds: they have no deviation", "name")
+    return Search(
+        name=path.stem,
+        title=said.title,
+        section=said.section,
+        about=" ".join(said.about.split()),
         space=space,
         objectives=objectives,
-        start=_start_params(start, space),
-        start_names=start,
-        generation=top.read("generation", Number(1, 256, whole=True), 8),
-        sampler=_read_options(top.inner("sampler"), SAMPLERS, "tpe"),
-        pruner=_read_options(top.inner("pruner"), PRUNERS, ""),
-        presets={name: _read_budget(top.inner("presets"), name) for name in file.table(("presets",))},
+        start=_start_params(said.start, space),
+        start_names=said.start,
+        generation=said.generation,
+        sampler=_read_options(file, "sampler", SAMPLERS, "tpe"),
+        pruner=pruner,
+        presets={name: Budget(**own.model_dump()) for name, own in said.presets.items()},
     )
-    pruner = search.pruner["name"]
-    if len(objectives) > 1 and pruner:
-        raise top.inner("pruner").mistake(f"{pruner} goes with one objective alone", "name")
-    if pruner == "wilcoxon" and objectives[0].over_seeds == "deviation":
-        raise top.inner("pruner").mistake("wilcoxon compares single seeds: they have no deviation", "name")
-    return search
 
 
 def _start_params(names: Sequence[str], space: Space) -> tuple[Mapping[str, Any], ...]:
     """Return the trials of bases, as far as the space holds them; the sampler gives the rest."""
-    return tuple(space.params_of(usual_settings(name, space.fixed)) for name in names)
+    return tuple(space.params_of(usual_fields(name, space.fixed)) for name in names)
 
 
-def _read_objective(table: Table) -> Objective:
-    table.only(("outcome", "over_seeds", "direction"))
-    outcome = table.read("outcome", Text("an outcome"))
-    try:
-        find_outcome(outcome)
-    except UserError as error:
-        raise table.mistake(f"outcome: {error}", "outcome") from None
-    over_seeds = table.read("over_seeds", Choice(OVER_SEEDS), "mean")
-    return Objective(
-        table.where[-1], outcome, over_seeds, table.read("direction", Choice(DIRECTIONS), "maximize")
-    )
+def _read_options(file: TomlFile, what: str, known: Mapping[str, type[Named]], usual: str) -> dict[str, Any]:
+    """Read the options of a sampler or pruner by the model of its name."""
+    name = file.table((what,)).setdefault("name", usual)
+    if not isinstance(name, str) or name not in known:
+        raise file.mistake((what,), str(unknown_name(what, str(name), filter(None, known))), "name")
+    return {**read_model(known[name], file, (what,), {"name": name}).model_dump()}
 
 
-def _read_options(table: Table, known: Mapping[str, Options], usual: str) -> dict[str, Any]:
-    name = table.read("name", Choice(tuple(known)), usual)
-    table.only(("name", *known[name]))
-    return {
-        "name": name,
-        **{key: table.read(key, own, default) for key, (default, own) in known[name].items()},
-    }
-
-
-def _read_budget(presets: Table, name: str) -> Budget:
-    if name not in PRESETS:
-        raise presets.mistake(str(unknown_name("preset", name, PRESETS)), name)
-    table = presets.inner(name).only(("trials", "seeds", "steps"))
-    seeds = table.read("seeds", By(read_search_seeds, SEEDS_ALLOWED))
-    steps = table.setting("steps", "steps", table.read("steps", Number(1, whole=True)))
-    return Budget(table.read("trials", _COUNT), seeds, steps)
-
-
-# --- The space -------------------------------------------------------------------------------------
-
-
-def _read_space(top: Table) -> Space:
-    parameters: list[Parameter] = []
-    for name in top.inner("space").data:
-        parameters.append(_read_parameter(top.inner("space", name), parameters))
-    fixed = top.inner("run").settings(FIXABLE)
-    space = Space(tuple(parameters), fixed, top.read("base", Choice(tuple(BASES))))
-    try:
-        space.check(unread=fixed)
-    except Unsound as error:
-        raise top.inner(*error.where).mistake(str(error), error.key) from None
-    return space
-
-
-def _read_parameter(table: Table, before: Sequence[Parameter]) -> Parameter:
-    table.only(("low", "high", "log", "choices", "when"))
-    name, data = table.where[-1], table.data
-    when = _read_when(table.inner("when"), before)
+def _read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:
+    where = ("space", name)
+    data = file.table(where)
     if isinstance(data.get("choices"), dict):
-        bundles = {own: table.inner("choices", own).settings(SETTABLE) for own in data["choices"]}
-        if len(bundles) < 2 or not all(bundles.values()):
-            raise table.mistake("choices must be two tables or more, each with settings", "choices")
-        return Parameter(name, Choices(bundles), when)
-    if name not in SETTABLE:
-        told = f"{unknown_name('parameter', name, SETTABLE)}; or give it choices of settings"
-        raise table.mistake(told)
+        bundles = read_model(BundlesTable, file, where)
+        return Parameter(name, Choices(bundles.choices), _read_when(file, where, bundles.when, before))
+    if name not in SETTABLE.names:
+        told = f"{unknown_name('parameter', name, SETTABLE.names)}; or give it choices of fields"
+        raise file.mistake(where, told)
     if "choices" in data:
-        return Parameter(name, _read_choices(table, name), when)
-    return Parameter(name, _read_range(table, name), when)
-
-
-def _read_choices(table: Table, name: str) -> Choices:
-    given = table.data["choices"]
-    for key in ("low", "high", "log"):
-        if key in table.data:
-            raise table.mistake(f"{key} does not go with choices", key)
-    if not isinstance(given, list) or len({shown(value) for value in given}) < max(2, len(given)):
-        told = f"choices = {shown(given)} is not allowed: a list of two values or more, or tables"
-        raise table.mistake(told, "choices")
-    values = [table.setting("choices", name, value) for value in given]
-    return Choices({_name(value): {name: value} for value in values})
-
-
-def _read_range(table: Table, name: str) -> Range:
-    low, high = (table.setting(key, name, table.read(key, _AS_IT_IS)) for key in ("low", "high"))
-    log = table.read("log", Flag(), False)
+        listed = read_model(ChoicesTable, file, where)
+        values = [_field(file, where, "choices", name, value) for value in listed.choices]
+        choices = {_name(value): {name: value} for value in values}
+        if len(choices) < len(values):
+            raise file.mistake(
+                where, f"choices = {shown(values)} is not allowed: different values", "choices"
+            )
+        return Parameter(name, Choices(choices), _read_when(file, where, listed.when, before))
+    ends = read_model(RangeTable, file, where)
+    low, high = (_field(file, where, key, name, getattr(ends, key)) for key in ("low", "high"))
     if any(isinstance(value, bool) or not isinstance(value, int | float) for value in (low, high)):
-        raise table.mistake(f"{name} is no number: give choices")
+        raise file.mistake(where, f"{name} is no number: give choices")
     if not low < high:
-        raise table.mistake(f"low = {shown(low)} is not below high = {shown(high)}: an empty range", "low")
-    if log and low <= 0:
-        raise table.mistake(f"low = {shown(low)} is not allowed with log: above 0", "low")
-    return Range(low, high, log, whole=isinstance(low, int))
+        told = f"low = {shown(low)} is not below high = {shown(high)}: an empty range"
+        raise file.mistake(where, told, "low")
+    if ends.log and low <= 0:
+        raise file.mistake(where, f"low = {shown(low)} is not allowed with log: above 0", "low")
+    domain = Range(low, high, ends.log, whole=isinstance(low, int))
+    return Parameter(name, domain, _read_when(file, where, ends.when, before))
 
 
-_AS_IT_IS = By(lambda value: value, "")
+def _field(file: TomlFile, where: Where, key: str, name: str, value: Any) -> Any:
+    """Return a key's value as a field of the run has it."""
+    try:
+        return read_field(Run, name, value)
+    except UserError as error:
+        raise file.mistake(where, str(error), key) from None
 
 
-def _read_when(table: Table, before: Sequence[Parameter]) -> dict[str, tuple[Any, ...]]:
+def _read_when(
+    file: TomlFile, where: Where, when: Mapping[str, Any], before: Sequence[Parameter]
+) -> dict[str, tuple[Any, ...]]:
     """Return at which values of earlier parameters, or of fields, a parameter counts."""
     domains = {parameter.name: parameter.domain for parameter in before}
-    read = {}
-    for name, given in table.data.items():
-        if name not in domains and name in table.file.table(("space",)):
-            raise table.mistake(f"{name} is searched, too: [space.{name}] must stand before it", name)
-        if name not in domains and name not in SETTABLE:
-            known = [*domains, *SETTABLE]
-            raise table.mistake(str(unknown_name("parameter before it, or field", name, known)), name)
-        values, domain = given if isinstance(given, list) else [given], domains.get(name)
+    where, read = (*where, "when"), {}
+    for name, given in when.items():
+        if name not in domains and name in file.table(("space",)):
+            raise file.mistake(where, f"{name} is searched, too: [space.{name}] must stand before it", name)
+        if name not in domains and name not in SETTABLE.names:
+            known = [*domains, *SETTABLE.names]
+            raise file.mistake(where, str(unknown_name("parameter before it, or field", name, known)), name)
+        values, domain = given if isinstance(given, tuple) else (given,), domains.get(name)
         if not values:
-            raise table.mistake(f"{name} = [] is not allowed: one value or more", name)
+            raise file.mistake(where, f"{name} = [] is not allowed: one value or more", name)
         if isinstance(domain, Choices):
             for value in values:
                 if _name(value) not in domain.settings_of:
                     told = f"is no choice of [space.{name}]: {', '.join(domain.settings_of)}"
-                    raise table.mistake(f"{name} = {shown(value)} {told}", name)
+                    raise file.mistake(where, f"{name} = {shown(value)} {told}", name)
             read[name] = tuple(map(_name, values))
         else:
-            read[name] = tuple(table.setting(name, name, value) for value in values)
+            read[name] = tuple(_field(file, where, name, name, value) for value in values)
     return read
 
 

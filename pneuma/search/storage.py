@@ -20,7 +20,7 @@ import numpy as np
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_records import RunRecords
 from pneuma.analysis.tables import StudyData
-from pneuma.config import Run, read_settings
+from pneuma.config import Run, read_fields
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.search.optuna_study import frozen_trials, new_journal
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
@@ -227,7 +227,7 @@ def _read(path: Path, name: str, file: str) -> Searched:
     """Return a search from its record, which may be untrusted, and from its file: by its path where given."""
     document = read_sealed(path) or {}
     try:
-        over = read_settings(Run, document["set"])
+        over = read_fields(Run, document["set"])
         identity, file = document["identity"], file or str(document["file"])
         budget = Budget(int(document["trials_asked"]), tuple(identity["seeds"]), int(identity["steps"]))
         own = load_search(file or split_world(name)[0], split_world(name)[1]).with_settings(over)
@@ -255,7 +255,7 @@ def _read_trial(number: int, own: Mapping[str, Any], search: Search) -> Told:
     return Told(
         number=number,
         params=own["params"],
-        settings=search.space.settings(own["params"]),
+        settings=search.space.fields(own["params"]),
         state=own["state"],
         values=values,
         run_ids=tuple(map(str, own["run_ids"])),

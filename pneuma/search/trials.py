@@ -19,13 +19,13 @@ import optuna
 
 from pneuma.analysis.estimates import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_settings, make_run
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.search.sampling import ask, begin_study
 from pneuma.search.spec import Budget, Objective, Search
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
-from pneuma.study.spec import Study, join_settings
+from pneuma.study.spec import Study, join_fields
 
 Train = Callable[[Plan], None]
 """Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
@@ -196,9 +196,9 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
 def _ask(study: optuna.Study, task: Task) -> _Asked:
     search = task.search
     trial, params = ask(study, search.space, search.sampler, search.name, search.start)
-    settings = search.space.settings(params)
+    settings = search.space.fields(params)
     try:
-        run = make_run({**join_settings(search.space.base, settings), "steps": task.budget.steps})
+        run = make_run({**join_fields(search.space.base, settings), "steps": task.budget.steps})
     except UserError as error:
         return _Asked(trial, params, settings, None, str(error))
     return _Asked(trial, params, settings, run)
@@ -209,7 +209,7 @@ def _train_stage(task: Task, stage: Stage, asked: list[_Asked], trained: list[Ce
     for each in asked:
         if each.run is None or each.pruned:
             continue
-        run = make_run({**as_settings(each.run), "steps": stage.steps})
+        run = make_run({**as_fields(each.run), "steps": stage.steps})
         whole = run.steps == each.run.steps
         name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
         own = [

@@ -8,21 +8,20 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from annotated_types import MinLen
+from pydantic import BaseModel, BeforeValidator
+
+from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.definition import Preset, Study
-from pneuma.study.spec import read_seeds
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
+from pneuma.schema import CONFIG, TomlFile, Where, read_model, read_toml
+from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, join_presets, read_seeds
+from pneuma.values import OneOf, Reads
 from pneuma.worlds import WORLDS, split_world, world_option
-
-CLAIMS = "claims"
-"""The preset that no study's file sets: what claims fix of it."""
-
-CLAIMS_FILE = "claims.toml"
 
 
 @dataclass(frozen=True)
@@ -78,20 +77,6 @@ def fixed_amounts(study: Study) -> dict[str, Preset]:
     return {condition: found[condition] for condition in study.conditions if condition in found}
 
 
-def join_presets(name: str, condition: str, some: Preset | None, other: Preset) -> Preset:
-    """Return what a condition has of two presets together: the seeds of both.
-
-    Raises:
-        UserError: where their steps differ, for a condition is trained for one budget.
-    """
-    if some is None:
-        return other
-    if some.steps != other.steps:
-        both = f"{some.steps:,} and {other.steps:,}"
-        raise UserError(f"--preset {name}: {condition} would have {both} steps: there is one budget for each")
-    return replace(some, seeds=tuple(sorted({*some.seeds, *other.seeds})))
-
-
 def training_command(study: Study, claims: Path) -> str:
     """Return the command that trains what claims fix of a study; empty where the file is not its own."""
     if study.path is None or claims.resolve() != _file_beside(study).resolve():
@@ -120,81 +105,96 @@ def _is_about(file: TomlFile, where: Where, study: Study) -> bool:
 # --- One claim -----------------------------------------------------------------------------------
 
 
+def _listed(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+def _by_condition(value: Any) -> Any:
+    """Return a table of one value for each condition; of one value for all, a table with one name, ''."""
+    return value if isinstance(value, Mapping) else {"": value}
+
+
+def _seeds_as_written(value: Any) -> Any:
+    """Check seeds, but leave a count a count: where it begins is the list's to say."""
+    read_seeds(value)
+    return value
+
+
+Names = Annotated[tuple[str, ...], MinLen(1), BeforeValidator(_listed)]
+SeedsOf = Annotated[
+    dict[str, Annotated[Any, Reads(_seeds_as_written, SEEDS_ALLOWED)]], BeforeValidator(_by_condition)
+]
+StepsOf = Annotated[dict[str, Steps], BeforeValidator(_by_condition)]
+
+
+class _Amounts(BaseModel):
+    """What a claim, or [defaults] for all, says of the runs' amounts; other keys are the claim's own."""
+
+    model_config = {**CONFIG, "extra": "ignore"}
+
+    seeds: SeedsOf | None = None
+    steps: StepsOf | None = None
+
+
+class _Claimed(_Amounts):
+    """What a claim says of its runs."""
+
+    a: Names
+    b: Names = ()
+    c: Names = ()
+    d: Names = ()
+    worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] | None = None
+
+
+class _Head(BaseModel):
+    """What a list of claims says of all seeds."""
+
+    model_config = {**CONFIG, "extra": "ignore"}
+
+    seeds_from: int = 0
+
+
 def read_fixed_runs(file: TomlFile, where: Where, study: Study) -> FixedRuns:
     """Read what a claim fixes of a study; seeds and steps may be the file's defaults.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    table = file.table(where)
-    a, b, c, d = arms = [_conditions(file, where, table, key, study) for key in "abcd"]
-    conditions = tuple(dict.fromkeys(name for arm in arms for name in arm))
-    first = file.table(("list",)).get("seeds_from", 0)
-
-    def read(value: object) -> tuple[int, ...]:
-        """Return seeds: a count begins with the list's first one."""
-        seeds = read_seeds(value)
-        return tuple(first + seed for seed in seeds) if isinstance(value, int) else seeds
-
-    return FixedRuns(
-        a,
-        b,
-        c,
-        d,
-        _by_condition(file, where, "seeds", conditions, read),
-        _by_condition(file, where, "steps", conditions, _read_steps),
-        _worlds(file, where, table, study),
-    )
-
-
-def _conditions(
-    file: TomlFile, where: Where, table: Mapping[str, Any], key: str, study: Study
-) -> tuple[str, ...]:
-    value = table.get(key, [])
-    names = [value] if isinstance(value, str) else value
-    if not isinstance(names, list) or (key in table and not names) or len({*map(str, names)}) < len(names):
-        raise file.mistake(
-            where, f"{key} = {shown(value)} is not allowed: a condition, or a list of them", key
-        )
-    for name in names:
-        if not isinstance(name, str) or name not in study.conditions:
-            unknown = unknown_name(f"condition of study {study.name}", str(name), study.conditions)
-            raise file.mistake(where, f"{key}: {unknown}", key)
-    return tuple(names)
-
-
-def _worlds(file: TomlFile, where: Where, table: Mapping[str, Any], study: Study) -> tuple[str, ...]:
-    """Return the worlds that a claim is about: those of its study, unless it says fewer."""
-    value = table.get("worlds", [*study.worlds])
-    if not isinstance(value, list) or not value or not {*map(str, value)} <= {*WORLDS}:
-        allowed = f"a list of {', '.join(WORLDS)}"
-        raise file.mistake(where, f"worlds = {shown(value)} is not allowed: {allowed}", "worlds")
-    for name in value:
+    usual, claim = read_model(_Amounts, file, ("defaults",)), read_model(_Claimed, file, where)
+    for key, names in {"a": claim.a, "b": claim.b, "c": claim.c, "d": claim.d}.items():
+        for name in names:
+            if name not in study.conditions or names.count(name) > 1:
+                unknown = unknown_name(f"condition of study {study.name}", name, study.conditions)
+                twice = f"{name} stands there twice"
+                raise file.mistake(where, f"{key}: {twice if name in study.conditions else unknown}", key)
+    conditions = tuple(dict.fromkeys((*claim.a, *claim.b, *claim.c, *claim.d)))
+    seeds = _of_each(file, where, "seeds", claim.seeds or usual.seeds, conditions)
+    first = read_model(_Head, file, ("list",)).seeds_from
+    for name in claim.worlds or ():
         if name not in study.worlds:
             known = ", ".join(study.worlds)
             raise file.mistake(where, f"worlds: study {study.name} is run in {known}, not {name}", "worlds")
-    return tuple(name for name in WORLDS if name in value)
+    return FixedRuns(
+        claim.a,
+        claim.b,
+        claim.c,
+        claim.d,
+        {
+            name: tuple(range(first, first + own)) if isinstance(own, int) else own
+            for name, own in seeds.items()
+        },
+        _of_each(file, where, "steps", claim.steps or usual.steps, conditions),
+        tuple(name for name in WORLDS if name in (claim.worlds or study.worlds)),
+    )
 
 
-def _by_condition(
-    file: TomlFile, where: Where, key: str, conditions: tuple[str, ...], read: Callable[[object], Any]
+def _of_each(
+    file: TomlFile, where: Where, key: str, value: Mapping[str, Any] | None, conditions: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Read what is one value for all conditions, or a table of one for each; else as in [defaults]."""
-    where = where if key in file.table(where) else ("defaults",)
-    value = file.table(where).get(key)
+    """Return the value of each condition."""
     if value is None:
-        raise file.mistake(where, f"the key {key!r} is missing, here or in the claim")
-    given = value if isinstance(value, dict) else dict.fromkeys(conditions, value)
-    if given.keys() != {*conditions}:
+        raise file.mistake(where, f"the key {key!r} is missing, here or in [defaults]")
+    each = dict.fromkeys(conditions, value[""]) if value.keys() == {""} else dict(value)
+    if each.keys() != {*conditions}:
         raise file.mistake(where, f"{key}: one value, or one for each of {', '.join(conditions)}", key)
-    try:
-        return {name: read(own) for name, own in given.items()}
-    except (ValueError, TypeError, UserError):
-        allowed = "a count, or a list of seeds" if key == "seeds" else "a whole number of at least 1"
-        raise file.mistake(where, f"{key} = {shown(value)} is not allowed: {allowed}", key) from None
-
-
-def _read_steps(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ValueError
-    return value
+    return each

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.local import run_groups
 from pneuma.study.identity import run_id
@@ -70,11 +70,11 @@ class Paces:
 
     def knows(self, run: Run) -> bool:
         """Tell whether a run like this one was timed."""
-        return _kind(as_settings(run)) in self.like
+        return _kind(as_fields(run)) in self.like
 
     def seconds(self, run: Run, steps: int) -> float:
         """Return about how long a run takes for so many agent steps."""
-        settings = as_settings(run)
+        settings = as_fields(run)
         like, slower = self.like.get(_kind(settings)), self.slower.get(run.engine, [1.0])
         pace = statistics.fmean(like) if like else _usual(settings) * statistics.median(slower)
         return START_SECONDS + steps * pace
@@ -100,9 +100,9 @@ def calibrate(runs: Iterable[Run], paces: Paces, say: Callable[[str], None]) -> 
     """Add the paces of runs like which none was timed: their first seconds are trained, and thrown away."""
     for run in runs:
         if not paces.knows(run):
-            say(f"measuring how fast {run.engine} trains {_weights(as_settings(run)):,} weights here …")
+            say(f"measuring how fast {run.engine} trains {_weights(as_fields(run)):,} weights here …")
             if pace := _measure(run):
-                paces.add(as_settings(run), pace)
+                paces.add(as_fields(run), pace)
 
 
 class _EnoughError(Exception):
@@ -141,7 +141,7 @@ def disk_bytes(run: Run, keep_checkpoints: int = 0) -> int:
     """Return about how much room a run takes when it has ended; while it trains, two checkpoints more."""
     records = BYTES_PER_STEP * run.steps * (1 + keep_checkpoints / 2)  # a checkpoint has those up to its step
     checkpoints = keep_checkpoints + bool(keep_checkpoints)  # and that of the first update
-    return int(4 * _weights(as_settings(run)) * (1 + 3 * checkpoints) + records)
+    return int(4 * _weights(as_fields(run)) * (1 + 3 * checkpoints) + records)
 
 
 def _kind(settings: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import Run, as_settings, env_config
+from pneuma.config import Run, as_fields, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
@@ -235,7 +235,7 @@ def selection_record(plan: Plan) -> dict[str, Any]:
                 "condition": cell.condition,
                 "seed": cell.seed,
                 "run_id": cell.run_id,
-                "run": as_settings(cell.run),
+                "run": as_fields(cell.run),
             }
             for cell in plan.cells
         ],

@@ -13,15 +13,15 @@ from typing import Any
 
 from pneuma.config import (
     ENGINES,
+    FORK_FIELDS,
     FORK_RESETS,
-    FORK_SETTINGS,
-    OPTIMIZER_SETTINGS,
+    OPTIMIZER_FIELDS,
     EnvConfig,
     Run,
-    as_settings,
+    as_fields,
     beyond_engine,
     make_run,
-    read_setting,
+    read_field,
 )
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import run_id
@@ -203,7 +203,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> tuple[Run, 
             "a fork would not go on from where it stood"
         )
     step = _checkpoint_step(store, parent, at, whole)
-    return whole, make_run({**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
+    return whole, make_run({**as_fields(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
 
 
 def _elsewhere(store: Store, parent: str) -> list[str]:
@@ -258,7 +258,7 @@ def _changed_run(whole: Run, control: Run, change: Change) -> Run:
         raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
     if change.reset == "optimizer" and not changes and whole.optimizer == "sgd" and not whole.momentum:
         raise UserError("--reset optimizer: changes nothing, because SGD without momentum keeps nothing")
-    keys, base = ", ".join(changes), as_settings(control)
+    keys, base = ", ".join(changes), as_fields(control)
     fresh = change.reset == "optimizer"
     other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
     if other and not fresh:
@@ -266,7 +266,7 @@ def _changed_run(whole: Run, control: Run, change: Change) -> Run:
     over = {**changes, "fork_reset": change.reset}
     if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **over}))):
         raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
-    own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
+    own = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
     changed = make_run({**base, **dict.fromkeys(own), **over})
     if not fresh and bool(changed.momentum) != bool(base["momentum"]):
         raise UserError("--set momentum: from or to 0 needs --reset optimizer")
@@ -287,13 +287,13 @@ def _read_changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
                 f"--set steps: a fork ends where its parent does, at step {run.steps}; "
                 "fork earlier, or train the parent's study with more --steps"
             )
-        if key in (*FIXED, *FORK_SETTINGS):
+        if key in (*FIXED, *FORK_FIELDS):
             raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
         if run.buffer_size and key in OF_TRANSITIONS:
             raise UserError(
                 f"--set {key}: cannot change at a fork, because transitions of before are replayed"
             )
-    read = {key: read_setting(Run, key, value) for key, value in settings.items()}
+    read = {key: read_field(Run, key, value) for key, value in settings.items()}
     for key, value in read.items():
         if getattr(run, key) == value:
             raise UserError(f"--set {key}: is {_shown(value)} in run {run_id(run)} already")

@@ -7,8 +7,8 @@ import json
 from importlib import import_module
 from pathlib import Path
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_settings
-from pneuma.env_settings import are_own_characters, is_own_level, own_rewards
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
+from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 
 def run_id(run: Run) -> str:
@@ -19,8 +19,8 @@ def run_id(run: Run) -> str:
     its default is left out, so that a new setting leaves old names alone; a default that changes
     must therefore raise a version.
     """
-    usual = as_settings(Run())
-    own = {key: value for key, value in as_settings(run).items() if value != usual[key]}
+    usual = as_fields(Run())
+    own = {key: value for key, value in as_fields(run).items() if value != usual[key]}
     if is_own_level(run.level):
         own["level"] = "of the user's own"
     if are_own_characters(run.characters):

@@ -1,12 +1,8 @@
 """Who trains a run: a lock that goes with its holder's process.
 
-Two `study run` on one results folder share the work: a run that another process holds is left to it.
-
-On a file system that several machines share, the server lets go of a dead machine's locks late or never.
-So a holder renews its lock's time while it lives, and names its machine in it; a lock of another machine
-that was not renewed for `STALE_SECONDS` is broken. Where a lock keeps nobody out (some file systems have
-none, or keep them to one machine), two processes may train one run: to the same bits, in files that are
-put in place whole, so nothing is lost but time.
+Two `study run` on one results folder share the work: a run that another process holds is left to it. Where a
+lock keeps nobody out (some file systems have none, or keep them to one machine), two processes may train one
+run: to the same bits, in files that are put in place whole, so nothing is lost but time.
 """
 
 from __future__ import annotations
@@ -14,16 +10,11 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import socket
 import stat
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
 
-RENEW_SECONDS = 30.0
-STALE_SECONDS = 600.0
-"""Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 LOOKS, LOOK_SECONDS = 5, 0.002
 """How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
 
@@ -40,7 +31,6 @@ class RunLock:
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".lock"
         self._descriptor = -1
-        self._released = threading.Event()
 
     def __enter__(self) -> bool:
         """Take the lock if nobody holds it; return whether that was so.
@@ -54,25 +44,18 @@ class RunLock:
             try:
                 _take(self._descriptor)
             except BlockingIOError:
-                stale = _is_stale(self._descriptor)
-                if stale and self._is_there():  # and not that of who broke it just before
-                    self._path.unlink(missing_ok=True)
                 self._close()
-                if not stale:
-                    return False
-                continue
-            except OSError:
+                return False
+            except OSError:  # there are no locks here
                 return True
             if self._is_there():
-                self._sign()
                 return True
             self._close()  # its holder let go, and removed the file, after it was opened here
 
     def __exit__(self, *_: object) -> None:
         """Let go."""
-        self._released.set()
         if self._descriptor >= 0:
-            if self._is_there():  # and not another's, who broke this one
+            if self._is_there():
                 self._path.unlink(missing_ok=True)
             self._close()
 
@@ -88,19 +71,6 @@ class RunLock:
             return False
         return os.path.samestat(there, os.fstat(self._descriptor))
 
-    def _sign(self) -> None:
-        """Name this machine in the lock, and renew its time from now on."""
-        with suppress(OSError):
-            os.ftruncate(self._descriptor, 0)
-            os.pwrite(self._descriptor, socket.gethostname().encode(), 0)
-        threading.Thread(target=self._renew, daemon=True).start()
-
-    def _renew(self) -> None:
-        while not self._released.wait(RENEW_SECONDS):
-            with suppress(OSError):
-                if self._is_there():
-                    os.utime(self._path)
-
 
 def is_held(folder: Path) -> bool:
     """Tell whether some process trains the run of this folder now."""
@@ -111,7 +81,7 @@ def is_held(folder: Path) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return not _is_stale(descriptor)
+        return True
     except OSError:
         return False
     else:
@@ -144,13 +114,3 @@ def _take(descriptor: int) -> None:
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         time.sleep(LOOK_SECONDS)
     return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _is_stale(descriptor: int) -> bool:
-    """Tell whether a lock that is held belongs to another machine which has not renewed it for long."""
-    try:
-        holder = os.pread(descriptor, 300, 0).decode(errors="replace")
-        age = time.time() - os.fstat(descriptor).st_mtime
-    except OSError:
-        return False
-    return bool(holder) and holder != socket.gethostname() and age > STALE_SECONDS

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
-from pneuma.config import FORK_SETTINGS, Run, as_settings, beyond_engine, make_run, read_setting
+from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run, read_field
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.claimed import CLAIMS, claims_preset, join_presets
 from pneuma.study.identity import run_id
-from pneuma.study.spec import Preset, Study, does_nothing, unread_settings
+from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, join_presets, unread_fields
 
 
 @dataclass(frozen=True)
@@ -103,9 +103,9 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     steps = {name: selection.steps or amounts[name].steps for name in names}
     over = _settings(selection.settings or {})
     if selection.engine:
-        over["engine"] = read_setting(Run, "engine", selection.engine)
-    runs = {name: make_run(study.settings(name, {"steps": steps[name], **over})) for name in names}
-    for key in unread_settings(runs.values(), selection.settings or {}):
+        over["engine"] = read_field(Run, "engine", selection.engine)
+    runs = {name: make_run(study.fields(name, {"steps": steps[name], **over})) for name in names}
+    for key in unread_fields(runs.values(), selection.settings or {}):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     seeds = {name: selection.seeds or amounts[name].seeds for name in names}
     cells = tuple(
@@ -121,7 +121,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
 
 def differing_settings(plan: Plan) -> dict[str, dict[str, Any]]:
     """Return, for every setting in which the conditions differ, its value by condition."""
-    resolved = {cell.condition: as_settings(cell.run) for cell in plan.cells}
+    resolved = {cell.condition: as_fields(cell.run) for cell in plan.cells}
     some = next(iter(resolved.values()))
     return {
         key: {name: settings[key] for name, settings in resolved.items()}
@@ -142,7 +142,7 @@ def _amounts(study: Study, presets: str) -> dict[str, Preset]:
     found: dict[str, Preset] = {}
     for name in presets.split("+"):
         if name == CLAIMS:
-            own = claims_preset(study)
+            own = import_module("pneuma.study.claimed").claims_preset(study)
         elif name in study.presets:
             own = {condition: study.preset(name).of(condition) for condition in study.conditions}
         else:
@@ -156,10 +156,10 @@ def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     for key, option in _SET_ELSEWHERE.items():
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
-    return {key: read_setting(Run, key, value) for key, value in settings.items()}
+    return {key: read_field(Run, key, value) for key, value in settings.items()}
 
 
-_SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_SETTINGS, "pneuma run fork")}
+_SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
 
 
 def _cell(condition: str, run: Run) -> Cell:
@@ -178,7 +178,7 @@ def _engine_notes(study: Study, runs: Mapping[str, Run], over: Mapping[str, Any]
     """Say which conditions train with the slower engine though nobody asked for it."""
     reasons: dict[str, list[str]] = {}
     for name, run in runs.items():
-        if "engine" not in study.settings(name, over) and (reason := beyond_engine(run)):
+        if "engine" not in study.fields(name, over) and (reason := beyond_engine(run)):
             reasons.setdefault(reason, []).append(name)
     return [
         f"{', '.join(names)}: trained by {runs[names[0]].engine}, because the engine batched cannot train "

@@ -1,59 +1,229 @@
-"""Studies as files: which conditions are compared, on what, at which presets.
+"""Studies: named conditions that differ in the fields they set, and the worlds that they run in.
 
-A study is a TOML file: a title, a base of settings, what all conditions share, and what each
-changes (`conditions.py`). `plan.py` resolves it to runs.
+A study is a TOML file: a title, a base of fields, what all conditions share, and what each changes.
+
+file → Study (checked by `study_file.py`), here → Plan (`plan.py`). A study owns no results.
 """
 
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+import shlex
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import BASES, Run, read_setting
-from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.study.conditions import does_nothing, read_conditions, read_settings_table, unread_settings
-from pneuma.study.definition import (
-    PRESETS,
-    Preset,
-    Study,
-    join_settings,
-    run_command,
-    studies_folder,
+from pneuma.algorithms import ALGORITHM_FIELDS
+from pneuma.config import BASES, ENVIRONMENT_SLOTS, OPTIMIZER_FIELDS, Run, fields_read
+from pneuma.errors import UserError, unknown_name
+from pneuma.worlds import (
+    TEXT,
+    WORLDS,
+    check_world,
+    chosen_world,
+    in_world,
+    split_world,
+    world_fields,
+    world_option,
 )
-from pneuma.study.faults import check_run, fault
-from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
-from pneuma.values import Number
-from pneuma.worlds import TEXT, WORLDS, chosen_world, split_world
 
-__all__ = [
-    "PRESETS", "SEEDS_ALLOWED", "Preset", "Study", "does_nothing", "join_settings", "list_studies",
-    "load_study", "read_seeds", "run_command", "studies_folder", "unread_settings",
-]  # fmt: skip
+PRESETS = ("quick", "standard", "paper")
+CLAIMS = "claims"
+"""The preset that no study's file sets: what claims fix of it (`claimed.py`)."""
+CLAIMS_FILE = "claims.toml"
+"""Beside studies, and none itself."""
 
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
-_TOP_KEYS = (
-    "title", "section", "about", "figure", "base", "baseline", "keep_checkpoints", "gpu", "worlds",
-    "run", "factors", "conditions", "presets",
-)  # fmt: skip
-KEPT_CHECKPOINTS = Number(0, 1000, whole=True)
-_OTHER_WORLDS = tuple(name for name in WORLDS if name != TEXT)
-_TEXTS = {"base": f"one of {', '.join(BASES)}", "baseline": "the name of a condition"}
-"""What the texts at the top are that are not for people."""
+
+@dataclass(frozen=True)
+class Preset:
+    """How much of a study to run: seeds, and agent steps of each run.
+
+    Attributes:
+        seeds, steps: of every condition.
+        conditions: those that have other ones, such as networks that take too long.
+    """
+
+    seeds: tuple[int, ...]
+    steps: int
+    conditions: Mapping[str, Preset] = field(default_factory=dict)
+
+    def of(self, condition: str) -> Preset:
+        """Return what the preset says of one condition."""
+        return self.conditions.get(condition, self)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A comparison: named conditions that differ in what they set.
+
+    Attributes:
+        name: the file's name, or what its owner calls it; in another world than the usual one it ends so.
+        path: the file; None for a study that is none, such as a fork.
+        title, section, about: for people.
+        figure: file stem of its figure.
+        baseline: the condition that the others are compared with.
+        base: name of the fields to start from.
+        shared: fields of every condition on top of the base.
+        conditions: what each condition sets on top.
+        presets: by name.
+        keep_checkpoints: of each run, evenly spread, beside that of its first update, for `pneuma run fork`.
+        gpu: conditions whose runs are to have a GPU each, where the executor hands them out.
+        levels: of each condition of a crossed study, the value's name of every factor.
+        world: one of `WORLDS`.
+        worlds: those of `WORLDS` that it can be run in, the usual one first.
+    """
+
+    name: str
+    path: Path | None
+    title: str
+    section: str
+    about: str
+    figure: str
+    baseline: str
+    base: str
+    shared: Mapping[str, Any]
+    conditions: Mapping[str, Mapping[str, Any]]
+    presets: Mapping[str, Preset] = field(default_factory=dict)
+    keep_checkpoints: int = 0
+    gpu: frozenset[str] = frozenset()
+    levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    world: str = TEXT
+    worlds: tuple[str, ...] = tuple(WORLDS)
+
+    def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what a condition sets, base and shared fields included, `over` on top of all."""
+        return join_fields(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
+
+    def in_world(self, world: str) -> Study:
+        """Return the study as it is run in one of its worlds, with a name and a figure of its own there.
+
+        There all conditions share the world's environment, and its other fields where the study sets none
+        itself.
+
+        Raises:
+            UserError: for a world that there is not, or that the study is not run in.
+        """
+        check_world(world)
+        if world not in self.worlds:
+            known = ", ".join(self.worlds)
+            raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
+        if world == self.world:
+            return self
+        set_by_itself = {*self.shared, *(key for own in self.conditions.values() for key in own)}
+        there = replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
+        if world == self.worlds[0]:
+            return there
+        return replace(
+            there,
+            name=in_world(self.name, world),
+            title=f"{self.title} ({world})",
+            figure=in_world(self.figure, world),
+        )
+
+    @property
+    def own_path(self) -> str | None:
+        """The path of a user's own file; None for a shipped study, and for one that is no file."""
+        if self.path is None or is_shipped_file(self.path):
+            return None
+        return str(self.path.resolve())
+
+    def preset(self, name: str) -> Preset:
+        """Return a preset by its name.
+
+        Raises:
+            UserError: when the study has none of that name.
+        """
+        if name not in self.presets:
+            raise unknown_name(f"preset of study {self.name}", name, self.presets)
+        return self.presets[name]
+
+
+def join_fields(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay fields over a base and over what the environment they choose brings along."""
+    env = own.get("env")
+    slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
+    return {**BASES[base], **slots, **own}
+
+
+def join_presets(name: str, condition: str, some: Preset | None, other: Preset) -> Preset:
+    """Return what a condition has of two presets together: the seeds of both.
+
+    Raises:
+        UserError: where their steps differ, for a condition is trained for one budget.
+    """
+    if some is None:
+        return other
+    if some.steps != other.steps:
+        both = f"{some.steps:,} and {other.steps:,}"
+        raise UserError(f"--preset {name}: {condition} would have {both} steps: there is one budget for each")
+    return replace(some, seeds=tuple(sorted({*some.seeds, *other.seeds})))
+
+
+def read_seeds(value: object) -> tuple[int, ...]:
+    """Read seeds: a count n for 0 … n - 1, or a list.
+
+    Raises:
+        ValueError: for anything else, a repeated seed among them.
+    """
+    if type(value) is int and 1 <= value <= MOST_SEEDS:
+        return tuple(range(value))
+    seeds = tuple(value) if isinstance(value, list | tuple) else ()
+    if all(type(seed) is int and 0 <= seed < 2**32 for seed in seeds) and 0 < len({*seeds}) == len(seeds):
+        return seeds
+    raise ValueError
+
+
+# --- Fields that do nothing ------------------------------------------------------------------------
+
+
+def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
+    """Return those of `keys` that none of the runs' algorithms and optimizers reads."""
+    read = {key for run in runs for key in fields_read(run)}
+    return [key for key in keys if key not in read]
+
+
+def does_nothing(key: str, runs: Iterable[Run]) -> str:
+    """Say which fields the runs' optimizers do read, or the algorithms where the key is none of those."""
+    runs = list(runs)
+    of_optimizers = any(key in own for own in OPTIMIZER_FIELDS.values())
+    optimizers = {run.optimizer for run in runs if "optimizer" in fields_read(run)}
+    if of_optimizers and optimizers:
+        told = {name: OPTIMIZER_FIELDS[name] for name in optimizers}
+    else:
+        told = {run.algorithm: ALGORITHM_FIELDS[run.algorithm] for run in runs}
+    read = "; ".join(f"{name} reads {', '.join(told[name])}" for name in sorted(told))
+    return f"{key} does nothing: {read}"
+
+
+# --- Files -----------------------------------------------------------------------------------------
+
+
+def studies_folder() -> Path:
+    """Return the folder of shipped studies: in an installed package, or beside it in a source tree."""
+    try:
+        return Path(next(iter(import_module("pneuma.studies").__path__)))
+    except ModuleNotFoundError:
+        return Path(__file__).parents[2] / "studies"
 
 
 def list_studies() -> list[str]:
     """Return the names of the shipped studies."""
-    return sorted(path.stem for path in studies_folder().glob("*.toml") if path.name not in NO_STUDIES)
+    return sorted(path.stem for path in studies_folder().glob("*.toml") if path.name != CLAIMS_FILE)
 
 
-NO_STUDIES = ("claims.toml",)
-"""Files beside the shipped studies that are none."""
+def name_in_world(name: str, world: str | None) -> str:
+    """Return what the records of a shipped study, or any, are called in a world; None is the usual one."""
+    if name in list_studies():
+        worlds = tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8")).get("worlds")
+        if worlds and TEXT not in worlds and world == next(each for each in WORLDS if each in worlds):
+            return name
+    return in_world(name, world or TEXT)
 
 
 def files_called(name: str) -> list[str]:
@@ -66,193 +236,43 @@ def load_study(name: str, world: str | None = None) -> Study:
 
     Args:
         name: of the study; one that ends in -WORLD stands for the study in that world.
-        world: one of `WORLDS`; the text's when neither this nor the name says so.
+        world: one of `WORLDS`; the study's first when neither this nor the name says so.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    if not name.endswith(".toml"):
+    if name.endswith(".toml"):
+        path = Path(name)
+        refuse_taken_name(path, studies_folder() / path.name, "study")
+    else:
         own, world = chosen_world(name, world)
         if own not in list_studies():
             raise unknown_name("study", name, [*list_studies(), *files_called(name)])
-        return _read_study(read_toml(studies_folder() / f"{own}.toml")).in_world(world)
-    path = Path(name)
-    shipped = studies_folder() / path.name
+        path = studies_folder() / f"{own}.toml"
+    study: Study = import_module("pneuma.study.study_file").read_study(path)
+    return study.in_world(world or study.worlds[0])
+
+
+def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
+    """Refuse a user's own file that is called as a shipped one is, or as one in a world."""
     if shipped.is_file() and path.resolve() != shipped.resolve():
-        raise UserError(f"{path}: a shipped study is called {path.stem}; give yours another file name")
-    if (told := split_world(path.stem)[1]) != TEXT:
-        raise UserError(
-            f"{path}: -{told} ends the names of studies in that world; give yours another file name"
-        )
-    return _read_study(read_toml(path)).in_world(world or TEXT)
+        raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
+    if (world := split_world(path.stem)[1]) != TEXT:
+        raise UserError(f"{path}: a name with -{world} stands for the world; give yours another file name")
 
 
-def read_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a count n for 0 … n - 1, or a list.
+def is_shipped_file(path: Path) -> bool:
+    """Tell whether a study's file is one of the toolkit's own, however its path is given."""
+    return path.resolve().parent == studies_folder().resolve()
 
-    Raises:
-        ValueError: for anything else, a repeated seed among them.
+
+def run_command(name: str, path: object = None) -> str:
+    """Return the command that trains a study.
+
+    Args:
+        name: of its record.
+        path: of its file, as an untrusted record has it; of a shipped study none, or no string.
     """
-    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SEEDS:
-        return tuple(range(value))
-    if isinstance(value, (list, tuple)) and value and len(set(value)) == len(value):
-        return tuple(read_setting(Run, "seed", seed) for seed in value)
-    raise ValueError
-
-
-def _read_study(file: TomlFile) -> Study:
-    data = file.data
-    file.refuse_unknown((), data, _TOP_KEYS)
-    for key in ("title", "base", "conditions", "presets"):
-        if key not in data and not (key == "conditions" and "factors" in data):
-            raise UserError(f"{file.path}: the key {key!r} is missing")
-    texts = {key: _text(file, key) for key in ("title", "section", "about", "figure", "base", "baseline")}
-    if texts["base"] not in BASES:
-        raise file.mistake((), f"base: {unknown_name('base', texts['base'], BASES)}", "base")
-    if not re.fullmatch(r"([\w-][\w.-]*)?", texts["figure"]):
-        allowed = "a plain file name, without folders and ending"
-        raise file.mistake((), f"figure = {shown(texts['figure'])} is not allowed: {allowed}", "figure")
-    sets = read_conditions(file, texts["base"])
-    baseline = _baseline(sets.own, sets.levels, texts["baseline"])
-    if baseline not in sets.own:
-        raise file.mistake((), f"baseline: {unknown_name('condition', baseline, sets.own)}", "baseline")
-    worlds, by_world = _read_worlds(file)
-    study = Study(
-        name=file.path.stem,
-        path=file.path,
-        title=texts["title"],
-        section=texts["section"],
-        about=" ".join(texts["about"].split()),
-        figure=texts["figure"] or f"study-{file.path.stem}",
-        baseline=baseline,
-        base=texts["base"],
-        shared=sets.shared,
-        conditions=sets.own,
-        presets=_read_presets(file, sets.own),
-        keep_checkpoints=_read_kept(file),
-        gpu=_read_gpu(file, sets.own),
-        levels=sets.levels,
-        worlds=worlds or _usual_worlds(sets.own),
-        by_world=by_world,
-    )
-    _check_worlds(file, study)
-    return study
-
-
-def _baseline(conditions: Mapping[str, Any], levels: Mapping[str, Mapping[str, str]], told: str) -> str:
-    """Return the baseline's full name; of a crossed study, the first that the told condition is in."""
-    if not told:
-        return next(iter(conditions))
-    return next((name for name, own in levels.items() if told in own.values()), told)
-
-
-def _read_worlds(file: TomlFile) -> tuple[tuple[str, ...], dict[str, dict[str, Any]]]:
-    """Read `worlds`: a list of those that the study is run in, or tables of what each sets besides."""
-    value = file.data.get("worlds", {})
-    if isinstance(value, dict):
-        file.refuse_unknown(("worlds",), value, _OTHER_WORLDS)
-        besides = {key: read_settings_table(file, ("worlds", key)) for key in value}
-        return (tuple(WORLDS) if value else ()), besides
-    if not isinstance(value, list) or not value or not {*map(str, value)} <= {*WORLDS}:
-        allowed = f"a list of {', '.join(WORLDS)}, or tables such as [worlds.{_OTHER_WORLDS[0]}]"
-        raise file.mistake((), f"worlds = {shown(value)} is not allowed: {allowed}", "worlds")
-    return tuple(name for name in WORLDS if name in value), {}
-
-
-def _usual_worlds(conditions: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return all, unless the study compares environments itself."""
-    return (TEXT,) if any("env" in own for own in conditions.values()) else tuple(WORLDS)
-
-
-def _check_worlds(file: TomlFile, study: Study) -> None:
-    """Refuse a condition whose settings do not go together in another world than the text's."""
-    for world in study.worlds:
-        there = study.in_world(world)
-        for name in there.conditions if world != TEXT else ():
-            if error := fault(there.settings(name), check_run):
-                where = ("worlds", world) if world in study.by_world else ("conditions", name)
-                mend = f'; worlds = ["{TEXT}"] at the top runs it in the text\'s world alone'
-                raise file.mistake(where, f"in the world {world}, {name}: {error}{mend}")
-
-
-def _read_kept(file: TomlFile) -> int:
-    value = file.data.get("keep_checkpoints", 0)
-    try:
-        return int(KEPT_CHECKPOINTS.read(value) or 0)
-    except (ValueError, TypeError):
-        message = f"keep_checkpoints = {value!r} is not allowed: {KEPT_CHECKPOINTS.allowed}"
-        raise file.mistake((), message, "keep_checkpoints") from None
-
-
-def _read_gpu(file: TomlFile, conditions: Collection[str]) -> frozenset[str]:
-    """Read `gpu`: true for all conditions, or a list of those whose runs want one; the runs stay the same."""
-    value = file.data.get("gpu", False)
-    if isinstance(value, bool):
-        return frozenset(conditions if value else ())
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        allowed = "true, false, or a list of conditions"
-        raise file.mistake((), f"gpu = {shown(value)} is not allowed: {allowed}", "gpu")
-    for name in value:
-        if name not in conditions:
-            raise file.mistake(
-                (), f"gpu = {shown(value)}: {unknown_name('condition', name, conditions)}", "gpu"
-            )
-    return frozenset(value)
-
-
-def _text(file: TomlFile, key: str) -> str:
-    value = file.data.get(key, "")
-    if not isinstance(value, str) or (key == "title" and not value.strip()):
-        raise file.mistake((), f"{key} = {shown(value)} is not allowed: {_TEXTS.get(key, 'a text')}", key)
-    return value
-
-
-def _read_presets(file: TomlFile, conditions: Collection[str]) -> dict[str, Preset]:
-    presets = {}
-    if not file.table(("presets",)):
-        raise file.mistake((), f"[presets] is empty: one or more of {', '.join(PRESETS)}", "presets")
-    for name in file.table(("presets",)):
-        where = ("presets", name)
-        if name not in PRESETS:
-            hint = nearest_name(name, PRESETS)
-            message = f"unknown preset {name!r}{hint}; known are {', '.join(PRESETS)}"
-            raise file.mistake(("presets",), message, name)
-        table = file.table(where)
-        file.refuse_unknown(where, table, ("seeds", "steps", "conditions"))
-        for key in ("seeds", "steps"):
-            if key not in table:
-                raise file.mistake(where, f"the key {key!r} is missing")
-        usual = Preset(_preset_seeds(file, where, table), _preset_steps(file, where, table))
-        presets[name] = replace(usual, conditions=_preset_conditions(file, where, usual, conditions))
-    return presets
-
-
-def _preset_conditions(
-    file: TomlFile, where: Where, usual: Preset, conditions: Collection[str]
-) -> dict[str, Preset]:
-    """Read [presets.NAME.conditions.CONDITION]: what one condition has instead of the preset's usual."""
-    own = {}
-    for name in file.table((*where, "conditions")):
-        place = (*where, "conditions", name)
-        if name not in conditions:
-            raise file.mistake(place[:-1], str(unknown_name("condition", name, conditions)), name)
-        table = file.table(place)
-        file.refuse_unknown(place, table, ("seeds", "steps"))
-        seeds = _preset_seeds(file, place, table) if "seeds" in table else usual.seeds
-        own[name] = Preset(seeds, _preset_steps(file, place, table) if "steps" in table else usual.steps)
-    return own
-
-
-def _preset_seeds(file: TomlFile, where: Where, table: Mapping[str, Any]) -> tuple[int, ...]:
-    try:
-        return read_seeds(table["seeds"])
-    except (ValueError, UserError, TypeError):
-        message = f"seeds = {shown(table['seeds'])} is not allowed: {SEEDS_ALLOWED}"
-        raise file.mistake(where, message, "seeds") from None
-
-
-def _preset_steps(file: TomlFile, where: Where, table: Mapping[str, Any]) -> int:
-    try:
-        return int(read_setting(Run, "steps", table["steps"]))
-    except UserError as error:
-        raise file.mistake(where, str(error), "steps") from None
+    own, world = split_world(name)
+    asked = shlex.quote(path if isinstance(path, str) else own)
+    return " ".join(["pneuma study run", asked, *world_option(world)])

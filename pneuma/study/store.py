@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.files import (
     CHECKPOINTS,
@@ -319,4 +319,4 @@ def _are_settings(settings: Mapping[str, Any]) -> bool:
 
 def run_document(run: Run, run_id: str) -> bytes:
     """Return the contents of run.json."""
-    return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_settings(run)})
+    return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_fields(run)})

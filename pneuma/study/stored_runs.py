@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import as_settings, make_run
+from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.study.files import CHECKPOINTS, checksum, read_checkpoint_name, read_sealed, read_whole
 from pneuma.study.store import FINISHED, Status, Store
@@ -173,9 +173,9 @@ def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a run that chooses but this one's environment, algorithm and optimizer."""
     chosen = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
-        return as_settings(make_run(chosen))
+        return as_fields(make_run(chosen))
     except UserError:  # of another version of Pneuma's
-        return as_settings(make_run({}))
+        return as_fields(make_run({}))
 
 
 # --- Reading what may be anything ------------------------------------------------------------------

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pneuma.config import Run, read_setting
-from pneuma.env_settings import are_own_characters, is_own_level, own_rewards
+from pneuma.config import Run, read_field
+from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
 
@@ -19,7 +19,7 @@ def own_things(settings: Mapping[str, object]) -> dict[str, str]:
         UserError: for a value that is not allowed.
     """
     read = {
-        key: read_setting(Run, key, settings[key])
+        key: read_field(Run, key, settings[key])
         for key in (REWARD, LEVEL, CHARACTERS)
         if settings.get(key) is not None
     }

@@ -84,10 +84,36 @@ def test_a_run_that_learns_has_not_collapsed(tmp_path: Path) -> None:
     assert diagnosed(tmp_path, healthy(), learning()) == Diagnosis(False)
 
 
-def test_a_return_that_drifts_down_as_deaths_cost_xp_is_no_collapse(tmp_path: Path) -> None:
-    """Facts 4.3: XP that is never reset sinks in a straight line, whatever the policy does."""
-    drift = -20.0 * np.arange(100)
-    assert not diagnosed(tmp_path, healthy(), np.full(20, 0.4), returns=drift).collapsed
+def returns_of(points: list[tuple[float, float]]) -> np.ndarray:
+    """Return the returns of a hundred updates, straight between points of update and return."""
+    return np.interp(np.arange(1, 101), *zip(*points, strict=True))
+
+
+def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_never_reset(
+    tmp_path: Path,
+) -> None:
+    """It crosses zero at update 60; a point averages five episodes, so that the one of update 62 is 0."""
+    sinking = returns_of([(1, 0.0), (40, 20.0), (100, -40.0)])
+    found = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
+    assert (found.collapsed, found.signs, found.recovered_step) == (True, ("return below zero",), None)
+    assert found.onset_step == 6300 and 4000 <= (found.sound_step or 0) <= 4300
+    risen = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=np.abs(sinking))
+    assert risen == Diagnosis(False)
+    late = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking + 36)  # from update 96 on
+    assert not late.collapsed
+
+
+@pytest.mark.parametrize(
+    ("first", "xp_scope"),
+    [(0.0, "forever"), (20.0, "episode")],  # it never was above zero; one episode's loss is no other's
+)
+def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
+    tmp_path: Path, first: float, xp_scope: str
+) -> None:
+    store, drift = Store(tmp_path / "results"), first - 20.0 * np.arange(100)
+    save_run(store, "a0" * 8, healthy(), np.full(20, 0.4), returns=drift)
+    data = open_study(store, study_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": xp_scope}}))
+    assert not diagnose(data, data.runs[0]).collapsed
 
 
 def test_a_certain_policy_of_several_actions_is_no_collapse(tmp_path: Path) -> None:
@@ -240,7 +266,7 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write
     data = open_study(store, store.selection("logs") or {})
     found = diagnose(data, data.runs[0])
     assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
-    assert found.unseen == ("one action", "dead units", "fall")
+    assert found.unseen == ("one action", "dead units", "fall", "return below zero")
     assert found.relearned is None
     assert data.budget == BUDGET
 
@@ -258,7 +284,7 @@ def test_logs_without_any_sign_are_not_said_to_have_kept_their_policy(
     told = {row["condition"]: (row["collapsed"], row["runs"], row["unknown"]) for row in rows}
     assert told == {"dqn": (0, 0, 1), "ppo": (0, 1, 0)}
     assert main(["study", "collapse", "logs", "--results", str(store.root)]) == 0
-    assert "0 of 0 runs collapsed; of 1 run no sign is recorded" in capsys.readouterr().out
+    assert "of 1 run no sign is recorded" in capsys.readouterr().out
 
 
 def test_a_learner_without_entropy_is_not_said_to_have_kept_it(tmp_path: Path) -> None:

@@ -365,3 +365,24 @@ def test_the_first_seed_may_be_a_lists_own(tmp_path: Path) -> None:
     assert load_claims(write_files(tmp_path, text)).claims["better"].seeds["low"] == tuple(range(100, 108))
     with pytest.raises(UserError, match="3 is below seeds_from = 100"):
         load_claims(write_files(tmp_path, text.replace("seeds = 8", "seeds = [3, 100]")))
+
+
+@pytest.mark.parametrize(
+    ("high", "margin", "direction", "standing"),
+    [
+        (HIGH, 0.04, "greater", "decided with content"),
+        (HIGH, 0.6, "greater", "decided by the letter"),
+        (NEAR, 0.04, "greater", "decided with content"),
+        (WIDE, 0.04, "greater", "open"),
+        ([0.0] * 8, 0.04, "greater", "decided with content"),
+    ],
+)
+def test_a_verdict_is_counted_by_what_it_says_of_size(
+    high: list[float], margin: float, direction: str, standing: str, store: Store, tmp_path: Path
+) -> None:
+    """0.5 more is a difference, but no more than a margin of 0.6: only the letter supports that it is."""
+    claims = changed(("margin = 0.04", f"margin = {margin}"), ('"greater"', f'"{direction}"'))
+    write_files(tmp_path, claims)
+    save_runs(store, tmp_path, {"high": high, "low": LOW})
+    one = judge_one(store, tmp_path, claims)
+    assert one.standing == standing

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -11,16 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.cli import main
 from pneuma.study.execute import selection_record
 from pneuma.study.executors import local
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
-CLI = Path(__file__).parents[2] / "cli.py"
+from .calls import call, described, printed, refused
 
-Captured = pytest.CaptureFixture[str]
+CLI = Path(__file__).parents[2] / "cli.py"
 
 
 @pytest.fixture
@@ -36,222 +34,136 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def _refusal(arguments: list[str], captured: Captured) -> str:
-    """Run a command that must be refused, and return its one line."""
-    assert main(arguments) == 2
-    output = captured.readouterr()
-    assert output.out == ""
-    (line,) = output.err.splitlines()
-    assert line.startswith("pneuma: ")
-    return line
-
-
-RUN = ["study", "run", "activation"]
-MISTAKES: dict[str, tuple[list[str], tuple[str, ...]]] = {
-    "unknown study": (["study", "run", "activaton"], ("'activaton'", "did you mean activation?")),
-    "unknown condition": ([*RUN, "--condition", "tahn"], ("'tahn'", "did you mean tanh?")),
-    "unknown key": ([*RUN, "--set", "lerning_rate=1"], ("'lerning_rate'", "did you mean learning_rate?")),
-    "value out of range": ([*RUN, "--set", "gamma=2"], ("gamma = 2", "at most 1")),
-    "value of a wrong type": ([*RUN, "--set", "epochs=many"], ('epochs = "many"', "a whole number")),
-    "word misspelt": ([*RUN, "--set", "optimizer=sdg"], ('optimizer = "sdg"', "did you mean sgd?")),
-    "setting without a value": ([*RUN, "--set", "gamma"], ("--set gamma", "KEY=VALUE")),
-    "setting without a key": ([*RUN, "--set", "=3"], ("--set =3", "KEY=VALUE")),
-    "setting of the seed": ([*RUN, "--set", "seed=3"], ("seed", "--seeds")),
-    "setting of the steps": ([*RUN, "--set", "steps=3"], ("steps", "--steps")),
-    "setting that Adam does not read": ([*RUN, "--set", "momentum=0.9"], ("momentum", "adam")),
-    "minibatch too large": ([*RUN, "--set", "minibatch=512"], ("minibatch = 512", "256")),
-    "unknown level": ([*RUN, "--set", "level=thesi"], ("'thesi'", "did you mean thesis?")),
-    "steps of zero": ([*RUN, "--steps", "0"], ("--steps 0", "at least 1")),
-    "negative steps": ([*RUN, "--steps", "-5"], ("--steps -5", "at least 1")),
-    "steps that are no number": ([*RUN, "--steps", "many"], ("--steps", "many")),
-    "no workers": ([*RUN, "--workers", "0"], ("--workers 0", "at least 1")),
-    "workers that are no number": ([*RUN, "--workers", "two"], ("--workers", "two")),
-    "unknown executor": ([*RUN, "--executor", "lcal"], ("--executor lcal", "did you mean local?")),
-    "address of no cluster": ([*RUN, "--address", "a:1"], ("--address a:1", "--executor ray")),
-    "Slurm's option elsewhere": ([*RUN, "--slurm", "mem=1GB"], ("--slurm mem=1GB", "--executor slurm")),
-    "nothing to be detached from": ([*RUN, "--detach"], ("--detach", "--executor slurm")),
-    "option of Slurm without a value": (
-        [*RUN, "--executor", "slurm", "--slurm", "mem"],
-        ("--slurm mem", "KEY=VALUE"),
-    ),
-    "unknown engine": ([*RUN, "--engine", "sb4"], ("sb4", "did you mean sb3?")),
-    "unknown preset": ([*RUN, "--preset", "quik"], ("'quik'", "did you mean quick?")),
-    "file that is not there": (["study", "run", "nowhere.toml"], ("nowhere.toml", "No such file")),
-    "unknown option": ([*RUN, "--sedes", "3"], ("--sedes", "--seeds")),
-    "unknown command of a group": (["study", "rn"], ("'rn'", "'run'")),
-    "unknown command": (["studdy"], ("'studdy'", "'study'")),
-    "no study named": (["study", "run"], ("NAME",)),
-    "no table named": (["study", "export", "activation", "--out", "x.csv"], ("--table",)),
-    "status of an unknown study": (["study", "status", "activaton"], ("did you mean activation?",)),
-    "plan of an unknown study": (["study", "plan", "activaton"], ("did you mean activation?",)),
-    "show of an unknown study": (["study", "show", "activaton"], ("did you mean activation?",)),
+RUN = "study run activation"
+MISTAKES = {
+    "study run activaton": "'activaton' (did you mean activation?)",
+    "study show activaton": "did you mean activation?",
+    "study status activaton": "did you mean activation?",
+    f"{RUN} --condition tahn": "'tahn' (did you mean tanh?)",
+    f"{RUN} --set lerning_rate=1": "'lerning_rate' (did you mean learning_rate?)",
+    f"{RUN} --set lr=1": "'lr' (did you mean learning_rate?)",
+    f"{RUN} --set gamma=2": "gamma = 2",
+    f"{RUN} --set epochs=many": 'epochs = "many"',
+    f"{RUN} --set optimizer=sdg": "did you mean sgd?",
+    f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
+    f"{RUN} --set =3": "--set =3: must be KEY=VALUE",
+    f"{RUN} --set seed=3": "--seeds",
+    f"{RUN} --set steps=3": "--steps",
+    f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
+    f"{RUN} --set minibatch=512": "minibatch = 512",
+    f"{RUN} --set level=thesi": "did you mean thesis?",
+    f"{RUN} --steps 0": "--steps 0: must be a whole number of at least 1",
+    f"{RUN} --steps 1e-5": "--steps 1e-5",
+    f"{RUN} --steps many": "--steps many",
+    f"{RUN} --workers 0": "--workers 0",
+    f"{RUN} --executor lcal": "did you mean local?",
+    f"{RUN} --address a:1": "--address a:1: goes with --executor ray",
+    f"{RUN} --slurm mem=1GB": "--slurm mem=1GB: goes with --executor slurm",
+    f"{RUN} --detach": "--detach: goes with --executor slurm",
+    f"{RUN} --executor slurm --slurm mem": "--slurm mem: must be KEY=VALUE",
+    f"{RUN} --engine sb4": "did you mean sb3?",
+    f"{RUN} --preset quik": "did you mean quick?",
+    f"{RUN} --sedes 3": "--seeds",
+    f"{RUN} --setting godot": "--setting is called --world now",
+    f"{RUN} --seeds 0": "--seeds 0: must be a count",
+    f"{RUN} --seeds 3,3": "--seeds 3,3",
+    f"{RUN} --seeds 3,x": "--seeds 3,x",
+    f"{RUN} --seeds 5..3": "--seeds 5..3",
+    f"{RUN} --seeds 0..99999999999": "--seeds 0..99999999999",
+    f"{RUN} --seeds 10001": "a count from 1 to 10000",
+    f"{RUN} --seeds 4294967296,": "from 0 to 4294967295",
+    "study run nowhere.toml": "nowhere.toml: No such file",
+    "study rn": "'run'",
+    "studdy": "'study'",
+    "study run": "NAME",
+    "study export activation --out x.csv": "--table",
+    "study plot": "pneuma study run",
+    "study plot activation": "pneuma study run activation",
+    "study plot activation --seeds 4": "pneuma study run activation",
+    "study export activation --table episodes --out x.csv": "pneuma study run activation",
 }
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_one_line_and_nothing_is_written(mistake: str, here: Path, capsys: Captured) -> None:
-    arguments, words = MISTAKES[mistake]
-    line = _refusal(arguments, capsys)
-    for word in words:
-        assert word in line
+@pytest.mark.parametrize("words", MISTAKES)
+def test_a_mistake_is_one_line_and_nothing_is_written(words: str, here: Path) -> None:
+    assert MISTAKES[words] in refused(*words.split())
     assert os.listdir(here) == []
 
 
-@pytest.mark.parametrize("seeds", ["-1", "0", "x", "", ",", "1.5", "3,x", "3,3", "-1,", "3;5"])
-def test_seeds_that_mean_nothing_are_refused(seeds: str, here: Path, capsys: Captured) -> None:
-    line = _refusal([*RUN, "--seeds", seeds], capsys)
-    assert f"--seeds {seeds}" in line
-    assert "3,5,8" in line  # an example of what is right
-    assert os.listdir(here) == []
+def test_counts_and_seeds_are_read_as_they_look(here: Path) -> None:
+    plan = ("study", "plan", "activation", "--condition", "relu", "--json")
+    rows = described(*plan, "--seeds", "1..3,7", "--steps", "1e4")["runs"]
+    assert [row["seed"] for row in rows] == [1, 2, 3, 7]
+    again = described(*plan, "--seeds", "1,2,3,7", "--steps", "10_000")["runs"]
+    assert [row["run_id"] for row in again] == [row["run_id"] for row in rows]
 
 
-@pytest.mark.parametrize(("seeds", "greatest"), [("10001", "10000"), ("4294967296,", "4294967295")])
-def test_seeds_beyond_the_greatest_are_told_what_it_is(
-    seeds: str, greatest: str, here: Path, capsys: Captured
-) -> None:
-    line = _refusal([*RUN, "--seeds", seeds], capsys)
-    assert greatest in line.replace(",", "").replace("_", "")
-
-
-def test_a_file_that_is_not_toml_is_told_with_its_line(here: Path, capsys: Captured) -> None:
+def test_a_file_that_is_not_toml_is_told_with_its_line(here: Path) -> None:
     (here / "mine.toml").write_text('title = "Mine"\nbase = \n')
-    line = _refusal(["study", "run", "mine.toml"], capsys)
+    line = refused("study", "run", "mine.toml")
     assert "mine.toml" in line and "line 2" in line
-    assert os.listdir(here) == ["mine.toml"]
 
 
-@pytest.mark.parametrize("folder", ["file", "file/below"])
-def test_results_that_cannot_be_written_are_refused(folder: str, here: Path, capsys: Captured) -> None:
+def test_results_that_cannot_be_written_are_refused(here: Path) -> None:
     (here / "file").write_text("mine")
-    line = _refusal([*RUN, "--results", folder], capsys)
-    assert f"--results {folder}" in line
-    assert os.listdir(here) == ["file"]
+    for folder in ("file", "file/below"):
+        assert f"--results {folder}" in refused(*RUN.split(), "--results", folder)
     assert (here / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    ("folder", "read"), [("~/mine", "{here}/mine"), ("~nobody-at-all/mine", "~nobody-at-all/mine")]
-)
-def test_a_home_folder_is_read_as_a_shell_reads_it(
-    folder: str, read: str, here: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_home_folder_is_read_as_a_shell_reads_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bash leaves `--results=~/mine` as it is, and a folder named `~` is nobody's wish."""
     monkeypatch.setenv("HOME", str(here))
-    monkeypatch.setenv("USERPROFILE", str(here))
-    line = _refusal(["study", "status", "activation", f"--results={folder}"], capsys)
-    assert f"has no runs in {read.format(here=here)}:" in line
-    assert os.listdir(here) == []
+    for folder, read in (("~/mine", f"{here}/mine"), ("~nobody-at-all/mine", "~nobody-at-all/mine")):
+        assert f"has no runs in {read}:" in refused("study", "status", "activation", f"--results={folder}")
 
 
-@pytest.mark.parametrize("arguments", [[], ["study"]])
-def test_a_command_left_out_is_answered_with_readable_help(arguments: list[str], capsys: Captured) -> None:
-    main(arguments)
-    output = capsys.readouterr()
-    lines = (output.out + output.err).splitlines()
-    assert len(lines) > 5
-    assert any(line.startswith("Usage:") for line in lines)
-    assert max(map(len, lines)) < 200
-
-
-# --- Asking for what is not there yet ------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "command", [["status"], ["plot"], ["export", "--table", "episodes", "--out", "below/x.csv"]]
-)
-def test_before_any_run_a_person_is_told_what_to_do(command: list[str], here: Path, capsys: Captured) -> None:
-    line = _refusal(["study", command[0], "activation", *command[1:]], capsys)
-    assert "pneuma study run activation" in line and "--results" in line
-    assert os.listdir(here) == []
-
-
-def test_plotting_all_studies_before_any_run_says_what_to_do(here: Path, capsys: Captured) -> None:
-    assert "pneuma study run" in _refusal(["study", "plot"], capsys)
-    assert os.listdir(here) == []
-
-
-def test_the_status_of_nothing_is_no_mistake(here: Path, capsys: Captured) -> None:
-    assert main(["study", "status"]) == 0
-    assert "No study was run" in capsys.readouterr().out
-    assert main(["study", "status", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"schema": 1, "studies": []}
-
-
-@pytest.mark.parametrize(
-    "command",
-    [["plot"], ["plot", "--out", "below"], ["export", "--table", "episodes", "--out", "below/x.csv"]],
-)
-def test_a_selection_that_was_not_run_says_what_to_do(
-    command: list[str], here: Path, capsys: Captured
-) -> None:
-    line = _refusal(["study", command[0], "activation", *command[1:], "--seeds", "4"], capsys)
-    assert "pneuma study run activation" in line
-    assert os.listdir(here) == []
+def test_the_status_of_nothing_is_no_mistake(here: Path) -> None:
+    assert "No study was run" in printed("study", "status")
+    assert described("study", "status", "--json") == {"schema": 1, "studies": []}
 
 
 # --- Choices that are checked once there is something to show -------------------------------------
 
+CHOICES = {
+    "study export activation --table episods --out x": "mean episodes?",
+    "study export activation --table episodes --format cvs --out x": "mean csv?",
+    "study export activation --table episodes --out results/studies/activation.json/x": "--out",
+    "study plot activation --band sdt": "did you mean std?",
+    "study plot activation --window trailing": "trailing-100",
+    "study plot activation --quantity reward": "did you mean return?",
+    "study plot activation --format pgn": "mean png?",
+    "study plot activation --out results/studies/activation.json": "--out",
+    "study plot activation --out figure.PDF": "--format pdf",
+}
 
-@pytest.fixture
-def recorded(here: Path) -> Path:
-    """A results folder in which the activation study is recorded as run."""
+
+@pytest.mark.parametrize("words", CHOICES)
+def test_a_wrong_choice_is_one_line_and_nothing_is_written(words: str, here: Path) -> None:
     plan = make_plan(load_study("activation"), Selection(seeds=(0,)))
     store = Store(here / "results")
     store.save_selection("activation", selection_record(plan))
     for cell in plan.cells:
         store.save_run(cell.run_id, Status("done", cell.run.steps), {})
-    return here
-
-
-EXPORT = ["study", "export", "activation"]
-CHOICES: dict[str, tuple[list[str], tuple[str, ...]]] = {
-    "table": ([*EXPORT, "--table", "episods", "--out", "x"], ("--table", "'episods'", "mean episodes?")),
-    "format": (
-        [*EXPORT, "--table", "episodes", "--format", "cvs", "--out", "x"],
-        ("--format", "mean csv?"),
-    ),
-    "band": (["study", "plot", "activation", "--band", "sdt"], ("--band", "'sdt'", "did you mean std?")),
-    "window": (["study", "plot", "activation", "--window", "trailing"], ("--window", "trailing-100")),
-    "figure format": (["study", "plot", "activation", "--format", "pgn"], ("--format", "mean png?")),
-    "folder": (["study", "plot", "activation", "--out", "results/studies/activation.json"], ("--out",)),
-    "figure for a folder": (
-        ["study", "plot", "activation", "--out", "figure.PDF"],
-        ("--out figure.PDF: is the folder", "--format pdf"),
-    ),
-    "folder of a file": (
-        [*EXPORT, "--table", "episodes", "--out", "results/studies/activation.json/x"],
-        ("--out",),
-    ),
-}
-
-
-@pytest.mark.parametrize("choice", CHOICES)
-def test_a_wrong_choice_is_one_line_and_nothing_is_written(
-    choice: str, recorded: Path, capsys: Captured
-) -> None:
-    before = sorted(recorded.rglob("*"))
-    arguments, words = CHOICES[choice]
-    line = _refusal(arguments, capsys)
-    for word in words:
-        assert word in line
-    assert sorted(recorded.rglob("*")) == before
+    before = sorted(here.rglob("*"))
+    assert CHOICES[words] in refused(*words.split())
+    assert sorted(here.rglob("*")) == before
 
 
 # --- As a command of its own ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["study", "run", "activaton"], "did you mean activation?"),
-        (["study", "run", "activation", "--set", "gamma=2"], "gamma = 2"),
-        (["--sedes"], "--sedes"),
-    ],
-)
-def test_a_process_leaves_with_code_2_and_one_line(arguments: list[str], word: str, here: Path) -> None:
-    command = [sys.executable, str(CLI), *arguments]
+def test_a_command_left_out_is_answered_with_readable_help() -> None:
+    for words in ([], ["study"]):
+        told = call(*words)
+        lines = (told.out + told.err).splitlines()
+        assert len(lines) > 5 and max(map(len, lines)) < 200
+        assert any(line.startswith("Usage:") for line in lines)
+
+
+def test_a_process_leaves_with_code_2_and_one_line(here: Path) -> None:
+    command = [sys.executable, str(CLI), "study", "run", "activaton"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
-    assert line.startswith("pneuma: ") and word in line
-    assert os.listdir(here) == []
+    assert line.startswith("pneuma: ") and "did you mean activation?" in line

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.cli import main
-from pneuma.config import as_settings
+from pneuma.config import as_fields
 from pneuma.study import estimate
 from pneuma.study.execute import prepare
 from pneuma.study.executors import ray
@@ -24,7 +24,7 @@ def test_a_plan_reckons_with_the_room_of_the_place(
 ) -> None:
     paces = estimate.Paces()
     for cell in make_plan(load_study("activation"), Selection()).cells:
-        paces.add(as_settings(cell.run), 0.001)
+        paces.add(as_fields(cell.run), 0.001)
     monkeypatch.setattr(estimate, "stored_paces", lambda *_: paces)
     monkeypatch.setattr(ray, "most_workers", lambda place: {ADDRESS: 40}[place.address])
     command = ["study", "plan", "activation", "--results", str(tmp_path)]

@@ -16,7 +16,7 @@ import pytest
 
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.cli import main
-from pneuma.config import as_settings, make_run
+from pneuma.config import as_fields, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.figures.verdict_words import MEANINGS, PLACES
 from pneuma.study import spec
@@ -38,7 +38,7 @@ def _record(store: Store, study: str, conditions: dict[str, dict[str, Any]], **o
     runs = []
     for name, own in conditions.items():
         for seed in (0, 1):
-            settings = {**as_settings(make_run({"steps": BUDGET, **own})), **other.get("settings", {})}
+            settings = {**as_fields(make_run({"steps": BUDGET, **own})), **other.get("settings", {})}
             run_id = _run_id(study, name, seed)
             runs.append({"condition": name, "seed": seed, "run_id": run_id, "run": settings})
             _store_run(store, run_id, other.get("status", "done"))

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
-import os
-import shutil
+import re
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -92,50 +89,20 @@ def store(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
     return store
 
 
-# --- list ------------------------------------------------------------------------------------------
+# --- list and show ---------------------------------------------------------------------------------
 
 
-def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan) -> None:
+def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, tmp_path: Path) -> None:
     tanh, relu = (cell.run_id for cell in plan.cells)
     rows = [line.split() for line in printed("run", "list").splitlines()]
-    assert rows == [
-        [tanh, "done", "640", "steps", "seed", "7", "activation/tanh"],
-        [relu, "done", "640", "steps", "seed", "7", "activation/relu"],
-        [ALONE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
-        [ALIKE, "done", "256", "steps", "seed", "3", "of", "no", "study"],
-    ]
-    document = described("run", "list", "--json")
-    held = [{"study": "activation", "condition": "tanh", "seed": 7}]
-    assert document["schema"] == 1
-    assert document["runs"][0] == {
-        "run_id": tanh, "status": "done", "step": 640, "seed": 7, "studies": held,
-    }  # fmt: skip
-    assert document["runs"][2]["studies"] == []
-
-
-def test_a_run_whose_file_is_gone_is_listed_as_damaged(store: Store) -> None:
+    assert [row[0] for row in rows] == [tanh, relu, ALONE, ALIKE]
+    assert rows[0] == [tanh, "done", "640", "steps", "seed", "7", "activation/tanh"]
     (store.run_folder(ALONE) / "policy.safetensors").unlink()
-    states = {row["run_id"]: row["status"] for row in described("run", "list", "--json")["runs"]}
-    assert (states[ALONE], states[ALIKE]) == ("damaged", "done")
-
-
-def test_a_list_of_nothing_is_no_mistake(tmp_path: Path) -> None:
-    assert "No run is stored" in printed("run", "list", "--results", str(tmp_path / "none"))
-    assert not (tmp_path / "none").exists()
-
-
-def test_a_thousand_runs_are_listed_in_seconds(store: Store) -> None:
-    for number in range(1000):
-        shutil.copytree(
-            store.run_folder(ALONE), store.root / "runs" / f"{number:016x}", copy_function=os.link
-        )
-    began = time.process_time()
-    lines = printed("run", "list").splitlines()
-    assert len(lines) == 1004
-    assert time.process_time() - began < 5  # half a second where this was written
-
-
-# --- show ------------------------------------------------------------------------------------------
+    documents = {row.pop("run_id"): row for row in described("run", "list", "--json")["runs"]}
+    held = [{"study": "activation", "condition": "tanh", "seed": 7}]
+    assert documents[tanh] == {"status": "done", "step": 640, "seed": 7, "studies": held}
+    assert (documents[ALONE]["status"], documents[ALIKE]["status"]) == ("damaged", "done")
+    assert "No run is stored" in printed("run", "list", "--results", tmp_path / "none")
 
 
 def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
@@ -145,53 +112,27 @@ def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
         f"run {cell.run_id}: done, 640 steps trained",
         "study activation, condition tanh, seed 7",
         "horizon = 64 (default 256)",
-        "betas = 0.9, 0.9 (default 0.9, 0.999)",
-        "episode_steps = 50 (default 1000)",
-        "seed = 7 (default 0)",
-        "started 2026-01-02T03:04:05+00:00",
-        "wall time 12.5 s",
-        "commit 0123456789abcdef0123456789abcdef01234567",
-        "machine Linux x86_64, A processor, 2 cores, 1 thread",
+        "wall_seconds 12.5",
         "packages pneuma 0.1.0, torch 2.13.0",
     ):
         assert words in shown
-    size = (store.run_folder(cell.run_id) / "policy.safetensors").stat().st_size
-    assert f"policy.safetensors {size:,} bytes sound" in shown
     assert "gamma" not in shown  # at its default
-
-
-def test_show_all_names_every_setting_once(store: Store) -> None:
-    shown = printed("run", "show", ALONE, "--all")
-    settings = [line.partition(" = ")[0].split()[-1] for line in shown.splitlines() if " = " in line]
-    assert sorted(settings) == sorted(Run.__dataclass_fields__)
-
-
-def test_the_document_of_show_is_complete(store: Store, plan: Plan) -> None:
-    cell = plan.cells[1]
+    every = printed("run", "show", cell.run_id, "--all")
+    fields = [line.partition(" = ")[0].strip() for line in every.splitlines() if " = " in line]
+    assert sorted(fields) == sorted(Run.__dataclass_fields__)
     document = described("run", "show", cell.run_id, "--json")
-    assert document["schema"] == 1
     assert make_run(document["settings"]) == cell.run
-    changed = ("activation", "betas", "episode_steps", "horizon", "seed", "steps")
-    assert sorted(document["defaults"]) == sorted(changed)
-    assert document["defaults"]["horizon"] == 256
+    assert document["defaults"]["horizon"] == 256 and "gamma" not in document["defaults"]
     assert document["provenance"] == MACHINE
-    assert document["studies"] == [{"study": "activation", "condition": "relu", "seed": 7}]
-    assert {file["name"]: file["state"] for file in document["files"]} == {
-        "run.json": "sound",
-        "provenance.json": "sound",
-        "policy.safetensors": "sound",
-    }
+    assert {file["state"] for file in document["files"]} == {"sound"}
 
 
 def test_a_run_that_has_not_ended_is_not_called_damaged(store: Store, plan: Plan) -> None:
     run = replace(plan.cells[0].run, seed=11)
     name = run_id(run)
     store.write(store.run_folder(name) / "run.json", run_document(run, name))
-    told = printed("run", "show", name)
-    assert "damaged" not in told
-    assert "No provenance: it is written when a run has ended." in told
-    document = described("run", "show", name, "--json")
-    assert document["settings"]["seed"] == 11
+    assert "damaged" not in printed("run", "show", name)
+    assert described("run", "show", name, "--json")["settings"]["seed"] == 11
 
 
 def test_a_resume_that_could_give_other_bits_is_flagged(store: Store) -> None:
@@ -201,12 +142,8 @@ def test_a_resume_that_could_give_other_bits_is_flagged(store: Store) -> None:
     ]
     save(store, ALONE, make_run({}), {**MACHINE, "resumes": resumes})
     resumed = [line for line in printed("run", "show", ALONE).splitlines() if "resumed" in line]
-    assert len(resumed) == 2
-    assert "step 128" in resumed[0] and "NOT" not in resumed[0]
-    assert "step 192" in resumed[1] and "could differ: cpu (A processor, now another)" in resumed[1]
-    document = described("run", "show", ALONE, "--json")
-    assert document["resumed_elsewhere"] is True
-    assert described("run", "show", ALIKE, "--json")["resumed_elsewhere"] is False
+    assert ["NOT as before" in line for line in resumed] == [False, True]
+    assert described("run", "show", ALONE, "--json")["resumed_elsewhere"] is True
 
 
 def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
@@ -218,81 +155,51 @@ def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
     (folder / "more.txt").write_text("mine")
     document = described("run", "show", ALONE, "--json")
     assert document["status"] == "damaged"
-    assert f"run {ALONE}: damaged (run.json)" in printed("run", "show", ALONE)
     assert {file["name"]: file["state"] for file in document["files"]} == {
         "run.json": "damaged",
         "provenance.json": "missing",
         "policy.safetensors": "sound",
         "more.txt": "unlisted",
     }
-    shown = printed("run", "show", ALONE)
-    assert "configuration is missing or damaged" in shown
-    assert "provenance is missing or damaged" in shown
+    assert "configuration is missing or damaged" in printed("run", "show", ALONE)
 
 
 def test_a_file_outside_the_folder_is_not_even_measured(store: Store) -> None:
     (store.root / "secret.json").write_text("{}")
-    for name in ("../../secret.json", str(store.root / "secret.json")):
-        files = {name: checksum(b"{}")}
-        status = seal({"status": "done", "step": 256, "files": files})
-        (store.run_folder(ALONE) / "status.json").write_bytes(status)
-        document = described("run", "show", ALONE, "--json")
-        assert {"name": name, "bytes": 0, "state": "refused"} in document["files"]
-        assert document["status"] == "damaged"
-
-
-def test_what_a_stranger_wrote_cannot_drive_the_terminal(store: Store) -> None:
-    save(store, ALONE, make_run({}), {**MACHINE, "cpu": "\x1b]0;mine\x07\x1b[2J"})
-    assert "\x1b" not in printed("run", "show", ALONE)
+    status = seal({"status": "done", "step": 256, "files": {"../../secret.json": checksum(b"{}")}})
+    (store.run_folder(ALONE) / "status.json").write_bytes(status)
+    document = described("run", "show", ALONE, "--json")
+    assert {"name": "../../secret.json", "bytes": 0, "state": "refused"} in document["files"]
 
 
 @pytest.mark.parametrize(
-    "about", [[], 3, {"packages": 3, "resumes": 5}, {"resumes": [3, {"differences": 4}]}, {"cpu": {}}]
+    "about",
+    [{"cpu": "\x1b]0;mine\x07\x1b[2J"}, 3, {"packages": 3, "resumes": [3, {"differences": 4}]}, {"cpu": {}}],
 )
-def test_nonsense_in_place_of_provenance_is_no_traceback(about: Any, store: Store) -> None:
+def test_nonsense_in_place_of_provenance_is_shown_and_drives_no_terminal(about: Any, store: Store) -> None:
     save(store, ALONE, make_run({}), about)
-    assert ALONE in printed("run", "show", ALONE)
+    shown = printed("run", "show", ALONE)
+    assert ALONE in shown and "\x1b" not in shown
 
 
 # --- Which run is meant ----------------------------------------------------------------------------
 
 
-def test_the_first_digits_are_enough(store: Store) -> None:
-    assert f"run {ALONE}:" in printed("run", "show", "00aa0")
-    assert f"run {ALONE}:" in printed("run", "show", "00AA0")
-
-
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("00aa", ("more digits", ALONE, ALIKE)),
-        ("00aa00000000000f", ("no run '00aa00000000000f'", f"the nearest is {ALONE}")),
-        ("../../results", ("no run", "pneuma run list")),
-        ("", ("no run ''",)),
+        ("00aa", f"give more digits; .* holds {ALONE}, {ALIKE}"),
+        ("00aa00000000000f", f"no run '00aa00000000000f' .*the nearest is {ALONE}"),
+        ("../../results", "no run .*pneuma run list"),
+        ("", "no run ''"),
+        ("ff0", "4 digits at least"),
+        ("strangers.ZIP", "runs whatever code is pickled in it"),
     ],
 )
-@pytest.mark.parametrize("command", [["show"], ["export", "--out", "x.zip"]])
-def test_a_run_that_is_not_there_is_one_line(
-    command: list[str], name: str, words: tuple[str, ...], store: Store
-) -> None:
-    line = refused("run", command[0], name, *command[1:])
-    for word in words:
-        assert word in line
-
-
-def test_too_few_digits_are_refused_even_if_they_are_unique(store: Store) -> None:
-    save(store, "ffff000000000000", make_run({}))
-    assert "4 digits at least" in refused("run", "show", "fff")
-
-
-def test_a_zip_in_place_of_a_run_is_refused_with_the_reason(store: Store) -> None:
-    line = refused("run", "show", "strangers.ZIP")
-    assert "strangers.ZIP" in line and "runs whatever code is pickled in it" in line
-
-
-def test_the_run_of_another_folder_says_where_it_looked(tmp_path: Path) -> None:
-    line = refused("run", "show", ALONE, "--results", str(tmp_path))
-    assert str(tmp_path) in line and "--results" in line
+def test_a_run_that_is_not_there_is_one_line(name: str, words: str, store: Store) -> None:
+    save(store, "ff00000000000000", make_run({}))
+    assert re.search(words, refused("run", "show", name))
+    assert f"run {ALONE}:" in printed("run", "show", "00AA0")
 
 
 # --- export ----------------------------------------------------------------------------------------
@@ -302,10 +209,8 @@ def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path
     from stable_baselines3 import PPO
 
     out = tmp_path / "policy.zip"
-    document = described("run", "export", "00aa0", "--out", str(out), "--json")
-    assert document == {
-        "schema": 1, "run_id": ALONE, "file": str(out), "bytes": out.stat().st_size, "note": "",
-    }  # fmt: skip
+    document = described("run", "export", "00aa0", "--out", out, "--json")
+    assert (document["run_id"], document["bytes"], document["note"]) == (ALONE, out.stat().st_size, "")
     observations = np.random.default_rng(1).standard_normal((50, 60)).astype(np.float32)
     chosen, _ = PPO.load(out, device="cpu").predict(observations, deterministic=True)
     np.testing.assert_array_equal(chosen, policy_of(make_run({})).best(observations))
@@ -314,68 +219,57 @@ def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path
 def test_export_writes_onnx(store: Store, tmp_path: Path) -> None:
     onnx = pytest.importorskip("onnx")
     out = tmp_path / "policy.onnx"
-    assert f"wrote {out}" in printed("run", "export", ALONE, "--out", str(out))
+    assert f"wrote {out}" in printed("run", "export", ALONE, "--out", out)
     about = {each.key: each.value for each in onnx.load(out).metadata_props}
     assert (about["run_id"], about["env"]) == (ALONE, "pneuma/Pneuma-v0")
 
 
 def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_path: Path) -> None:
-    run = make_run({"level": "/nowhere/level", "reward": "stranger:reward"})
-    save(store, ALONE, run)
+    save(store, ALONE, make_run({"level": "/nowhere/level", "reward": "stranger:reward"}))
     out = tmp_path / "policy.zip"
-    shown = printed("run", "export", ALONE, "--out", str(out))
-    assert "were not opened" in shown and "--trust" in shown
+    assert "were not opened" in printed("run", "export", ALONE, "--out", out)
     out.unlink()
-    assert "/nowhere/level" in refused("run", "export", ALONE, "--out", str(out), "--trust")
-    assert not out.exists()
-    assert "stranger" not in sys.modules
+    assert "/nowhere/level" in refused("run", "export", ALONE, "--out", out, "--trust")
+    assert not out.exists() and "stranger" not in sys.modules
 
 
 @pytest.mark.parametrize(
     ("out", "words"),
     [
-        ("policy.zipp", (".zip or .onnx", "did you mean .zip?")),
-        ("policy", (".zip or .onnx",)),
-        ("nowhere/policy.zip", ("there is no folder nowhere",)),
-        ("folder.zip", ("is a folder",)),
+        ("policy.zipp", "must end in .zip or .onnx (did you mean .zip?)"),
+        ("nowhere/policy.zip", "there is no folder nowhere"),
+        ("folder.zip", "is a folder"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_refused(
-    out: str, words: tuple[str, ...], store: Store, monkeypatch: pytest.MonkeyPatch
+    out: str, words: str, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(store.root)
     (store.root / "folder.zip").mkdir()
-    line = refused("run", "export", ALONE, "--out", out)
-    for word in (f"--out {out}", *words):
-        assert word in line
-
-
-def test_what_has_no_policy_is_not_exported(store: Store, tmp_path: Path) -> None:
-    document = run_document(make_run({}), ALONE)
-    out = str(tmp_path / "policy.zip")
-    store.save_run(ALONE, Status("diverged", 256), {"run.json": document})
-    assert "left no policy" in refused("run", "export", ALONE, "--out", out)
-    (store.run_folder(ALONE) / "status.json").unlink()
-    store.save_run(ALONE, Status("crashed"), {"run.json": document, "error.txt": b"Traceback"})
-    assert "is crashed" in refused("run", "export", ALONE, "--out", out)
-    assert not Path(out).exists()
-
-
-def test_a_strangers_policy_that_is_none_is_refused(store: Store, tmp_path: Path) -> None:
-    pickled = io.BytesIO(b"\x80\x04cposix\nsystem\n").getvalue()
-    save(store, ALONE, make_run({}), policy_safetensors=pickled)
-    line = refused("run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
-    assert ALONE in line and "no policy of Pneuma's" in line
-    assert not (tmp_path / "policy.zip").exists()
+    assert f"--out {out}: {words}" in refused("run", "export", ALONE, "--out", out)
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"), [({}, "no configuration"), ({"gamma": 7}, "gamma = 7"), ([], "no configuration")]
+    ("status", "files", "words"),
+    [
+        ("diverged", {}, "left no policy"),
+        ("crashed", {"error.txt": b"Traceback"}, "is crashed"),
+        ("done", {"policy.safetensors": b"\x80\x04cposix\nsystem\n"}, "no policy of Pneuma's"),
+        ("done", {"run.json": {}}, "no configuration"),
+        ("done", {"run.json": {"gamma": 7}}, "gamma = 7"),
+    ],
 )
-def test_a_strangers_configuration_that_is_none_is_refused(
-    settings: Any, words: str, store: Store, tmp_path: Path
+def test_what_has_no_sound_policy_is_not_exported(
+    status: str, files: dict[str, Any], words: str, store: Store, tmp_path: Path
 ) -> None:
-    save(store, ALONE, make_run({}), run_json=to_json({"schema": 1, "run_id": ALONE, "run": settings}))
-    assert ALONE in printed("run", "show", ALONE)
-    line = refused("run", "export", ALONE, "--out", str(tmp_path / "policy.zip"))
-    assert ALONE in line and words in line
+    name, run = "00bb000000000000", make_run({})
+    contents = {"run.json": run_document(run, name), **files}
+    if status == "done":
+        contents = {"policy.safetensors": policy_of(run).to_bytes(), **contents}
+    if isinstance(own := contents["run.json"], dict):
+        contents["run.json"] = to_json({"schema": 1, "run_id": name, "run": own})
+    store.save_run(name, Status(status, 256), contents)
+    assert name in printed("run", "show", name)
+    out = tmp_path / "policy.zip"
+    line = refused("run", "export", name, "--out", out)
+    assert name in line and words in line and not out.exists()

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from pneuma.cli import study_effects, study_map, study_output, study_run, study_status, study_summary
+from pneuma.cli import study_crossed, study_output, study_run, study_status, study_summary
 from pneuma.cli.options import Selected, read_selection, selecting_words, selects
 from pneuma.study.plan import Selection
 
 COMMANDS = (
     study_run.plan_, study_run.run, study_output.export, study_output.publish, study_summary.summary,
-    study_summary.collapse, study_map.robustness, study_effects.effects, study_status.status,
+    study_summary.collapse, study_crossed.robustness, study_crossed.effects, study_status.status,
 )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from pneuma.study.checkpoints import file_name
 
-from .calls import Called, call
+from .calls import Called, call, printed
 
 CLI = Path(__file__).parents[2] / "cli.py"
 SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
@@ -317,11 +317,12 @@ def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Trai
     blocks = [block.splitlines() for block in told.out.split("\n\n")[1:]]
     assert [block[0].partition(": ")[0] for block in blocks[:-1]] == list(asked)
     assert "until 12.5% of the monsters" in blocks[1][0]
-    assert blocks[2][1].endswith(
-        "n = 0   the run has no value of its evaluations to take q-overestimation from"
-    )
-    assert blocks[3][2].endswith("n = 0   the run never collapsed")
+    assert blocks[2][2].endswith("0  the run has no value of its evaluations to take q-overestimation from")
+    assert blocks[3][2].endswith("0  the run never collapsed")
     assert "P(better" in blocks[0][1] and "P(better" not in "".join(blocks[4])
+    means = printed("study", "summary", "activation", "--results", trained.results).splitlines()
+    assert means[2].split()[:4] == ["condition", "runs", "final-share-killed", "(share)"]
+    assert [line.split()[:2] for line in means[3:5]] == [["tanh", "2"], ["relu", "2"]]
     document = call("study", "summary", "activation", *options[:2], "--json", "--results", trained.results)
     outcomes = {row["outcome"] for row in document.document["summary"]}
     assert outcomes == {"runs", "diverged", "collapsed", "final-died"}

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from pneuma.analysis.trajectories import encode_trajectories, gathered
-from pneuma.cli.study_summary import open_data
+from pneuma.cli.study_output import open_data
 from pneuma.env.level import LEVELS
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds

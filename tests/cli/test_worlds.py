@@ -79,16 +79,6 @@ def test_a_misspelt_world_is_told_with_the_right_one(command: str, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_worlds_were_called_before_is_refused_with_their_name(tmp_path: Path, capsys: Captured) -> None:
-    (tmp_path / "mine.toml").write_text('title = "T"\nsettings = ["text"]\n')
-    for arguments, told in (
-        (["activation", "--setting", "godot"], "pneuma: --setting is called --world now\n"),
-        ([str(tmp_path / "mine.toml")], "mine.toml, line 2: settings is called worlds now\n"),
-    ):
-        assert main(["study", "plan", *arguments]) == 2
-        assert capsys.readouterr().err.endswith(told)
-
-
 def test_what_was_not_run_in_a_world_is_told_with_the_command(tmp_path: Path, capsys: Captured) -> None:
     assert main(["study", "status", "activation", "--world", "godot", "--results", str(tmp_path)]) == 2
     assert "run `pneuma study run activation --world godot` first" in capsys.readouterr().err

@@ -12,7 +12,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import obs_as_tensor
 
-from pneuma.config import ACTIVATIONS, BASES, OPTIMIZER_SETTINGS, Run, make_run
+from pneuma.config import ACTIVATIONS, BASES, OPTIMIZER_FIELDS, Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.records import EPISODE_COLUMNS, METRIC_COLUMNS
@@ -149,7 +149,7 @@ def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
     }
 
 
-@pytest.mark.parametrize("optimizer", OPTIMIZER_SETTINGS)
+@pytest.mark.parametrize("optimizer", OPTIMIZER_FIELDS)
 def test_every_optimizer_trains_with_its_own_arguments(optimizer: str) -> None:
     extra = {"sgd": {"momentum": 0.9, "dampening": 0.9}, "rmsprop": {"smoothing": 0.95}}.get(optimizer, {})
     run = small_run(optimizer=optimizer, weight_decay=1e-3, **extra)

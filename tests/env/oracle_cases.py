@@ -195,7 +195,7 @@ def make_worlds(case: Case, folder: Path) -> Worlds:
         settings["characters"] = str(folder / "characters.toml")
     classes = settings.get("classes", "base")
     names = [classes] if isinstance(classes, str) else classes
-    settled = settle(case.level, load_characters(settings["characters"]), names)
+    settled = settle(case.level, load_characters(settings["characters"]).model_dump(exclude_none=True), names)
     for number, level in enumerate((settled, replace(settled, lakes=(), obstacles=()))):
         settings["level"] = level.write(folder / f"level{number}")
         try:

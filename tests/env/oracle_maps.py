@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from pneuma.env.characters import Characters
-
 KINDS = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
 START, OBSTACLE, WATER, GRASS = 400, 395, 0, 2
 CROWD = 30
@@ -96,7 +94,7 @@ def maps(draw: st.DrawFn) -> Map:
     )  # fmt: skip
 
 
-def settle(level: Map, cast: Characters, classes: Sequence[str]) -> Map:
+def settle(level: Map, cast: Mapping[str, Any], classes: Sequence[str]) -> Map:
     """Return a level in which everybody has room: within the grid, on open tiles, and clear of others.
 
     Who has none where the level has him gets the nearest of some places around, or is left out. At any

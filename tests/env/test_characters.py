@@ -198,44 +198,28 @@ def complaint(file: str, **settings: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("text", "table", "told"),
+    ("text", "told"),
     [
-        ("[players.base]\nhpp = 3", "[players.base]", "unknown key 'hpp' (did you mean hp?)"),
-        ("[spells.flame]\nlenght = 3", "[spells.flame]", "unknown key 'lenght' (did you mean length?)"),
-        ("[player.base]\nhp = 3", "", "unknown table 'player' (did you mean players?)"),
-        ("[players.base]\nhp = 0", "[players.base]", "hp = 0 is not allowed: a number above 0"),
-        ("[players.base]\nhp = nan", "[players.base]", "hp = nan is not allowed"),
-        ('[players.base]\nhp = "full"', "[players.base]", "hp = 'full' is not allowed"),
-        ("[players.base]\nbody = [47]", "[players.base]", "body = [47] is not allowed: 2 of"),
-        ("[players.base]\nbody_at = [1]", "[players.base]", "body_at = [1] is not allowed: 2 of"),
-        ("[monsters.bamboo]\nbody_at = [12, 0]", "[monsters.bamboo]", "the position must lie inside"),
-        ("[players.base]\nweapon = 3", "[players.base]", "weapon = 3 is not allowed"),
-        (
-            "[weapons.axe]\nreach = 50",
-            "[weapons.axe]",
-            "reach = 50 is not allowed: a number or [x, y] for each of down",
-        ),
-        ("[weapons.axe]\nreach = { down = 1 }", "[weapons.axe]", "reach = {'down': 1} is not allowed"),
-        (
-            "[weapons.axe]\nreach = { down = true, left = 1, up = 1, right = 1 }",
-            "[weapons.axe]",
-            "reach = {'down': True",
-        ),
-        ("[monsters.bamboo]\ncode = 3.5", "[monsters.bamboo]", "code = 3.5 is not allowed: a whole number"),
-        ("[monsters.bamboo]\nknock_back = 9", "[monsters.bamboo]", "knock_back and knock_back_time go"),
-        ("[players.tankk]\nhp = 3", "[players.tankk]", "lacks the keys 'energy', 'attack', 'magic'"),
-        ("players = 3", "", "players must hold tables"),
-        ("[players]\nhp = 3", "[players.hp]", "must be a table"),
-        ("[players.base", "", "not TOML"),
+        ("[players.base]\nhpp = 3", "line 2: [players.base] unknown key 'hpp' (did you mean hp?)"),
+        ("[player.base]\nhp = 3", "unknown key 'player' (did you mean players?)"),
+        ("[players.base]\nhp = 0", "line 2: [players.base] hp = 0 is not allowed: above 0"),
+        ("[players.base]\nhp = nan", "hp = NaN is not allowed"),
+        ("[players.base]\nbody = [47]", "body = [47] is not allowed"),
+        ("[monsters.bamboo]\nbody_at = [12, 0]", "the position must lie inside"),
+        ('[players.base]\nweapon = "swrod"', "unknown weapon 'swrod' (did you mean sword?)"),
+        ("[weapons.axe]\nreach = 50", "reach must be a table"),
+        ("[monsters.bamboo]\ncode = 3.5", "code = 3.5 is not allowed: a whole number"),
+        ("[monsters.bamboo]\ncode = 400", "code = 400 already stands for a start place"),
+        ("[monsters.bamboo]\nknock_back = 9", "knock_back and knock_back_time go"),
+        ("[players.tankk]\nhp = 3", "[players.tankk] the key 'speed' is missing"),
+        ("players = 3", "players must be a table"),
+        ("[players.base", "not TOML"),
     ],
 )
-def test_a_mistake_is_one_line_with_file_table_key_and_value(
-    tmp_path: Path, text: str, table: str, told: str
-) -> None:
+def test_a_mistake_is_one_line_with_file_table_key_and_value(tmp_path: Path, text: str, told: str) -> None:
     file = write(tmp_path, text)
     message = complaint(file)
-    assert message.startswith(f"{file}: {table}")
-    assert told in message
+    assert message.startswith(file) and told in message
 
 
 @pytest.mark.parametrize(

@@ -37,24 +37,15 @@ def reset(face: str, options: Any) -> Any:
 @pytest.mark.parametrize(
     ("options", "error", "told"),
     [
-        ({"strt": 0}, ValueError, r"unknown option 'strt' \(did you mean start\?\)"),
-        ({"Starts": 0}, ValueError, r"did you mean start\?"),
-        ({"satrt": 0}, ValueError, r"did you mean start\?"),
-        ({"start": 1.5}, TypeError, "start = 1.5 is not the index of a start place: a whole number"),
-        ({"start": "first"}, TypeError, "is not the index of a start place"),
-        ({"start": True}, TypeError, "is not the index of a start place"),
+        ({"start": 1.5}, TypeError, "integer"),
+        ({"start": "first"}, TypeError, "integer"),
         ({"start": 9}, ValueError, "the level has places 0 to 5"),
     ],
 )
-def test_a_slip_is_refused_in_one_line(face: str, options: Any, error: type, told: str) -> None:
+def test_what_is_no_start_place_is_refused(face: str, options: Any, error: type, told: str) -> None:
     with pytest.raises(error, match=told) as caught:
         reset(face, options)
     assert "\n" not in str(caught.value)
-
-
-@each_face
-def test_a_wrappers_own_words_are_left_to_it(face: str) -> None:
-    reset(face, {"stage": 2, "state": 0, "target": 1, "restart": True, "part": 3, "stats": None, "": 1, 7: 2})
 
 
 def test_a_refused_reset_leaves_the_world_as_it_was() -> None:

@@ -11,10 +11,10 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from pneuma.env.parallel import PneumaParallelEnv
+from pneuma.env.saving import Snapshot
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
-from pneuma.env.worlds import Snapshot
 
 from .arena import ATTACK
 

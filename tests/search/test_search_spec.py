@@ -86,7 +86,7 @@ def test_a_search_is_read_whole(write: Load) -> None:
         {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "network": "text"},
         {"learning_rate": 3e-4, "optimizer": "adam", "network": "text"},  # 15 epochs are outside
     )
-    assert search.space.settings({"optimizer": "sgd", "momentum": 0.5, "network": "small"}) == {
+    assert search.space.fields({"optimizer": "sgd", "momentum": 0.5, "network": "small"}) == {
         "gradient_limit": 0.5, "optimizer": "sgd", "momentum": 0.5, "actor": (32,), "critic": (64,),
     }  # fmt: skip
 
@@ -107,7 +107,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
     [  # what is changed, into what, and what is said of it
         ("[space.epochs]", "[space.epoch]", "line 18: [space.epoch] unknown parameter 'epoch' (did you"),
         ("high = 1e-2", "high = 1e-6", "low = 1e-05 is not below high = 1e-06: an empty range"),
-        ("low = 1e-5", "low = 0", "learning_rate = 0 is not allowed: a number above 0"),
+        ("low = 1e-5", "low = 0", "learning_rate = 0 is not allowed: above 0"),
         ('choices = ["adam", "sgd"]', 'choices = ["adam", "sdg"]', 'optimizer = "sdg" is not allowed'),
         ("critic = [64]", "crtic = [64]", "unknown key 'crtic' (did you mean critic?)"),
         ('optimizer = "sgd" }', 'optimiser = "sgd" }', "unknown parameter before it"),
@@ -116,7 +116,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('optimizer = "sgd" }', "optimizer = [] }", "optimizer = [] is not allowed: one value or more"),
         ('optimizer = "sgd" }', 'activation = "tahn" }', 'activation = "tahn" is not allowed'),
         ('optimizer = "sgd" }', 'network = "small" }', "network is searched, too: [space.network]"),
-        ('base = "table-6-2"', 'base = "table-6-3"', 'base = "table-6-3" is not allowed: one of'),
+        ('base = "table-6-2"', 'base = "table-6-3"', 'base = "table-6-3" is not allowed (did you mean'),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
         ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
         ("trials = 4", "trials = 0", "trials = 0 is not allowed"),
@@ -126,7 +126,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("gradient_limit = 0.5", "smoothing = 0.5", "smoothing does nothing: adam reads"),
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing: adam reads"),
         ("[presets.quick]", '[sampler]\nname = "tpa"\n[presets.quick]', "(did you mean tpe?)"),
-        ("[presets.quick]", '[sampler]\nname = ["tpe"]\n[presets.quick]', "is not allowed: one of tpe"),
+        ("[presets.quick]", '[sampler]\nname = ["tpe"]\n[presets.quick]', "known are tpe"),
         ("[presets.quick]", "[sampler]\nstartup = 3\n[presets.quick]", "unknown key 'startup'"),
         ("[presets.quick]", '[pruner]\nname = "median"\nrungs = 1\n[presets.quick]', "rungs = 1 is not"),
     ],
@@ -141,7 +141,7 @@ def test_mistakes_are_refused_by_name(write: Load, old: str, new: str, told: str
 
 def test_two_ends_that_do_not_go_together_are_refused(write: Load) -> None:
     both = "[space.horizon]\nchoices = [32, 256]\n[space.minibatch]\nchoices = [16, 64]\n[presets.quick]"
-    with pytest.raises(UserError, match=r"horizon = 32: minibatch = 64 is not allowed"):
+    with pytest.raises(UserError, match=r"minibatch = 64 is not allowed.* horizon = 32"):
         write(GOOD.replace("[presets.quick]", both))
 
 
@@ -159,16 +159,6 @@ def test_what_is_set_beside_the_file_is_checked_with_the_space(write: Load) -> N
     assert search.with_settings({"gamma": 0.9}).space.fixed == {"gradient_limit": 0.5, "gamma": 0.9}
 
 
-def test_what_hangs_on_a_field_counts_with_what_is_set(write: Load) -> None:
-    """Without the choice of optimizer, the momentum counts where the optimizer that is set has one."""
-    without = GOOD.replace('[space.optimizer]\nchoices = ["adam", "sgd"]\n', "")
-    asked = {
-        name: write(without).with_settings({"optimizer": name}).space.ask(lambda p: p.domain.extremes[0])
-        for name in ("adam", "sgd")
-    }
-    assert ["momentum" in asked[name] for name in asked] == [False, True]
-
-
 def test_what_hangs_on_a_choice_of_numbers_or_lists_names_them_as_they_are(write: Load) -> None:
     choices = "[space.horizon]\nchoices = [64, 256]\n[space.betas]\nchoices = [[0.9, 0.999], [0.9, 0.9]]\n"
     hanging = "[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { horizon = 256, betas = [[0.9, 0.9]] }\n"
@@ -176,12 +166,6 @@ def test_what_hangs_on_a_choice_of_numbers_or_lists_names_them_as_they_are(write
     least = space.ask(lambda parameter: parameter.domain.extremes[0])
     most = space.ask(lambda parameter: parameter.domain.extremes[-1])
     assert ("gamma" in least, most["gamma"]) == (False, 0.99)
-
-
-def test_what_hangs_on_a_field_that_is_a_list_counts_with_the_bases_own(write: Load) -> None:
-    hanging = '[space.gamma]\nlow = 0.9\nhigh = 0.99\nwhen = { reward = "thesis" }\n'
-    space = write(GOOD.replace("[presets.quick]", f"{hanging}[presets.quick]")).space
-    assert "gamma" in space.ask(lambda parameter: parameter.domain.extremes[0])
 
 
 def test_what_hangs_on_a_field_counts_where_a_bundle_sets_it(write: Load) -> None:
@@ -195,8 +179,8 @@ def test_what_hangs_on_a_field_counts_where_a_bundle_sets_it(write: Load) -> Non
             return chosen if parameter.name == "method" else parameter.domain.extremes[-1]
 
         assert ("momentum" in space.ask(suggest)) == (method == "sgd")
-    (momentum, *_) = [run for own, run in space.corners() if own == {"momentum": 0.9}]
-    assert (momentum.optimizer, momentum.momentum) == ("sgd", 0.9)
+    momenta = {(run.optimizer, run.momentum) for params, run in space.corners() if "momentum" in params}
+    assert momenta == {("sgd", 0.0), ("sgd", 0.9)}
 
 
 def test_parameters_of_one_field_are_two_only_where_they_never_meet(write: Load) -> None:
@@ -226,16 +210,14 @@ def test_a_bundle_and_a_field_meet_only_where_the_bundle_sets_it(write: Load) ->
     assert len(write(apart).space.parameters) == 5
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_ends_that_hang_on_one_choice_are_checked_together(write: Load, turned: bool) -> None:
-    """In whichever order they stand: momentum counts with two optimizers, smoothing with one of these."""
+def test_all_ends_that_count_together_are_tried_together(write: Load) -> None:
     momentum = '[space.momentum]\nlow = 0.0\nhigh = 0.9\nwhen = { optimizer = ["sgd", "rmsprop"] }\n'
     smoothing = '[space.smoothing]\nlow = 0.5\nhigh = 0.9\nwhen = { optimizer = "rmsprop" }\n'
-    both = smoothing + momentum if turned else momentum + smoothing
     old = '[space.momentum]\nlow = 0.0\nhigh = 0.9\nwhen = { optimizer = "sgd" }\n'
-    text = GOOD.replace('["adam", "sgd"]', '["adam", "sgd", "rmsprop"]').replace(old, both)
-    pairs = [own for own, _ in write(text).space.corners() if {*own} == {"momentum", "smoothing"}]
-    assert len(pairs) == 4
+    text = GOOD.replace('["adam", "sgd"]', '["adam", "sgd", "rmsprop"]').replace(old, smoothing + momentum)
+    tried = [params for params, _ in write(text).space.corners()]
+    pairs = {(params["momentum"], params["smoothing"]) for params in tried if "smoothing" in params}
+    assert pairs == {(0.0, 0.5), (0.0, 0.9), (0.9, 0.5), (0.9, 0.9)}
 
 
 def test_what_is_fixed_need_not_go_with_the_base(write: Load) -> None:
@@ -255,12 +237,10 @@ def test_a_search_in_the_published_codes_world(write: Load) -> None:
         load_search("ppo-godot", "text")
 
 
-@pytest.mark.parametrize("name", list_searches())
-def test_every_shipped_search_is_sound(name: str) -> None:
-    search = load_search(name)
-    assert set(search.presets) == {"quick", "standard", "paper"}
-    assert search.about
-    assert search.section
+def test_every_shipped_search_is_sound() -> None:
+    for name in list_searches():
+        search = load_search(name)
+        assert set(search.presets) == {"quick", "standard", "paper"} and search.about and search.section
 
 
 def test_a_count_of_seeds_leaves_those_of_studies_fresh() -> None:

@@ -9,9 +9,8 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.claimed import claims_preset, training_command
-from pneuma.study.definition import Preset, Study
 from pneuma.study.plan import Plan, Selection, make_plan
-from pneuma.study.spec import load_study
+from pneuma.study.spec import Preset, Study, load_study
 
 STUDY = """\
 title = "Mine"

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.study import estimate
 from pneuma.study.estimate import START_SECONDS, Paces, stored_paces, total_seconds
 from pneuma.study.identity import run_id
@@ -49,7 +49,7 @@ def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
     store = Store(tmp_path)
     save(store, RUN, 512, 2.56, HERE)
     assert pace(store) == pytest.approx(2.56 / 512)
-    fork = make_run({**as_settings(RUN), "horizon": 128, "parent": "a" * 16, "fork_step": 2304})
+    fork = make_run({**as_fields(RUN), "horizon": 128, "parent": "a" * 16, "fork_step": 2304})
     save(store, fork, 2560, 2.56, HERE)
     assert pace(store, fork) == pytest.approx(2.56 / 256)
 
@@ -59,7 +59,7 @@ def test_a_run_unlike_all_takes_the_tables_time_as_often_as_this_machine_is_slow
     by_table = paces.seconds(big, 1000) - START_SECONDS
     usual = paces.seconds(RUN, 1000) - START_SECONDS
     assert 0 < usual < by_table
-    paces.add(as_settings(RUN), 3 * usual / 1000)
+    paces.add(as_fields(RUN), 3 * usual / 1000)
     assert paces.knows(replace(RUN, seed=7)) and not paces.knows(big)
     assert paces.seconds(RUN, 1000) - START_SECONDS == pytest.approx(3 * usual)
     assert paces.seconds(big, 1000) - START_SECONDS == pytest.approx(3 * by_table)

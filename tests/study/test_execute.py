@@ -19,7 +19,7 @@ import pytest
 
 from pneuma.cli import study_run
 from pneuma.cli.study_records import study_record
-from pneuma.config import as_settings
+from pneuma.config import as_fields
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.execute import (
@@ -149,7 +149,7 @@ def test_every_file_is_there_with_its_checksum(together: Executed) -> None:
 def test_a_run_keeps_its_configuration_and_what_produced_it(together: Executed) -> None:
     cell = together.plan.cells[0]
     kept = json.loads(together.store.read_file(cell.run_id, "run.json"))
-    assert kept == {"schema": 1, "run_id": cell.run_id, "run": as_settings(cell.run)}
+    assert kept == {"schema": 1, "run_id": cell.run_id, "run": as_fields(cell.run)}
     about = json.loads(together.store.read_file(cell.run_id, "provenance.json"))
     assert {"packages", "commit", "cpu", "started"} <= set(about)
     assert about["threads"] == 1 and about["wall_seconds"] > 0
@@ -182,7 +182,7 @@ def test_the_selection_is_recorded(together: Executed) -> None:
     assert [(run["condition"], run["seed"], run["run_id"]) for run in record["runs"]] == expected
     assert recorded_selection(record) == Selection()
     assert record["same"] == [["one", "other"]]
-    assert record["runs"][0]["run"] == as_settings(together.plan.cells[0].run)
+    assert record["runs"][0]["run"] == as_fields(together.plan.cells[0].run)
 
 
 def test_progress_reaches_every_cell_and_ends_each_once(together: Executed) -> None:
@@ -250,7 +250,7 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
 def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 200)  # not over before
+    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 60)  # not over before
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
     seen: list[CellProgress] = []
 
@@ -266,7 +266,7 @@ def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     assert b"killed by SIGKILL" in store.read_file(name, "error.txt")
 
     (result,) = _run(plan, store, 1, lambda _: None)
-    assert (result.status.name, result.status.step, result.trained) == ("done", 64 * 200, True)
+    assert (result.status.name, result.status.step, result.trained) == ("done", 64 * 60, True)
     assert {path.name for path in store.run_folder(name).iterdir()} == FILES
 
 

@@ -107,16 +107,6 @@ def test_xp_that_outlives_episodes_can_be_reset(parent: tuple[Run, dict[int, Che
     assert kept._last_obs[0, seen] > 0 == poor._last_obs[0, seen]
 
 
-def test_a_fork_sees_by_its_own_scale_and_order_from_its_first_step(
-    parent: tuple[Run, dict[int, Checkpoint]],
-) -> None:
-    run, taken = parent
-    before = taken[AT].arrays["last/observations"]
-    assert np.array_equal(begun(forked(run), taken[AT])._last_obs, before)
-    model = begun(forked(run, scale="raw", order="fixed"), taken[AT])
-    assert np.abs(before[:, :2]).max() <= 1 < np.abs(model._last_obs[:, :2]).max()  # the own place
-
-
 def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
     parent: tuple[Run, dict[int, Checkpoint]],
 ) -> None:
@@ -197,19 +187,6 @@ def test_what_is_replayed_keeps_its_meaning_at_a_fork(store: Store) -> None:
     with pytest.raises(UserError, match="transitions of before are replayed"):
         plan(store, reward="kills")
     assert plan(store, gamma=0.9)
-
-
-def test_an_optimizer_that_keeps_nothing_cannot_be_reset(store: Store) -> None:
-    stored(store, betas=None, optimizer="sgd")
-    with pytest.raises(UserError, match="--reset optimizer: changes nothing"):
-        plan(store, reset="optimizer")
-    assert plan(store, reset="optimizer", optimizer="adam")
-
-
-def test_what_the_engine_cannot_train_names_what_was_asked_for(store: Store) -> None:
-    stored(store, engine="batched")
-    with pytest.raises(UserError, match="--set value_baseline: the engine batched, which a fork keeps, ca"):
-        plan(store, reset="critic", value_baseline=False)
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.0, 0.9), (0.9, 0.0)])

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from pneuma.study import locks
-from pneuma.study.locks import STALE_SECONDS, RunLock, is_held
+from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Store
 
 
@@ -84,55 +82,3 @@ def test_a_link_a_pipe_or_a_folder_in_the_locks_place_is_refused_and_not_waited_
         assert not is_held(folder) and store.status(name).name == "planned"
         undo()
     assert not (tmp_path / "elsewhere").exists()
-
-
-@pytest.mark.parametrize(
-    ("holder", "age", "broken"),
-    [("elsewhere", STALE_SECONDS + 60, True), ("elsewhere", STALE_SECONDS - 60, False), ("", 1e6, False)],
-)
-def test_a_lock_that_a_dead_machine_holds_is_broken_in_the_end(
-    holder: str, age: float, broken: bool, tmp_path: Path
-) -> None:
-    """A file server may never let go of it; this machine's own locks go with their processes."""
-    path = tmp_path / ".lock"
-    with RunLock(tmp_path) as mine:
-        assert mine and path.read_text() == socket.gethostname()
-        path.write_text(holder or socket.gethostname())
-        os.utime(path, (time.time() - age, time.time() - age))
-        assert is_held(tmp_path) is not broken
-        with RunLock(tmp_path) as other:
-            assert other is broken
-            assert is_held(tmp_path)
-    assert path.exists() is False
-
-
-def test_a_holder_renews_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(locks, "RENEW_SECONDS", 0.01)
-    with RunLock(tmp_path):
-        os.utime(tmp_path / ".lock", (0, 0))
-        until = time.monotonic() + 10
-        while (tmp_path / ".lock").stat().st_mtime == 0 and time.monotonic() < until:
-            time.sleep(0.01)
-        assert (tmp_path / ".lock").stat().st_mtime > 0
-
-
-def test_who_breaks_a_dead_machines_lock_leaves_that_of_who_broke_it_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another breaks it, and takes its place, between this one's look at it and its removal."""
-    dead, first, judge = RunLock(tmp_path), RunLock(tmp_path), locks._is_stale
-    assert dead.__enter__()
-    (tmp_path / ".lock").write_text("elsewhere")
-    os.utime(tmp_path / ".lock", (0, 0))
-
-    def judge_late(descriptor: int) -> bool:
-        monkeypatch.setattr(locks, "_is_stale", judge)
-        assert first.__enter__()
-        return True
-
-    monkeypatch.setattr(locks, "_is_stale", judge_late)
-    with RunLock(tmp_path) as second:
-        assert not second and is_held(tmp_path)
-    first.__exit__()
-    dead.__exit__()
-    assert not is_held(tmp_path)

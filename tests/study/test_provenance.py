@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pneuma.study import provenance
-from pneuma.study.provenance import Attempt, _read_cpu, differences, finished_provenance, machine
+from pneuma.study.provenance import Attempt, differences, finished_provenance, machine
 
 
 def attempt(start: int = 0) -> Attempt:
@@ -94,25 +94,6 @@ def test_another_commit_is_told_by_its_first_digits(
 @pytest.mark.parametrize("earlier", [{}, {"packages": 3, "threads": "x"}, {"packages": ["torch"]}])
 def test_untrusted_nonsense_only_differs(earlier: dict[str, Any]) -> None:
     assert any(told.startswith("torch (none, now ") for told in differences(earlier))
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        (
-            "processor\t: 0\nmodel name\t: AMD EPYC: 7\n\nprocessor\t: 1\nmodel name\t: another\n",
-            "AMD EPYC: 7",
-        ),
-        (
-            "processor\t: 0\nFeatures\t: fp asimd\nCPU implementer\t: 0x41\nCPU architecture: 8\n"
-            "CPU variant\t: 0x3\nCPU part\t: 0xd0c\nCPU revision\t: 1\n\nprocessor\t: 1\n",
-            "ARM implementer 0x41, part 0xd0c, variant 0x3, revision 1",
-        ),
-        ("processor\t: 0\n", ""),
-    ],
-)
-def test_a_processor_is_told_apart_by_its_model_or_on_arm_by_its_numbers(text: str, told: str) -> None:
-    assert _read_cpu(text) == told
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from pneuma.study.store import Store
 from .begun import begin as begin_locally
 from .begun import end_begun, outcome, wait_until, write_study
 from .begun import run as run_locally
-from .storm import children, wait_for_end
 
 pytest.importorskip("ray")
 
@@ -167,31 +166,6 @@ def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) 
     command = ray.Command(ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere"))
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
         next(ray.Node().train({"results": "/shared/results"}, False, command))
-
-
-@pytest.mark.slow
-def test_a_command_that_is_killed_leaves_nothing_training(tmp_path: Path) -> None:
-    process = begin(tmp_path, write_study(tmp_path, steps=64 * 10_000_000))
-    wait_until(lambda: checkpoint_folders(tmp_path), seconds=120)
-    left = [*descendants(process.pid)]
-    training = [pid for pid in left if "pneuma.study.worker" in command_of(pid) or "Node" in command_of(pid)]
-    assert len(training) == 2
-    process.kill()
-    process.communicate(timeout=60)
-    assert wait_for_end(training) < 30
-    for pid in left:  # two of Ray's own wait some minutes more for its head
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-
-
-def command_of(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_text()
-
-
-def descendants(pid: int) -> Iterator[int]:
-    for child in children(pid):
-        yield child
-        yield from descendants(child)
 
 
 # --- A node is lost: last, because the others need both ------------------------------------------------

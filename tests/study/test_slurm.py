@@ -130,26 +130,6 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     assert len(queue.submitted) == 2
 
 
-def test_a_queue_that_cannot_be_asked_is_asked_again(
-    queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (name,) = group(6)
-    submit, asked = queue.submit_array, list[str]()
-
-    def ask(*command: str) -> list[str]:
-        asked.append(command[0])
-        if len(asked) == 3:
-            store.save_run(name, Status("done", 500), {"run.json": b"{}"})
-        raise UserError("squeue does not answer")
-
-    def submit_and_go(jobs: Sequence[slurm.Training]) -> None:
-        submit(jobs)
-        monkeypatch.setattr(slurm, "_ask", ask)
-
-    monkeypatch.setattr(queue, "submit_array", submit_and_go)
-    assert ends(train([group(6)], store)) == {name: "done"}
-
-
 def test_what_ended_while_nobody_watched_is_put_away_by_the_same_command(queue: Queue, store: Store) -> None:
     """All runs lie in the store when it is given again: none is to be trained."""
     runs = group(11)
@@ -235,7 +215,11 @@ Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, k
 
 
 @pytest.mark.parametrize(
-    ("numbers", "told"), [(["SIGTERM"], ""), (["SIGTERM", "SIGUSR2"], "back into the queue")]
+    ("numbers", "told"),
+    [
+        pytest.param(["SIGTERM"], "", marks=pytest.mark.slow),
+        (["SIGTERM", "SIGUSR2"], "back into the queue"),
+    ],
 )
 def test_a_job_comes_to_checkpoints_before_it_goes(numbers: list[str], told: str, store: Store) -> None:
     """Slurm signals all processes of a job: workers outlive it, and a second signal ends nothing at once.

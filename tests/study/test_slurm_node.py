@@ -94,23 +94,3 @@ def test_jobs_go_on_when_the_command_is_left_and_when_they_are_requeued_to_the_s
 
     run(study, tmp_path / "local", cluster, "--quiet")
     assert outcome(results) == outcome(tmp_path / "local")
-
-
-@pytest.mark.parametrize("option", ["partition=nope", "partiton=main", "mem=900GB"])
-def test_jobs_that_sbatch_does_not_take_are_refused(
-    option: str, cluster: dict[str, str], study: Path, tmp_path: Path
-) -> None:
-    words = [
-        "study",
-        "run",
-        study,
-        "--results",
-        tmp_path / "results",
-        "--executor",
-        "slurm",
-        "--slurm",
-        option,
-    ]
-    done = pneuma(words, cluster)
-    assert done.returncode == 2 and "pneuma: --executor slurm: jobs are not submitted" in done.stderr
-    assert option.partition("=")[2] in done.stderr or "Requested node configuration" in done.stderr

@@ -8,6 +8,7 @@ import shutil
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from safetensors.numpy import save
 
 import pneuma
 from pneuma.cli import study_plot
-from pneuma.config import as_settings, make_run
+from pneuma.config import as_fields, make_run
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
@@ -45,7 +46,7 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-@pytest.mark.parametrize("name", ["../secret", "/etc/passwd", "..", "a/b.json", "", ".lock"])
+@pytest.mark.parametrize("name", ["../secret", "/etc/passwd", ".lock"])
 def test_a_status_that_names_a_file_elsewhere_is_damaged_and_nothing_is_read(
     store: Store, tmp_path: Path, name: str
 ) -> None:
@@ -56,12 +57,6 @@ def test_a_status_that_names_a_file_elsewhere_is_damaged_and_nothing_is_read(
     assert store.status(NAME).name == "damaged"
     with pytest.raises(UserError, match="missing or damaged"):
         store.read_file(NAME, name)
-
-
-@pytest.mark.parametrize("name", ["../../elsewhere", "..", "", "0123456789ABCDEF", NAME + "/", NAME + "0"])
-def test_what_is_no_run_id_leads_nowhere(store: Store, name: str) -> None:
-    with pytest.raises(UserError, match="is no run's id"):
-        store.status(name)
 
 
 def test_a_link_in_a_files_place_is_replaced_and_its_target_left_alone(store: Store, tmp_path: Path) -> None:
@@ -110,36 +105,24 @@ def test_no_module_can_unpickle() -> None:
         assert loads <= ({"load"} if "safetensors.numpy" in imported else set()), path
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"files": 5}, {"files": {"run.json": 3}}, {"step": None}, {"step": "text"}, {"status": ["done"]},
-        {"status": "well"},
-    ],
-)  # fmt: skip
-def test_a_sealed_status_that_makes_no_sense_is_damage(store: Store, change: dict[str, object]) -> None:
-    manifest = {"status": "done", "step": 512, "files": {}, **change}
-    (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
-    assert store.status(NAME).name == "damaged"
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"runs": 5}, {"runs": [5]}, {"runs": [{**CELL, "run_id": "../.."}]},
-        {"runs": [{**CELL, "condition": 3}]}, {"runs": [{**CELL, "seed": "0"}]},
-        {"runs": [{**CELL, "run": None}]}, {"selection": None},
-        *({"runs": [{**CELL, "run": {**SETTINGS, key: []}}]} for key in SETTINGS),
-        *({key: 3} for key in ("study", "title", "figure", "baseline", "same")),
-        {"same": [3]}, {"same": [[3]]},
-    ],
-)  # fmt: skip
-def test_a_sealed_record_that_makes_no_sense_is_none(store: Store, change: dict[str, object]) -> None:
+def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
+    change: Any
+    for change in ({"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"status": ["done"]}):
+        manifest = {"status": "done", "step": 512, "files": {}, **change}
+        (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
+        assert store.status(NAME).name == "damaged", change
     (store.root / "studies").mkdir()
     (store.root / "studies" / "mine.json").write_bytes(seal(RECORD))
     assert store.selection("mine") is not None
-    (store.root / "studies" / "mine.json").write_bytes(seal({**RECORD, **change}))
-    assert store.selection("mine") is None
+    records: list[Any] = [
+        {"runs": 5}, {"runs": [5]}, {"selection": None}, {"same": [3]}, {"same": [[3]]},
+        *({"runs": [{**CELL, **own}]} for own in ({"run_id": "../.."}, {"condition": 3}, {"seed": "0"})),
+        *({"runs": [{**CELL, "run": own}]} for own in (None, *({**SETTINGS, key: []} for key in SETTINGS))),
+        *({key: 3} for key in ("study", "title", "figure", "baseline", "same")),
+    ]  # fmt: skip
+    for change in records:
+        (store.root / "studies" / "mine.json").write_bytes(seal({**RECORD, **change}))
+        assert store.selection("mine") is None, change
 
 
 @pytest.mark.parametrize("part", ["", "checkpoints"])
@@ -186,12 +169,6 @@ def a_file(folder: Path, data: bytes, step: int = 64) -> CheckpointFile:
     path.write_bytes(data)
     (file,) = checkpoint_files(folder / NAME)
     return file
-
-
-def test_a_checkpoint_of_the_run_is_read(tmp_path: Path) -> None:
-    history = {"attempts": [ATTEMPT], "resumes": []}
-    read = read_checkpoint(a_file(tmp_path, encode(WHOLE, history, NAME)))
-    assert read is not None and read[0].step == 64 and read[1] == history
 
 
 @pytest.mark.parametrize(
@@ -243,7 +220,7 @@ def called(*arguments: str | Path) -> tuple[int, str]:
 def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
     store: Store, evil: Path, settings: dict[str, object], words: str
 ) -> None:
-    document = {"run": as_settings(make_run(settings))}
+    document = {"run": as_fields(make_run(settings))}
     store.save_run(NAME, Status("done", 50_176), {"run.json": to_json(document)})
     code, told = called("run", "fork", NAME, "--at", "512", "--set", "gamma=0.9", "--results", store.root)
     assert (code, words in told) == (2, True)
@@ -251,7 +228,7 @@ def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
 
 
 def record_of(study: Path | str, store: Store) -> None:
-    """Record a study of a stranger's in a results folder, under its file's name and with its path."""
+    """Record an untrusted study in a results folder, under its file's name and with its path."""
     path = Path(study)
     cells = [{**CELL, "condition": name, "seed": seed} for name in ("a", "b") for seed in (0, 1)]
     selection = {**asdict(Selection()), "settings": {"reward": "evil_reward:reward"}}
@@ -259,7 +236,7 @@ def record_of(study: Path | str, store: Store) -> None:
     store.save_selection(path.stem, {**RECORD, **about})
 
 
-@pytest.mark.parametrize("command", ["status", "plot", "export", "publish"])
+@pytest.mark.parametrize("command", ["status", "export"])
 @pytest.mark.parametrize("study", ["theirs", "activation"])
 @pytest.mark.parametrize("option", [("--seeds", "2"), ("--condition", "a"), ("--steps", "512")])
 def test_selecting_from_a_record_runs_nothing_that_it_names(
@@ -293,37 +270,13 @@ def test_a_record_cannot_pose_as_a_file_that_a_person_names(store: Store, evil: 
     assert code == 0 and told.startswith("No study was run in ")
 
 
-@pytest.mark.parametrize("posing", ["../../mine", "m" * 300])
-def test_a_record_cannot_pose_as_another_study(store: Store, posing: str) -> None:
-    """Its name would become that of tables and figures."""
-    store.save_selection("mine", {**RECORD, "study": posing})
-    for command in (("study", "status", "mine"), ("study", "summary", "mine")):
-        code, told = called(*command, "--results", store.root)
-        assert code == 2 and "mine" in told and posing not in told
-
-
-def test_a_mistake_that_quotes_a_record_cannot_drive_the_terminal(store: Store) -> None:
-    store.save_selection("mine", {**RECORD, "runs": [{**CELL, "condition": "a\x1b]0;owned\x07"}]})
-    code, told = called("study", "status", "mine", "--condition", "c", "--results", store.root)
-    assert (code, "owned" in told, "\x1b" in told) == (2, True, False)
-
-
-def test_condition_and_seeds_pick_from_a_record(store: Store) -> None:
-    record_of("/nowhere/theirs.toml", store)
-    code, told = called(
-        "study", "status", "theirs", "--seeds", "1", "--condition", "b", "--results", store.root
-    )
-    assert code == 0
-    assert [line.split()[:3] for line in told.splitlines()[1:]] == [["b", "seed", "0"]]
-
-
-def test_a_strangers_texts_cannot_drive_the_terminal(store: Store) -> None:
+def test_untrusted_texts_cannot_drive_the_terminal(store: Store) -> None:
     wild = "\x1b]0;owned\x07"
     cell = {**CELL, "condition": f"a{wild}"}
     store.save_selection("mine", {**RECORD, "title": f"T{wild}", "baseline": f"b{wild}", "runs": [cell]})
-    for command in ("show", "status"):
-        code, told = called("study", command, "mine", "--results", store.root)
-        assert (code, "owned" in told) == (0, True)
+    for words in (["show", "mine"], ["status", "mine"], ["status", "mine", "--condition", "c"]):
+        code, told = called("study", *words, "--results", store.root)
+        assert (code, "owned" in told) == (2 if "c" in words else 0, True)
         assert "\x1b" not in told and "\x07" not in told
 
 

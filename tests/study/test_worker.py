@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, as_settings, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.engines.base import OnUpdate, Progress, Result
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy, read_policy
@@ -148,7 +148,7 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     )
     try:
         assert process.stdin is not None and process.stdout is not None
-        job = {"results": str(tmp_path), "runs": {run_id(run): as_settings(run)}, "parent": os.getpid()}
+        job = {"results": str(tmp_path), "runs": {run_id(run): as_fields(run)}, "parent": os.getpid()}
         process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.flush()
         assert any(json.loads(line).get("step", 0) > 0 for line in process.stdout)  # it is training

@@ -21,7 +21,7 @@ from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 from pneuma.env.compiled import cached
 from pneuma.env.worlds import ENDINGS, Worlds
-from pneuma.env_settings import own_rewards
+from pneuma.env_fields import own_rewards
 
 ENDED = np.dtype(
     [

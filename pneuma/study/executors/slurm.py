@@ -158,26 +158,23 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     for gpu in (False, True):
         alike = [own for own in fresh if own and (next(iter(own)) in how.on_gpu) == gpu]
-        for first in range(0, len(alike), MOST_IN_ARRAY):
-            _submit_array(alike[first : first + MOST_IN_ARRAY], store, how, gpu)
-
-
-def _submit_array(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision, gpu: bool) -> None:
-    name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
-    folder = _folder(store) / name
-    executor = _executor(folder / "jobs", name, how, gpu)
-    shared = Store(store.root.resolve())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        replace_file(folder / NOTE, to_json([list(group) for group in groups]))  # first: no job is forgotten
-        executor.submit_array([Training(group, shared, how, gpu) for group in groups])
-    except Exception as error:  # submitit has many kinds; it has printed what sbatch said
-        shutil.rmtree(folder, ignore_errors=True)
-        raise UserError(f"--executor slurm: jobs are not submitted: {_last_line(str(error))}") from None
+        for array in (alike[first : first + MOST_IN_ARRAY] for first in range(0, len(alike), MOST_IN_ARRAY)):
+            name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
+            folder, shared = _folder(store) / name, Store(store.root.resolve())
+            executor = _executor(folder / "jobs", name, how, gpu)
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                replace_file(folder / NOTE, to_json([list(group) for group in array]))  # none is forgotten
+                executor.submit_array([Training(group, shared, how, gpu) for group in array])
+            except Exception as error:  # submitit has many kinds; it has printed what sbatch said
+                shutil.rmtree(folder, ignore_errors=True)
+                why = _last_line(str(error))
+                raise UserError(f"--executor slurm: jobs are not submitted: {why}") from None
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
     """Hand on what becomes of runs until all have ended, which is taken out of `left`."""
+    reason = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
     jobs = dict.fromkeys(left, Job("", "SUBMITTED"))
     while left:
         before = jobs
@@ -188,21 +185,15 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
             status, job = store.status(name), jobs.get(name, before.get(name))
             if status.finished or job is None:
                 left.discard(name)
-                on_event(_end(name, status, store))
+                gone = not (status.finished or status.failed or status.name == "killed")
+                end = end_event(name, Status("killed", status.step) if gone else status)
+                on_event({**end, "reason": reason} if gone else end)
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
             elif job != before.get(name):
                 on_event({"event": "passing", "run_id": name, "text": str(job)})
     with suppress(UserError):  # what is not put away now will be next time
         _put_away(store, queued(store))
-
-
-def _end(name: str, status: Status, store: Store) -> Event:
-    """Return the end of a run whose job has gone."""
-    if status.finished or status.failed or status.name == "killed":
-        return end_event(name, status)
-    reason = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
-    return {**end_event(name, Status("killed")), "reason": reason}
 
 
 # --- What was submitted -------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import IO, Any, Protocol
 
-from pneuma.config import Run, as_settings
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.locks import is_held
@@ -224,7 +224,7 @@ class Supervisor:
             self._tasks.remove(task)
             job = {
                 "results": str(self._store.root.resolve()),
-                "runs": {name: as_settings(run) for name, run in task.group.items()},
+                "runs": {name: as_fields(run) for name, run in task.group.items()},
                 "checkpoint_seconds": self._how.checkpoint_seconds,
                 "keep": self._how.keep_checkpoints,
                 "final": task.tries >= TRIES,
@@ -248,7 +248,8 @@ class Supervisor:
             worker.busy.add(name)
             if name not in self._told_busy:
                 self._told_busy.add(name)
-                self._note(name, "another process trains this run; waiting for it")
+                lock = self._store.run_folder(name) / ".lock"
+                self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
             return
         if event["event"] == "end":
             worker.ended.add(name)

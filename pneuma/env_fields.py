@@ -1,17 +1,18 @@
-"""The settings of one environment: typed, checked, and what each shipped environment sets.
+"""The fields of one environment: their types, and what each shipped environment sets.
 
 `pneuma.config` builds a run's configuration on it; like that module it imports nothing heavy.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.values import MOST_NAMES, Choice, Flag, Matching, Names, Number, Reader, Text
+from annotated_types import Interval, MinLen
+
+from pneuma.errors import UserError, unknown_name
+from pneuma.values import MOST_NAMES, OneOf, matching, names_like
 
 SHIPPED_LEVELS = ("thesis",)
 SHIPPED_CHARACTERS = ("pygame",)
@@ -27,68 +28,67 @@ MOST_STEPS = 1_000_000
 PERCEIVE = "all, nearest:K for the K nearest, or kind:NAME,… for monsters of some kinds"
 
 
-def setting(default: Any, reader: Reader) -> Any:
-    """Declare a field of a configuration with what its value may be."""
-    return field(default=default, metadata={"reader": reader})
+_WORD = r"[\w-]+"
+_REWARD = rf"{'|'.join(REWARDS)}|[\w.]+:\w+"
+_REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
 
 
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
-    """The settings of one environment; each is a keyword of `gymnasium.make` and a key of a study.
+    """The fields of one environment; each is a keyword of `gymnasium.make` and a key of a study.
 
     The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text; empty texts are
     filled by `make_env_config`.
     """
 
-    level: str = setting("thesis", Text())
+    level: Annotated[str, MinLen(1)] = "thesis"
     """A shipped level, a folder of CSV layers, a .tmx map, or random:train:N or random:test:N."""
-    random_levels: int = setting(1, Number(1, 10_000, whole=True))
+    random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
     """How many random levels, from number N on; each episode draws one."""
-    characters: str = setting("", Text(empty=True))
+    characters: str = ""
     """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
-    players: int = setting(1, Number(1, MAX_PLAYERS, whole=True))
-    classes: tuple[str, ...] = setting(("base",), Names(r"[\w-]+", "a class, or a list of one a player"))
-    weapons: tuple[str, ...] = setting(("own",), Names(r"[\w-]+", "a weapon, or a list of one a player"))
-    magic: bool = setting(False, Flag())
-    """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
-    reward: tuple[str, ...] = setting(
-        ("thesis",),
-        Names(
-            rf"{'|'.join(REWARDS)}|[\w.]+:\w+", f"one of {', '.join(REWARDS)}, or module:function", REWARDS
-        ),
+    players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = 1
+    classes: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a class, or a list of one a player")] = (
+        "base",
     )
+    weapons: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a weapon, or a list of one a player")] = (
+        "own",
+    )
+    magic: bool = False
+    """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
+    reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
     """A formula, or a list of one a player."""
-    observation: str = setting("thesis", Choice(OBSERVATIONS))
+    observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
     """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
-    perceive: str = setting("", Matching(r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*", PERCEIVE))
-    order: str = setting("", Choice(("", *ORDERS)))
-    scale: str = setting("", Choice(("", *SCALES)))
+    perceive: Annotated[str, matching(r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*", PERCEIVE)] = ""
+    order: Annotated[str, OneOf(("", *ORDERS))] = ""
+    scale: Annotated[str, OneOf(("", *SCALES))] = ""
     """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""
-    observe_facing: bool = setting(False, Flag())
+    observe_facing: bool = False
     """Whether four numbers, one of them 1, follow on what a player observes of itself."""
-    start: str = setting("random", Choice(("random", "first")))
-    bodies: str = setting("block", Choice(("block", "pass")))
+    start: Annotated[str, OneOf(("random", "first"))] = "random"
+    bodies: Annotated[str, OneOf(("block", "pass"))] = "block"
     """Whether living bodies stop each other."""
-    coast: str = setting("wall", Choice(("wall", "deadly")))
-    trees: str = setting("wall", Choice(("wall", "pass")))
+    coast: Annotated[str, OneOf(("wall", "deadly"))] = "wall"
+    trees: Annotated[str, OneOf(("wall", "pass"))] = "wall"
     """Whether what stands in the layer of obstacles stops anybody."""
-    terrain_stops: str = setting("all", Choice(("all", "players")))
-    bite_while_knocked: bool = setting(False, Flag())
-    healing_cap: bool = setting(False, Flag())
+    terrain_stops: Annotated[str, OneOf(("all", "players"))] = "all"
+    bite_while_knocked: bool = False
+    healing_cap: bool = False
     """Whether the HP of a kill stop at full HP."""
-    kill_credit: str = setting("striker", Choice(("striker", "near")))
+    kill_credit: Annotated[str, OneOf(("striker", "near"))] = "striker"
     """Who earns a kill's XP and HP: its striker, or all within the dying monster's attack circle."""
-    xp_scope: str = setting("episode", Choice(("episode", "forever")))
-    ending_cost: float = setting(0.0, Number(0, 1000))
+    xp_scope: Annotated[str, OneOf(("episode", "forever"))] = "episode"
+    ending_cost: Annotated[float, Interval(ge=0, le=1000)] = 0.0
     """XP lost when an episode ends otherwise than at sea."""
-    episode_steps: int = setting(1000, Number(1, MOST_STEPS, whole=True))
+    episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS)] = 1000
     """Time limit of an episode in agent steps of 8 ticks."""
-    time_limit: str = setting("truncate", Choice(("truncate", "terminate")))
-    end_on_clear: bool = setting(False, Flag())
+    time_limit: Annotated[str, OneOf(("truncate", "terminate"))] = "truncate"
+    end_on_clear: bool = False
     """Whether the last monster's death ends the episode."""
 
 
-ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
+ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {
     "pneuma/Pneuma-v0": {},
     "pneuma/PneumaGodot-v0": {
         "reward": "godot",
@@ -108,12 +108,12 @@ ENVIRONMENT_SETTINGS: dict[str, dict[str, Any]] = {
 """What each environment sets other than the defaults: the published code's quirks for Godot's; for the arena
 a reward for kills, and the facing observed."""
 
-ENVIRONMENTS = tuple(ENVIRONMENT_SETTINGS)
+ENVIRONMENTS = tuple(ENVIRONMENT_FIELDS)
 
 ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
 """How many worlds a study collects from side by side, unless it says so itself."""
 
-OBSERVATION_SETTINGS = {
+OBSERVATION_FIELDS = {
     "thesis": {"perceive": "all", "order": "nearest", "scale": "unit"},
     "pygame": {"perceive": "nearest:5", "order": "nearest", "scale": "map"},
     "godot": {"perceive": "all", "order": "fixed", "scale": "raw"},
@@ -124,21 +124,20 @@ OBSERVATION_SETTINGS = {
 # --- Resolving -----------------------------------------------------------------------------------
 
 
-def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
-    """Resolve settings (keys of `EnvConfig`) of an environment to a complete configuration.
+def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
+    """Resolve fields (of `EnvConfig`) of an environment to a complete configuration.
 
     Raises:
         UserError: for an unknown key, a value out of range, or values that do not go together.
     """
-    if env not in ENVIRONMENT_SETTINGS:
+    if env not in ENVIRONMENT_FIELDS:
         raise unknown_name("environment", env, ENVIRONMENTS)
-    given = read_settings(EnvConfig, {**ENVIRONMENT_SETTINGS[env], **settings})
-    return EnvConfig(**resolve_world(given))
+    return EnvConfig(**resolve_world(read_fields(EnvConfig, {**ENVIRONMENT_FIELDS[env], **given})))
 
 
 def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
     """Fill what a layout of observations implies, and check what must go together."""
-    layout = OBSERVATION_SETTINGS[values.get("observation", "thesis")]
+    layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
     values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
     players = values.get("players", 1)
     for key in ("classes", "weapons", "reward"):
@@ -175,34 +174,17 @@ def own_rewards(names: Iterable[str]) -> list[str]:
     return [name for name in names if ":" in name]
 
 
-_Config = TypeVar("_Config", bound=EnvConfig)
-
-
-def read_settings(config: type[_Config], settings: Mapping[str, object]) -> dict[str, Any]:
-    """Check a mapping of key to value and return it with every value in its final type.
+def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
+    """Check some fields of a configuration and return each in its final type.
 
     Raises:
-        UserError: naming the key, the value and what is allowed.
+        UserError: naming the field, its value and what is allowed.
     """
-    return {key: read_setting(config, key, value) for key, value in settings.items()}
+    from pneuma.schema import read_dataclass_fields
+
+    return read_dataclass_fields(config, values)
 
 
-def read_setting(config: type[_Config], key: str, value: object) -> Any:
-    """Check one key and value of a configuration; see `read_settings`."""
-    readers: dict[str, Reader] = {item.name: item.metadata["reader"] for item in fields(config)}
-    if key not in readers:
-        raise unknown_name("key", key, readers)
-    try:
-        return readers[key].read(value)
-    except (ValueError, TypeError, OverflowError):
-        reader = readers[key]
-        hint = _nearest(value, reader.names) if isinstance(reader, Choice | Names) else ""
-        shown = json.dumps(value, default=str)
-        raise UserError(f"{key} = {shown} is not allowed{hint}: {reader.allowed}") from None
-
-
-def _nearest(value: object, names: tuple[str, ...]) -> str:
-    """Return the suggestion of the nearest name to a wrong one, or to the wrong one in a list."""
-    words = [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
-    hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
-    return next((hint for hint in hints if hint), "")
+def read_field(config: type[EnvConfig], key: str, value: object) -> Any:
+    """Check one field of a configuration; see `read_fields`."""
+    return read_fields(config, {key: value})[key]

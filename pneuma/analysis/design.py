@@ -1,0 +1,179 @@
+"""The design check: whether so many seeds can decide a claim, before any of its runs.
+
+    ClaimList with pilot spreads → [Plan], one for each contrast of a claim in a world
+
+A claim of a direction can be decided where the least difference that is found with 80 % power, at its part of
+alpha, is no greater than what is plausible; one of no difference where arms alike would be shown to lie
+within the margin. Spreads come from a pilot on other seeds, written into the claims' file with the command
+that printed them. A claim that cannot be decided in a world is not admitted there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from pneuma.analysis.claims import Claim, ClaimList
+from pneuma.analysis.power import POWER
+from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
+from pneuma.analysis.verdicts import MARGINAL
+
+SHARES = np.linspace(0, 1, 101)
+"""True shares of runs that are looked through for the least difference that is found."""
+UNKNOWN_SHARE = 0.5
+"""Of runs with an event, where no pilot tells: where shares vary most."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What so many seeds can tell on one contrast.
+
+    Attributes:
+        a, b: the arms; b is a number where a is held against one.
+        seeds: of each arm.
+        alpha: the contrast's own part of the list's error rate.
+        spread: between runs, from the pilot; of an incidence the share of runs of arm b; None without one.
+        detectable: the least difference that is found with 80 % power; of spreads, the least ratio.
+        provable: the least margin within which arms alike are shown to lie with 80 % power.
+        plausible: the largest effect thought possible.
+        reason: why it cannot be decided; empty where it can.
+    """
+
+    claim: Claim
+    world: str
+    outcome: str
+    a: str
+    b: str
+    seeds: tuple[int, ...]
+    alpha: float
+    spread: float | None
+    detectable: float | None
+    provable: float | None
+    plausible: float | None
+    reason: str
+
+
+def check_design(claims: ClaimList) -> list[Plan]:
+    """Return what the seeds of each claim can tell, in every world that it is about."""
+    return [
+        _plan(claims, claim, world, outcome, a, b)
+        for claim in claims.claims.values()
+        for world in claim.worlds
+        for outcome in claim.outcomes
+        for a, b in claim.pairs
+    ]
+
+
+def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
+    """Return, by claim and world, why it is not admitted; nothing of a list without a pilot.
+
+    A claim is admitted where one of its outcomes can be decided: in all its contrasts, or in any where it
+    needs no more.
+    """
+    if claims.pilot is None:
+        return {}
+    plans: dict[tuple[str, str], dict[str, list[Plan]]] = {}
+    for plan in check_design(claims):
+        plans.setdefault((plan.claim.name, plan.world), {}).setdefault(plan.outcome, []).append(plan)
+    refused = {}
+    for key, outcomes in plans.items():
+        enough = all if claims.claims[key[0]].need == "all" else any
+        if not any(enough(not own.reason for own in each) for each in outcomes.values()):
+            reasons = dict.fromkeys(own.reason for each in outcomes.values() for own in each if own.reason)
+            refused[key] = "; ".join(reasons)
+    return refused
+
+
+def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: str | None) -> Plan:
+    names = [name for name in (a, b, *claim.c, *claim.d) if name is not None]
+    seeds = tuple(len(claim.seeds[name]) for name in names)
+    alpha = claims.head.alpha / claims.factor(claim, world)
+    spreads = claims.pilot.spreads.get(world, {}) if claims.pilot else {}
+    spread = spreads.get(f"{outcome} {claim.event.words}" if claim.event else outcome)
+    if claim.event and spread is None:
+        spread = UNKNOWN_SHARE
+    plausible = claim.of("plausible", outcome) or (claims.plausible or {}).get(outcome)
+    detectable, provable = _limits(claim, seeds, alpha, spread)
+    reason = _reason(claim, outcome, sum(seeds), detectable, provable, plausible)
+    told = f"{claim.value:g}" if b is None else b
+    return Plan(claim, world, outcome, a, told, seeds, alpha, spread, detectable, provable, plausible, reason)
+
+
+def _reason(
+    claim: Claim,
+    outcome: str,
+    runs: int,
+    detectable: float | None,
+    provable: float | None,
+    plausible: float | None,
+) -> str:
+    """Say why a contrast cannot be decided; empty where it can."""
+    if claim.untestable:
+        return claim.untestable
+    few = f"cannot be decided with so many seeds ({runs} runs)"
+    if claim.direction in MARGINAL:
+        margin = claim.of("margin", outcome)
+        if provable is None:
+            return f"no pilot has a spread of {outcome}"
+        within = f"arms alike are shown to lie within {provable:.3g}, and the margin is {margin:.3g}"
+        return "" if margin is not None and provable <= margin else f"{few}: {within}"
+    if detectable is None:
+        return f"no pilot has a spread of {outcome}"
+    if plausible is None:
+        return f"no largest plausible effect on {outcome} is stated"
+    least = f"the least difference found is {detectable:.3g}, and {plausible:.3g} is plausible"
+    return "" if detectable <= plausible else f"{few}: {least}"
+
+
+def _limits(
+    claim: Claim, seeds: tuple[int, ...], alpha: float, spread: float | None
+) -> tuple[float | None, float | None]:
+    """Return the least difference that is found, and the least margin that is shown, with 80 % power."""
+    if claim.kind == "incidence":
+        base = claim.value if claim.value is not None else spread
+        return _least_share(claim, seeds, alpha, UNKNOWN_SHARE if base is None else base), None
+    if claim.kind == "mean":
+        if spread is None:
+            return None, None
+        error = spread * math.sqrt(sum(1 / own for own in seeds))
+        return _of_error(error, sum(seeds) - len(seeds), alpha)
+    # of normal runs; the tests of spread take more, so this is a lower bound
+    error = math.sqrt(sum(1 / (2 * max(own - 1, 1)) for own in seeds))
+    found, shown = _of_error(error, sum(seeds) - len(seeds), alpha)
+    return math.exp(min(found, 700.0)), math.exp(min(shown, 700.0))
+
+
+def _of_error(error: float, freedom: int, alpha: float) -> tuple[float, float]:
+    """Return both limits of an effect with that standard error, by Student's quantiles."""
+    power, both = special.ndtri(POWER), special.ndtri((1 + POWER) / 2)
+    found = error * (special.stdtrit(max(freedom, 1), 1 - alpha / 2) + power)
+    shown = error * (special.stdtrit(max(freedom, 1), 1 - alpha) + both)
+    return float(found), float(shown)
+
+
+def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float) -> float:
+    """Return by how much arm a's share must differ from a base, to be found in the claimed direction.
+
+    Of two arms the base is arm b's share of runs, of one the constant. Infinite where no share is found.
+    """
+    if len(seeds) == 2:
+        table = share_table(*seeds), share_table(seeds[1], seeds[0]).T
+        weights = count_chances(seeds[1], np.array([base]))[0]
+        power = [_power_of(SHARES, seeds[0], (2 * own <= alpha) @ weights) for own in table]
+    else:
+        p = one_share_p_values(np.arange(seeds[0] + 1), seeds[0], base, None)
+        power = [_power_of(SHARES, seeds[0], 2 * own <= alpha) for own in (p.greater, p.less)]
+    differences = []
+    if claim.direction != "less":
+        differences += [share - base for share in SHARES[(power[0] >= POWER) & (base < SHARES)]]
+    if claim.direction != "greater":
+        differences += [base - share for share in SHARES[(power[1] >= POWER) & (base > SHARES)]]
+    return float(min(differences, default=math.inf))
+
+
+def _power_of(shares: np.ndarray, runs: int, decided: np.ndarray) -> np.ndarray:
+    """Return the chance of a decision at each true share, given that of each count of runs with the event."""
+    return count_chances(runs, shares) @ decided

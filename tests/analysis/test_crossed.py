@@ -1,0 +1,331 @@
+"""Crossed studies: effects worked out by hand, what is a factor, and how the cells of a map are labelled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from pneuma.analysis.crossed import (
+    Effects,
+    Map,
+    find_crossing,
+    map_table,
+    robustness_map,
+    study_effects,
+)
+from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.cli import study_crossed
+from pneuma.errors import UserError
+from pneuma.figures.collapse import draw_collapse
+from pneuma.figures.maps import draw_robustness
+from pneuma.study.execute import selection_record
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+
+from ..cli.calls import described, printed, refused
+from .collapse_records import healthy, learning, one_action, save_run, study_record
+
+X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
+"""Effects of a 2 × 2 design coded as -1 and 1, and how far both runs of a cell lie from its mean."""
+RATES, SCALES = (1e-4, 1e-3), ("unit", "raw")
+
+Conditions = dict[str, tuple[dict[str, Any], Sequence[float]]]
+"""Name to settings and the final share killed of each run."""
+
+
+def stored(folder: Path, conditions: Conditions, unfinished: str = "") -> StudyData:
+    store = Store(folder / "results")
+    cells: dict[tuple[str, int], str] = {}
+    for name, (_, finals) in conditions.items():
+        for seed, final in enumerate(finals):
+            cells[name, seed] = f"{len(cells):016x}"
+            if name != unfinished:
+                save_run(store, cells[name, seed], healthy(), learning(final))
+    record = study_record(cells, {name: settings for name, (settings, _) in conditions.items()})
+    store.save_selection("mine", record)
+    return open_study(store, record)
+
+
+def two_by_two() -> Conditions:
+    made: Conditions = {}
+    for x, rate in zip((-1, 1), RATES, strict=True):
+        for y, scale in zip((-1, 1), SCALES, strict=True):
+            mean = 0.5 + X * x + Y * y + XY * x * y
+            settings = {"learning_rate": rate, "scale": scale, "engine": "sb3"}
+            made[f"{rate} {scale}"] = settings, (mean - ERROR, mean + ERROR)
+    return made
+
+
+# --- Effects --------------------------------------------------------------------------------------
+
+
+def told(found: Effects) -> dict[tuple[str, ...], tuple[float, ...]]:
+    return {
+        tuple(sorted(effect.factors)): (effect.statistic, effect.share, effect.p_value, corrected)
+        for effect, corrected in zip(found.effects, found.corrected, strict=True)
+    }
+
+
+def test_effects_of_a_two_by_two_design_by_hand(tmp_path: Path) -> None:
+    """Of 8 runs an effect e has the sum of squares 8 e²; the errors, of 4 degrees, 8 d²: F = 4 e²/d²."""
+    found = study_effects(stored(tmp_path, two_by_two()))
+    assert [effect.degrees for effect in found.effects] == [(1, 4)] * 3
+    (f_x, share_x, p_x, _), (f_xy, share_xy, p_xy, _), (f_y, share_y, p_y, _) = (
+        told(found)[names] for names in (("learning_rate",), ("learning_rate", "scale"), ("scale",))
+    )
+    assert (f_x, f_xy, f_y) == pytest.approx((16, 4, 0))
+    assert (share_x, share_xy, share_y) == pytest.approx((0.8, 0.5, 0))  # e² / (e² + d²)
+    assert p_x < 0.05 < p_xy < p_y == pytest.approx(1)
+    assert told(found)["learning_rate",][3] == pytest.approx(3 * p_x)
+    assert told(found)["learning_rate", "scale"][3] == pytest.approx(2 * p_xy)
+    assert (found.cells, found.runs, found.without) == (4, 8, 0)
+    assert found.means["learning_rate"] == pytest.approx({"0.0001": 0.4, "0.001": 0.6})
+    assert found.means["scale"] == pytest.approx({"unit": 0.5, "raw": 0.5})
+
+
+def test_means_count_each_cell_alike(tmp_path: Path) -> None:
+    conditions = two_by_two()
+    settings, (low, high) = conditions["0.001 raw"]
+    found = study_effects(stored(tmp_path, {**conditions, "0.001 raw": (settings, (low, high) * 4)}))
+    assert found.runs == 14
+    assert found.means["scale"]["raw"] == pytest.approx(0.5)
+
+
+def test_settings_that_named_conditions_change_one_at_a_time_are_one_factor(tmp_path: Path) -> None:
+    named = {
+        "final": {"activation": "tanh", "betas": [0.9, 0.9]},
+        "relu": {"activation": "relu", "betas": [0.9, 0.9]},
+        "stationary": {"activation": "tanh", "betas": [0.9, 0.999]},
+    }
+    conditions: Conditions = {
+        f"{scale}, {name}": ({**own, "scale": scale}, (0.4, 0.5))
+        for scale in ("unit", "raw")
+        for name, own in named.items()
+    }
+    data = stored(tmp_path, conditions)
+    factors, _ = find_crossing(data)
+    assert factors == {
+        "scale": SCALES,
+        "activation + betas": ("tanh + 0.9, 0.9", "relu + 0.9, 0.9", "tanh + 0.9, 0.999"),
+    }
+    degrees = {effect.factors: effect.degrees for effect in study_effects(data).effects}
+    assert degrees["activation + betas",] == (2, 6)
+
+
+def test_a_missing_combination_of_three_factors_is_named(tmp_path: Path) -> None:
+    conditions = {
+        f"{mark} {name}": ({**settings, "activation": mark}, finals)
+        for mark in ("tanh", "relu")
+        for name, (settings, finals) in two_by_two().items()
+    }
+    del conditions["relu 0.001 unit"]
+    with pytest.raises(UserError, match="no condition has learning_rate 0.001, scale unit, activation relu"):
+        find_crossing(stored(tmp_path, conditions))
+
+
+@pytest.mark.parametrize("name", ["collapse", "gradient-limits", "magic", "perception", "robustness"])
+def test_the_settings_of_shipped_studies_tell_the_factors_of_their_files(name: str) -> None:
+    study = load_study(name)
+    record = selection_record(make_plan(study, Selection(seeds=(0,))))
+    _, levels = find_crossing(cast(StudyData, SimpleNamespace(study=name, runs=[], record=record)))
+    assert alike(levels) == alike({name: tuple(own.values()) for name, own in study.levels.items()})
+
+
+def alike(levels: Mapping[str, tuple[str, ...]]) -> set[frozenset[frozenset[str]]]:
+    """Return, for each factor, the sets of conditions that have a level of it in common."""
+    return {
+        frozenset(
+            frozenset(name for name, own in levels.items() if own[i] == level)
+            for level in {own[i] for own in levels.values()}
+        )
+        for i in range(len(next(iter(levels.values()))))
+    }
+
+
+def asked(folder: Path, *arguments: str) -> tuple[str | Path, ...]:
+    return ("study", "effects", "mine", *arguments, "--results", folder / "results")
+
+
+def test_the_command_tells_effects_and_means_with_their_unit(tmp_path: Path) -> None:
+    stored(tmp_path, two_by_two())
+    lines = printed(*asked(tmp_path)).splitlines()
+    assert any(line.split()[:6] == ["learning_rate", "2", "1,", "4", "16.00", "0.800"] for line in lines)
+    assert "Means (share), each cell counted alike:" in lines
+    assert "  learning_rate: 0.0001 0.400;  0.001 0.600" in lines
+    rows = {row["effect"]: row for row in described(*asked(tmp_path, "--json"))["effects"]}
+    (both,) = (row for name, row in rows.items() if " × " in name)
+    assert (both["levels"], both["df"], both["df_error"], both["runs"]) == ([2, 2], 1, 4, 8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--outcome", "final-share-kiled"), "did you mean final-share-killed"),
+        (("--outcome", "steps-to:0.5"), "some runs of 0.0001 unit never get there; compare another outcome"),
+        (("--outcome", "q-overestimation"), "no run of 0.0001 unit has it, and every cell needs one"),
+        (("--seeds", "1"), "4 runs in 4 cells leave nothing to tell an effect from chance"),
+        (
+            ("--condition", "0.001 raw", "--condition", "0.001 unit"),
+            "is not crossed: its conditions differ in scale alone",
+        ),
+    ],
+)
+def test_what_cannot_be_tested_is_told_in_one_line(
+    tmp_path: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    stored(tmp_path, two_by_two())
+    assert message in refused(*asked(tmp_path, *arguments))
+
+
+def test_a_cell_without_runs_and_mixed_engines_are_told(tmp_path: Path) -> None:
+    conditions = two_by_two()
+    with pytest.raises(UserError, match=r"no run of 0.001 raw has finished.*: repeat the command"):
+        study_effects(stored(tmp_path / "empty", conditions, unfinished="0.001 raw"))
+    settings, finals = conditions["0.001 raw"]
+    mixed = stored(tmp_path / "mixed", {**conditions, "0.001 raw": ({**settings, "engine": "jax"}, finals)})
+    with pytest.raises(UserError, match="0.0001 unit by sb3, 0.001 raw by jax; choose .* --engine sb3"):
+        study_effects(mixed)
+
+
+# --- The robustness map ---------------------------------------------------------------------------
+
+
+def crossed(folder: Path, *gains: float, seeds: int = 6) -> StudyData:
+    """Store a crossed study in which tanh kills so much more than relu in each cell."""
+    conditions: Conditions = {}
+    cells = [(rate, scale) for rate in RATES for scale in SCALES]
+    for (rate, scale), gain in zip(cells, gains, strict=True):
+        for activation in ("tanh", "relu"):
+            settings = {"learning_rate": rate, "scale": scale, "activation": activation}
+            first = 0.4 + gain * (activation == "tanh")
+            conditions[f"{activation} {rate} {scale}"] = settings, [first + 0.01 * k for k in range(seeds)]
+    return stored(folder, conditions)
+
+
+def mapped(data: StudyData, outcome: str = "final-share-killed") -> Map:
+    return robustness_map(data, "activation", "tanh", "relu", outcome)
+
+
+@pytest.mark.parametrize(
+    ("gains", "labels", "label"),
+    [
+        ((0.2, 0.2, 0.2, 0.2), ["holds"] * 4, "robust"),
+        ((0.2, 0.0, 0.2, -0.2), ["holds", "open", "holds", "reversed"], "conditional"),
+        ((0.2, 0.0, 0.2, 0.0), ["holds", "open", "holds", "open"], "partial"),
+        ((-0.2, 0.0, 0.0, -0.2), ["reversed", "open", "open", "reversed"], "reversed"),
+        ((0.0, 0.0, 0.0, 0.0), ["open"] * 4, "undecided"),
+    ],
+)
+def test_a_map_is_labelled_by_its_cells(
+    tmp_path: Path, gains: tuple[float, ...], labels: list[str], label: str
+) -> None:
+    found = mapped(crossed(tmp_path, *gains))
+    table = map_table(found)
+    assert table["label"].tolist() == labels
+    assert found.label == label
+    assert table["value"].tolist() == pytest.approx(list(gains))
+
+
+def test_factors_are_what_the_cells_differ_in_and_p_is_corrected_over_them(tmp_path: Path) -> None:
+    """Six against six without overlap: 2 / 924, four times for the least of four equal ones."""
+    found = mapped(crossed(tmp_path, 0.2, 0.2, 0.2, 0.2))
+    assert dict(found.factors) == {"scale": SCALES, "learning_rate": RATES}
+    assert dict(found.cells[1].levels) == {"learning_rate": 1e-4, "scale": "raw"}
+    assert (found.cells[1].better, found.cells[1].worse) == ("tanh 0.0001 raw", "relu 0.0001 raw")
+    assert [cell.p for cell in found.cells] == pytest.approx([4 * 2 / 924] * 4)
+
+
+def test_with_too_few_seeds_nothing_is_decided(tmp_path: Path) -> None:
+    """Of three runs an arm the smallest p is 1/10 in each cell, before any correction."""
+    assert mapped(crossed(tmp_path, 0.3, 0.3, 0.3, 0.3, seeds=3)).label == "undecided"
+
+
+def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> None:
+    """What is not trained yet makes no map robust, nor the others' p-values smaller."""
+    whole = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2)
+    record = {**whole.record, "runs": [dict(run) for run in whole.record["runs"]]}
+    store = Store(tmp_path / "results")
+    for run in record["runs"]:
+        if run["condition"] == "relu 0.001 raw":
+            run["run_id"] = run["run_id"][::-1]
+    part = mapped(open_study(store, record))
+    assert [cell.label for cell in part.cells] == ["holds", "holds", "holds", "open"]
+    assert (part.label, part.cells[-1].contrast.reason) == ("partial", "an arm has no runs")
+    assert [cell.p for cell in part.cells[:3]] == pytest.approx([4 * 2 / 924] * 3)
+    save_run(store, whole.runs[0].run_id, healthy(), learning(), end=100)  # before any evaluation
+    assert mapped(open_study(store, whole.record)).cells[0].contrast.reason == "1 run without a value"
+
+
+def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
+    data = crossed(tmp_path, 0, 0, 0, 0, seeds=2)
+    with pytest.raises(UserError, match="no two conditions differ in activation alone, tanh in one") as other:
+        robustness_map(data, "activation", "tanh", "leaky-relu")
+    assert "learning_rate (0.0001, 0.001), scale (unit, raw), activation (tanh, relu)" in str(other.value)
+    with pytest.raises(UserError, match="activation: tanh against itself is no contrast"):
+        robustness_map(data, "activation", "tanh", "tanh")
+    with pytest.raises(UserError, match="neither better high nor better low"):
+        mapped(data, "final-entropy")
+
+
+def test_returns_of_unlike_rewards_are_no_contrast(tmp_path: Path) -> None:
+    data = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2, seeds=2)
+    assert mapped(data, "final-return").cells
+    rewards = {"tanh": ["thesis"], "relu": ["kills"]}
+    for run in data.record["runs"]:
+        run["run"] |= {"reward": rewards[run["run"]["activation"]], "activation": "tanh"}
+    unlike = open_study(Store(tmp_path / "results"), data.record)
+    assert robustness_map(unlike, "reward", "thesis", "kills").cells
+    with pytest.raises(UserError, match="outcome final-return: returns of unlike rewards"):
+        robustness_map(unlike, "reward", "thesis", "kills", "final-return")
+    with pytest.raises(UserError, match="outcome final-return: returns of unlike rewards"):
+        study_effects(unlike, "final-return")
+
+
+def test_a_lesser_outcome_is_turned_and_an_endless_one_refused(tmp_path: Path) -> None:
+    data = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2)
+    found = mapped(data, "steps-to:0.3")
+    assert all(cell.contrast.effect > 0 for cell in found.cells)  # tanh gets there in fewer steps
+    with pytest.raises(UserError, match="some runs of relu .* never get there"):
+        mapped(data, "steps-to:0.5")
+
+
+def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
+    data = crossed(tmp_path, 0.2, 0.0, 0.2, -0.2)
+    contrast = ("study", "robustness", "mine", "--contrast")
+    at = ("--results", tmp_path / "results")
+    told = printed(*contrast, "activation=tanh:relu", *at, "--out", tmp_path / "drawn", "--format", "svg")
+    assert told.splitlines()[0].endswith("activation tanh against relu, final-share-killed: conditional")
+    (drawn,) = (tmp_path / "drawn").iterdir()
+    (again,) = draw_robustness(data, [mapped(data)], tmp_path, "again", ("svg",))
+    assert drawn.name == "fig-mine-activation-tanh-relu.svg" and drawn.read_bytes() == again.read_bytes()
+    for wrong in ("activation", "activation=tanh", "=tanh:relu", "activation=:relu"):
+        assert "must be KEY=A:B" in refused(*contrast, wrong, *at)
+
+
+@pytest.mark.parametrize(
+    ("contrast", "meant"),
+    [
+        ("perceive=nearest:5:all", ("perceive", "nearest:5", "all")),
+        ("perceive=all:nearest:5", ("perceive", "all", "nearest:5")),
+        ("perceive=nearest:5:nearest:3", ("perceive", "nearest:5", "nearest:3")),
+    ],
+)
+def test_values_of_a_contrast_may_have_colons(contrast: str, meant: tuple[str, ...]) -> None:
+    runs = [{"run": {"perceive": perceive}} for perceive in ("nearest:5", "nearest:3", "all")]
+    data = cast(StudyData, SimpleNamespace(record={"runs": runs}))
+    assert study_crossed._meant(study_crossed.read_contrast(contrast), data) == meant
+
+
+def test_collapses_are_drawn_with_the_same_bytes_every_time_and_none_too(tmp_path: Path) -> None:
+    data = crossed(tmp_path, 0.1, 0.1, 0.1, 0.1, seeds=2)
+    (none,) = draw_collapse(data, tmp_path, "none", ("svg",))
+    save_run(Store(tmp_path / "results"), data.runs[0].run_id, one_action(61), learning())
+    fresh = open_study(Store(tmp_path / "results"), data.record)
+    one, two = (draw_collapse(fresh, tmp_path, name, ("svg",))[0].read_bytes() for name in ("one", "two"))
+    assert one == two != none.read_bytes()

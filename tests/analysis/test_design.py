@@ -1,0 +1,121 @@
+"""The design check: what so many seeds can tell, held against textbook formulas and against simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pneuma.analysis.claims import load_claims
+from pneuma.analysis.design import Plan, check_design, not_admitted
+from pneuma.analysis.judgement import judge
+from pneuma.analysis.pvalues import p_share_greater
+from pneuma.study.store import Store
+
+from ..cli.calls import described, printed
+from .claim_files import HIGH, LOW, changed, save_runs, write_files
+
+PILOT = """
+[pilot]
+command = "pneuma study summary mine --seeds 50,51"
+[pilot.spreads.text]
+final-share-killed = 0.1
+"collapsed above 0.5" = 0.1
+[plausible]
+final-share-killed = 0.3
+collapsed = 0.5
+"""
+INCIDENCE = (
+    (
+        'outcome = "final-share-killed"\nkind = "mean"',
+        'outcome = "collapsed"\nabove = 0.5\nkind = "incidence"',
+    ),
+    ("margin = 0.04\n", ""),
+)
+
+
+def plan_of(folder: Path, *changes: tuple[str, str], seeds: int = 50, pilot: str = PILOT) -> Plan:
+    text = changed(*changes).replace("seeds = 8", f"seeds = {seeds}") + pilot
+    (plan,) = check_design(load_claims(write_files(folder, text)))
+    return plan
+
+
+def test_the_least_difference_is_found_with_the_power_asked_for(tmp_path: Path) -> None:
+    """A normal arm that much above the other, at 5 %: four of five pairs of 50 runs show it."""
+    plan = plan_of(tmp_path)
+    assert plan.alpha == 0.05 and plan.seeds == (50, 50) and plan.reason == ""
+    assert plan.detectable == pytest.approx(0.1 * np.sqrt(2 / 50) * (1.96 + 0.84), rel=0.01)
+    generator = np.random.default_rng(1)
+    a, b = generator.normal(0, 0.1, size=(2, 4_000, 50))
+    p = stats.ttest_ind(a + plan.detectable, b, axis=1).pvalue
+    assert (p <= 0.05).mean() == pytest.approx(0.8, abs=0.02)
+
+
+def test_so_few_seeds_cannot_decide_what_is_plausible(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, seeds=4)
+    assert plan.reason == "" and plan.detectable is not None and 0.2 < plan.detectable < 0.3
+    few = plan_of(tmp_path, ("margin = 0.04", "margin = 0.04\nplausible = 0.1"), seeds=4)
+    assert few.reason.startswith("cannot be decided with so many seeds (8 runs): the least difference")
+
+
+def test_equivalence_is_planned_by_the_margin_that_can_be_shown(tmp_path: Path) -> None:
+    """0.1 sqrt(2 / 50) (1.66 + 1.28) = 0.0588 for arms alike: past a margin of 0.04, within one of 0.06."""
+    equal = ('"greater"', '"equal"')
+    plan = plan_of(tmp_path, equal)
+    assert plan.provable == pytest.approx(0.0588, abs=2e-4)
+    assert plan.reason.endswith("arms alike are shown to lie within 0.0588, and the margin is 0.04")
+    assert plan_of(tmp_path, equal, ("margin = 0.04", "margin = 0.06")).reason == ""
+
+
+@pytest.mark.parametrize("against", ['b = "low"', "value = 0.1"])
+def test_a_share_is_planned_by_exact_chances(against: str, tmp_path: Path) -> None:
+    """From the pilot's share of 0.1 of runs, or a constant: the first of whole percents that is found."""
+    plan = plan_of(tmp_path, *INCIDENCE, ('b = "low"', against))
+    assert plan.detectable is not None
+    counts = np.arange(51)
+    for share, enough in ((0.1 + plan.detectable, True), (0.09 + plan.detectable, False)):
+        chance = stats.binom.pmf(counts, 50, share)
+        if against.startswith("b"):
+            both = np.outer(chance, stats.binom.pmf(counts, 50, 0.1))
+            p = p_share_greater(counts[:, None], 50, counts[None, :], 50)
+            power = both[2 * p <= 0.05].sum()
+        else:
+            p = np.array([stats.binomtest(int(k), 50, 0.1, "greater").pvalue for k in counts])
+            power = chance[2 * p <= 0.05].sum()
+        assert (power >= 0.8) == enough
+
+
+def test_without_a_pilot_nothing_is_refused_and_nothing_is_planned(tmp_path: Path) -> None:
+    claims = load_claims(write_files(tmp_path))
+    assert not_admitted(claims) == {}
+    assert [own.reason for own in check_design(claims)] == ["no pilot has a spread of final-share-killed"]
+
+
+def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: Path) -> None:
+    """Though its runs are there; of two outcomes one is enough."""
+    low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01\nfinal-return = 0.01")
+    text = changed(('"final-share-killed"', '["final-share-killed", "final-return"]')) + low
+    claims = load_claims(write_files(tmp_path, text))
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    (one,) = [own for own in judge(claims, store) if own.place == "text"]
+    assert one.standing == "could not be decided"
+    assert one.reason.startswith("not admitted: cannot be decided with so many seeds (16 runs)")
+    enough = text.replace("final-return = 0.01", "final-return = 9").replace(
+        "[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.1"
+    )
+    assert not_admitted(load_claims(write_files(tmp_path, enough))) == {}
+
+
+def test_the_command_tells_every_claim_and_what_is_refused(tmp_path: Path) -> None:
+    low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01")
+    command = ("study", "verify", "--design", "--claims", write_files(tmp_path, changed() + low))
+    lines = printed(*command).splitlines()
+    assert lines[1].split()[:4] == ["better", "text", "final-share-killed", "8/8"]
+    assert any(line.startswith("  better, text: cannot be decided") for line in lines)
+    rows: Any = described(*command, "--json")["design"]
+    assert [(row["claim"], row["world"], row["admitted"], row["seeds"]) for row in rows] == [
+        ("better", "text", False, [8, 8])
+    ]
