@@ -185,7 +185,7 @@ def test_the_verdicts_are_those_of_study_verify(
     assert main(["study", "verify", "--results", str(store.root), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
-    rows = [each.text for each in page.elements if each.tag == "td"][: 4 * len(PLACES)]
+    rows = [each.text for each in page.elements if each.tag == "td"][: len(MEANINGS) * len(PLACES)]
     assert [int(cell) for cell in rows] == [counted[place, word] for place in PLACES for word in MEANINGS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
     assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
