@@ -13,7 +13,7 @@ from pneuma.cli.out_files import check_folder
 from pneuma.cli.study_output import check_choice
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.store import Store
+from pneuma.study.store import Store, write_whole
 
 USUAL_FORMATS = ("png", "svg")
 
@@ -54,23 +54,35 @@ def read_figures_asked(out: Path | None, told: list[str] | None) -> tuple[str, .
 
 
 def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]]) -> list[Path]:
-    """Draw into a folder that a person names, or else into that of the results; return the files written.
+    """Write what is drawn into a folder that a person names, or else into that of the results.
 
-    In a results folder, which may be a stranger's, no link is followed.
+    In a results folder, which may be untrusted, no link is followed.
+
+    Args:
+        store: the results folder.
+        out: where; None for `figures` there.
+        draw: draws into a folder that is removed afterwards, and returns its files.
+
+    Returns:
+        The files written; none where drawing fails.
 
     Raises:
         UserError: where it cannot be written, before anything is drawn.
     """
     if out is not None:
         _check_figures_folder(out)
-        return draw(out)
-    store.check_writable()
-    target = store.root / "figures"
+    else:
+        store.check_writable()
+    target = out or store.root / "figures"
     with TemporaryDirectory() as folder:
-        drawn = draw(Path(folder))
-        for path in drawn:
-            store.write(target / path.name, path.read_bytes())
-    return [target / path.name for path in drawn]
+        files = {path.name: path.read_bytes() for path in draw(Path(folder))}
+    for name, content in files.items():
+        if out is None:
+            store.write(target / name, content)
+        else:
+            out.mkdir(parents=True, exist_ok=True)
+            write_whole(target / name, content)
+    return [target / name for name in files]
 
 
 def _check_figures_folder(out: Path) -> None:

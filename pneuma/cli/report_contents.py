@@ -36,8 +36,8 @@ from pneuma.figures.report import (
     factors_table,
     numbers_table,
     statistics_table,
+    study_pictures,
 )
-from pneuma.figures.report_pictures import study_pictures
 from pneuma.figures.verdict_words import judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store

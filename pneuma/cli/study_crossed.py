@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -172,13 +171,11 @@ def _meant(readings: list[tuple[str, Any, Any]], data: StudyData) -> tuple[str, 
 
 
 def _drawn(data: StudyData, found: Map, out: Path, formats: tuple[str, ...]) -> list[Path]:
-    from pneuma.figures.curves import LONGEST_STEM
-    from pneuma.figures.robustness import draw_robustness
+    from pneuma.figures.maps import draw_robustness
+    from pneuma.figures.panels import stem_of
 
     parts = [found.setting, *map(shown_value, found.values), *[found.outcome] * (found.outcome != PRIMARY)]
-    told = (re.sub(r"[^\w.-]+", "-", part).strip("-") for part in parts)
-    stem = "-".join([data.figure, *told])[:LONGEST_STEM]
-    return draw_robustness(data, [found], out, stem, formats)
+    return draw_robustness(data, [found], out, stem_of(data, *parts), formats)
 
 
 def _print_map(found: Map, turned: bool) -> None:

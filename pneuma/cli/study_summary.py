@@ -133,8 +133,9 @@ def collapse(
     files: list[Path] = []
     if out is not None:
         from pneuma.figures.collapse import draw_collapse
+        from pneuma.figures.panels import stem_of
 
-        files = draw_collapse(data, out, f"{data.figure}-collapse", formats)
+        files = draw_collapse(data, out, stem_of(data, "collapse"), formats)
     if json:
         document = {"schema": 1, "study": data.study, "runs": records(found)}
         print_json({**document, "incidence": records(incidence(data)), "figures": list(map(str, files))})

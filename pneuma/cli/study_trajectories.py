@@ -203,6 +203,7 @@ def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[
     from pneuma.config import make_run
     from pneuma.engines.trajectories import unrewarded_worlds
     from pneuma.env.render import Renderer
+    from pneuma.figures.panels import stem_of
     from pneuma.figures.trajectories import draw_trajectories
 
     drawer = None
@@ -211,7 +212,7 @@ def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[
         worlds.seed([0])
         worlds.reset()
         drawer = Renderer(worlds, "map", panel=False)
-    return draw_trajectories(data, found, out, f"{data.figure}-trajectories", formats, drawer)
+    return draw_trajectories(data, found, out, stem_of(data, "trajectories"), formats, drawer)
 
 
 def _print(table: pd.DataFrame) -> None:

@@ -1,6 +1,7 @@
 """The figure of a study's curves: the share of monsters killed and the return, or whatever is asked for.
 
-Few conditions share a panel; more than `MOST_IN_A_PANEL` get a panel each, with the others' means behind it.
+Few conditions share a panel; more than `MOST_IN_A_PANEL` get a small panel each, with the others' means
+behind it.
 """
 
 from __future__ import annotations
@@ -9,49 +10,61 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from matplotlib.artist import Artist
+import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from pneuma.analysis import EPISODE_QUANTITIES
+from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis.bands import BANDS
 from pneuma.analysis.curves import Curve, curve_names, study_curves
-from pneuma.analysis.references import PLAYERS, have_one_return, shared_levels
-from pneuma.analysis.run_view import common_step
+from pneuma.analysis.references import have_one_return, shared_levels
+from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
-from pneuma.figures.captions import caption_of, headline_of, legend_title_of
-from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
-from pneuma.figures.multiples import draw_multiples
-from pneuma.figures.panel import (
-    alpha_of_runs,
-    as_drawn,
+from pneuma.figures.panels import (
     draw_common_step,
-    draw_curve,
-    draw_references,
+    draw_panel,
+    draw_players,
+    headline_of,
     highest_point,
     label_of,
+    notes_of,
+    put_texts,
+    quantity_of,
+    round_ticks,
     set_axes,
+    shows_band,
+    shows_runs,
+    stem_of,
 )
-from pneuma.figures.quantities import look_of
-from pneuma.figures.sizes import SIZES, Size
-from pneuma.figures.style import house_style, save_figure
-from pneuma.figures.words import Words
+from pneuma.figures.style import (
+    INK,
+    MOST_IN_A_PANEL,
+    SIZES,
+    Size,
+    condition_looks,
+    house_style,
+    save_figure,
+    short_names,
+)
 
+_, TRAILING_WINDOW = WINDOWS
 USUAL_BAND = {"pneuma": "ci", "thesis": "minmax"}
 """Of each layout; the author's own script drew the least and the greatest."""
 USUAL_QUANTITIES = ("share_killed", "return")
-IN_PLACE_OF_RETURN = "length"
-"""Where conditions have unlike rewards."""
 MOST_CURVES = 40
 """Conditions of which curves still fit a page; of more there is shown what they came to."""
-ALONE = 1.3
-"""How much higher a panel is that stands alone."""
-THESIS_WINDOW = "trailing-100"
-BESIDE = "0.25"
-DASHES = (0, (3, 1))
-"""The looks of another study's runs."""
-LONGEST_STEM = 100
+MOST_ON_A_SLIDE = 6
+"""Rows of small panels that a figure of fixed height has room for; of usual ones, half as many."""
+MOST_OTHERS = 24
+"""Panels up to which all other means stand behind each; of more they would be a grey blur."""
+LONGEST_INCHES = 7.6
+"""Of small panels: with the texts around them a figure fits a page, unless they are too many."""
+OTHERS_COLOUR, BESIDE_COLOUR = "#C4C4C4", "#404040"
 
 
 @dataclass(frozen=True)
@@ -91,26 +104,27 @@ def draw_study(
             rewards, the length of episodes stands in their place.
         layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
         size: one of `SIZES`.
-        beside: another study, or imported logs, whose runs are drawn as dashed lines, each its own.
         shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
+        beside: another study, or imported logs, whose runs are drawn as dashed lines, each its own.
 
     Raises:
         UserError: for a quantity or window that the study's data does not have, data without curves, or
             more panels than a slide has room for, or another study beside a panel for each condition.
     """
-    if beside and len(data.conditions) > MOST_IN_A_PANEL:
+    many = len(data.conditions) > MOST_IN_A_PANEL
+    if beside and many:
         raise UserError(f"{beside.study} cannot be drawn beside {data.study}: each condition has a panel")
     drawing = settle(data, band, window, quantities=quantities, layout=layout, size=size)
     curves = study_curves(data, drawing.quantities, drawing.window)
-    caption = caption_of(data, curves, drawing.band, drawing.window)
-    words = Words(headline_of(data, shown), legend_title_of(drawing.band), caption)
     how = SIZES[size]
     with house_style(how.type_points):
-        if len(data.conditions) > MOST_IN_A_PANEL:
-            figure = draw_multiples(data, curves, drawing.band, how, words)
-        else:
-            others = _curves_beside(beside, drawing) if beside else {}
-            figure = draw_panels(data, curves, drawing.band, how, words, others)
+        draw = _draw_small_panels if many else _draw_panels
+        figure, inches, entries, named = draw(data, curves, drawing, how, beside)
+        caption = [*notes_of(data), *_caption(data, curves, drawing), named]
+        drawn = [curve for group in curves.values() for curve in group]
+        put_texts(
+            figure, how, inches, headline_of(data, shown), entries, caption, _meaning(drawn, drawing.band)
+        )
         stem = file_stem(data, drawing, beside.study if beside else None)
         return save_figure(figure, folder, stem, formats, how.dots_per_inch)
 
@@ -131,85 +145,86 @@ def settle(
     """
     wanted = data.checked_window(window or _usual_window(layout))
     names = tuple(dict.fromkeys(quantities)) or _usual(data, layout)
-    if not _has_episodes(names):
+    if not set(names) & set(EPISODE_QUANTITIES):
         wanted = data.windows[0]  # nothing that is drawn is read in a window of one's choice
     return Drawing(names, band or USUAL_BAND[layout], wanted, layout, size)
 
 
 def _usual_window(layout: str) -> str | None:
     """Return the usual window of a layout; None: the study's first."""
-    return THESIS_WINDOW if layout == "thesis" else None
+    return TRAILING_WINDOW if layout == "thesis" else None
+
+
+def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
+    """Return what is drawn where nothing is asked for."""
+    if layout == "thesis":
+        return ("return",)
+    known = curve_names(data)
+    wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "length")
+    names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
+    return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names
 
 
 def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
     """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
+    usual = settle(data, layout=drawing.layout)
     differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
-    if drawing.band != USUAL_BAND[drawing.layout]:
+    if drawing.band != usual.band:
         differs.append(drawing.band)
-    if _has_episodes(drawing.quantities) and drawing.window != (
-        _usual_window(drawing.layout) or data.windows[0]
-    ):
+    usual_windows = (_usual_window(drawing.layout), data.windows[0])
+    if drawing.window != next(filter(None, usual_windows)) and {*drawing.quantities} & {*EPISODE_QUANTITIES}:
         differs.append(drawing.window.removesuffix("%"))
-    if drawing.quantities != _usual(data, drawing.layout):
+    if drawing.quantities != usual.quantities:
         every = list(drawing.quantities) == curve_names(data)
-        differs = ["all" if every else _shortened(drawing.quantities), *differs]
-    return "-".join([data.figure, *differs, *(["beside", beside] if beside else [])])
+        differs = ["all" if every else "-".join(drawing.quantities), *differs]
+    return stem_of(data, *differs, *(["beside", beside] if beside else []))
 
 
-def _has_episodes(quantities: Sequence[str]) -> bool:
-    return any(name in EPISODE_QUANTITIES for name in quantities)
+# --- Panels ------------------------------------------------------------------------------------------
+
+Curves = Mapping[str, Sequence[Curve]]
+Drawn = tuple[Figure, float, dict[str, Any], str]
+"""A figure, the height of its panels in inches, its legend's entries, and what names in it consist of."""
 
 
-def _shortened(names: Sequence[str]) -> str:
-    """Return names in a row; where these are many, the first and a count of the others."""
-    whole = "-".join(names)
-    return whole if len(whole) <= LONGEST_STEM else f"{names[0]}-and-{len(names) - 1}-more"
-
-
-def draw_panels(
-    data: StudyData,
-    curves: dict[str, list[Curve]],
-    band: str,
-    size: Size,
-    words: Words,
-    beside: Mapping[str, list[Curve]] | None = None,
-) -> Figure:
+def _draw_panels(
+    data: StudyData, curves: Curves, drawing: Drawing, size: Size, beside: StudyData | None
+) -> Drawn:
     """Draw a panel of all conditions for each quantity, and each run of other curves beside them."""
-    figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
-    rows, columns = size.grid(len(curves))
+    rows = -(-len(curves) // size.columns)
+    columns = -(-len(curves) // rows)
+    _check_room(2 * rows, size)
+    figure = Figure(layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    room = size.characters(1.3 * size.type_points) // columns  # titles are larger, and bold
-    entries: dict[str, Artist] = {}
-    for place, (axes, (name, group)) in enumerate(zip(panels, curves.items(), strict=False)):
-        draw_panel(axes, data, name, group, band)
-        for curve in (beside or {}).get(name, ()):
-            lines = axes.plot(curve.step, curve.runs.T, color=BESIDE, linewidth=0.7, linestyle=DASHES)
+    labels = {name: label_of(data, name) for name in data.conditions if data.of_condition(name)}
+    looks = condition_looks(data.conditions)
+    entries: dict[str, Any] = {}
+    others = _curves_beside(beside, drawing) if beside else {}
+    for axes, (name, group) in zip(panels, curves.items(), strict=False):
+        quantity = quantity_of(name, data.averaged_over)
+        draw_panel(axes, group, drawing.band, looks, labels, quantity)
+        _draw_around(axes, data, name, group)
+        for curve in others.get(name, ()):
+            lines = axes.plot(
+                curve.step, curve.runs.T, color=BESIDE_COLOUR, linewidth=0.7, linestyle=(0, (3, 1))
+            )
             lines[0].set_label(curve.condition)
-        axes.set_title("\n".join(textwrap.wrap(axes.get_title(loc="left"), room)))
-        lowest = place + columns >= len(curves)
-        axes.set_xlabel("Environment steps" if lowest else "")
-        handles, labels = axes.get_legend_handles_labels()
-        entries |= dict(zip(labels, handles, strict=True))
+        axes.set(title=quantity.title, ylabel=quantity.label, xlabel="Environment steps")
+        handles, names = axes.get_legend_handles_labels()
+        entries |= dict(zip(names, handles, strict=True))
     for axes in panels[len(curves) :]:
         axes.remove()
-    players_last = dict(sorted(entries.items(), key=lambda entry: entry[0] in PLAYERS))
-    wanted = rows * size.panel_height * (ALONE if rows == columns == 1 else 1)
-    low, high = words.put(figure, size, wanted, players_last)
-    size.check_room(rows, high - low)
-    return figure
+    players_last = dict(
+        sorted(entries.items(), key=lambda entry: entry[0].startswith(("random player", "scripted hunter")))
+    )
+    return figure, rows * size.panel_height * (1.2 if columns == 1 else 1), players_last, ""
 
 
-def draw_panel(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve], band: str) -> None:
-    """Draw one quantity of all conditions, with its reference lines and title."""
-    look, looks = look_of(name, data.averaged_over), condition_looks(data.conditions)
-    curves, shade = as_drawn(look, curves), 0.16 if len(curves) < 5 else 0.09
-    alpha = alpha_of_runs(curves, band)
-    for curve in curves:
-        draw_curve(axes, curve, band, looks[curve.condition], label_of(data, curve), shade, alpha)
-    draw_references(axes, shared_levels(data, name), highest_point(curves))
-    draw_common_step(axes, common_step(data))
-    axes.set(title=look.title, ylabel=look.label)
-    set_axes(axes, look, data.budget, curves)
+def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]) -> None:
+    """Draw what any panel of a quantity has beside its curves."""
+    draw_players(axes, shared_levels(data, name), highest_point(curves))
+    draw_common_step(axes, data)
+    set_axes(axes, quantity_of(name), data.budget, curves)
 
 
 def _curves_beside(beside: StudyData, drawing: Drawing) -> dict[str, list[Curve]]:
@@ -222,12 +237,133 @@ def _curves_beside(beside: StudyData, drawing: Drawing) -> dict[str, list[Curve]
     }
 
 
-def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
-    """Return what is drawn where nothing is asked for."""
-    wanted: tuple[str, ...] = USUAL_QUANTITIES if layout == "pneuma" else ("return",)
-    if layout == "pneuma" and not have_one_return(data):
-        wanted = tuple(IN_PLACE_OF_RETURN if name == "return" else name for name in wanted)
-    known = curve_names(data)
-    other = known[:1] if layout == "pneuma" else ()
-    names = tuple(name for name in wanted if name in known) or tuple(other) or ("return",)
-    return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names
+def _check_room(rows: int, size: Size) -> None:
+    if size.height is not None and rows > MOST_ON_A_SLIDE:
+        raise UserError(
+            f"so many panels do not fit a height of {size.height} inches: ask for fewer quantities or "
+            "conditions, or for --size page, which is as high as it needs"
+        )
+
+
+def _draw_small_panels(
+    data: StudyData, curves: Curves, drawing: Drawing, size: Size, _: StudyData | None
+) -> Drawn:
+    """Draw a panel for each condition and quantity, those of a quantity below each other."""
+    conditions = [curve.condition for curve in next(iter(curves.values()))]
+    columns = min(range(2 * size.columns, size.columns - 1, -1), key=lambda each: -len(conditions) % each)
+    rows = -(-len(conditions) // columns)
+    _check_room(rows * len(curves), size)
+    names, parts = short_names(conditions)
+    width = size.characters(0.83 * size.type_points, 0.9 * size.width / columns)
+    titles = [
+        "\n".join(textwrap.wrap(label_of(data, name, names[name]).replace(" = ", "="), width))
+        for name in conditions
+    ]
+    figure = Figure(layout="constrained")
+    panels = figure.subplots(rows * len(curves), columns, squeeze=False, sharex=True)
+    looks = {name: {**look, "marker": ""} for name, look in condition_looks(data.conditions).items()}
+    for place, (name, group) in enumerate(curves.items()):
+        quantity = quantity_of(name)  # the caption says what was averaged before
+        block = panels[place * rows : (place + 1) * rows].ravel()
+        for axes, curve, title in zip(block, group, titles, strict=False):
+            _draw_others(axes, group, curve, data.record.get("baseline"))
+            draw_panel(axes, [curve], drawing.band, looks, {}, quantity)
+            _draw_around(axes, data, name, group)
+            axes.set_title(title, fontsize="small", weight="normal", pad=2)
+        _align([*block], len(conditions), columns, quantity.label)
+    title_inches = 0.85 * size.line_inches * (1 + max(title.count("\n") for title in titles))
+    panel_inches = max(0.3, min(0.75, LONGEST_INCHES / rows - title_inches))
+    inches = rows * len(curves) * (panel_inches + title_inches) + 0.4
+    entries: dict[str, Any] = {}
+    if len(conditions) <= MOST_OTHERS:
+        entries["the others"] = Line2D([], [], color=OTHERS_COLOUR)
+    if data.record.get("baseline") in names:
+        label = f"{names[data.record['baseline']]} (baseline)"
+        entries[label] = Line2D([], [], color=INK, linestyle="--", linewidth=1)
+    handles, labels = panels.flat[0].get_legend_handles_labels()
+    entries |= dict(zip(labels, handles, strict=True))
+    return figure, inches, entries, parts and f"Panels: {parts}."
+
+
+def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str | None) -> None:
+    """Draw the other conditions' means behind, and the baseline's in front of them."""
+    thin = 0.4 * mpl.rcParams["lines.linewidth"]
+    for curve in curves:
+        if curve.condition == baseline != own.condition:
+            axes.plot(curve.step, curve.mean, color=INK, linewidth=2 * thin, linestyle="--", zorder=1.3)
+        elif curve is not own and len(curves) <= MOST_OTHERS:
+            axes.plot(curve.step, curve.mean, color=OTHERS_COLOUR, linewidth=thin, zorder=1.1)
+
+
+def _align(block: Sequence[Axes], count: int, columns: int, label: str) -> None:
+    """Give panels of one quantity the same axes, with labels at the left and below alone."""
+    used, holes = block[:count], block[count:]
+    low, high = min(axes.get_ylim()[0] for axes in used), max(axes.get_ylim()[1] for axes in used)
+    for place, axes in enumerate(used):
+        axes.set_ylim(low, high)
+        lowest = place + columns >= count
+        axes.tick_params(labelleft=place % columns == 0, labelbottom=lowest, labelsize="small")
+        axes.set_xlabel("Steps" if lowest else "", fontsize="small")
+        axes.xaxis.set_major_locator(round_ticks(3))
+        if axes.get_yscale() == "linear":
+            axes.yaxis.set_major_locator(round_ticks(4))
+        if place % columns == 0:
+            axes.set_ylabel(label, fontsize="small")
+    for axes in holes:
+        axes.set_axis_off()
+
+
+# --- Words -------------------------------------------------------------------------------------------
+
+
+def _meaning(drawn: Sequence[Curve], band: str) -> str:
+    """Return what lines and bands are, for the legend."""
+    told = ["Mean over n runs"]
+    if any(shows_band(curve, band) for curve in drawn):
+        told.append(f"band: {BANDS[band].label}")
+    if any(shows_runs(curve, band) for curve in drawn):
+        told.append("thin lines: runs")
+    return "; ".join(told)
+
+
+def _caption(data: StudyData, curves: Curves, drawing: Drawing) -> list[str]:
+    """Return what to mind in these curves: sentences, the gravest first."""
+    drawn = [curve for group in curves.values() for curve in group]
+    told = []
+    if "return" in curves and not have_one_return(data):
+        told.append("Returns of unlike rewards, or of more players, cannot be compared.")
+    for name, group in curves.items():
+        for curve in group:
+            blank = int((~np.isfinite(curve.runs)).all(axis=1).sum())
+            if blank:
+                of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
+                told.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
+    if any(curve.stops for curve in drawn):
+        told.append("×: a run diverged, and its curve ends there.")
+    step = common_step(data)
+    if step is not None:
+        told.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
+    if drawing.band == "variance":
+        told.append("A variance is in the square of the axis's unit: how wide the band looks means nothing.")
+    if any(shows_band(curve, drawing.band) and shows_runs(curve, drawing.band) for curve in drawn):
+        told.append("Intervals of few runs cover less often than they say, so the runs are drawn too.")
+    if any(curve.count[-1] < len(curve.runs) for curve in drawn):
+        told.append("Faint: not all runs have a value.")
+    told.append(_averages(data, curves, drawing.window))
+    if any(quantity_of(name).log for name in curves):
+        told.append("On logarithmic axes means and bands are of logarithms.")
+    return told
+
+
+def _averages(data: StudyData, curves: Curves, window: str) -> str:
+    """Say what each point of a training curve averages; '' where there is none."""
+    episodes, updates = ({*curves} & {*kind} for kind in (EPISODE_QUANTITIES, UPDATE_QUANTITIES))
+    budget = "of the last 5 % of the budget"
+    told = []
+    if episodes and data.averaged_over:
+        told.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")
+    elif episodes:
+        told.append("the last 100 episodes" if window == TRAILING_WINDOW else f"the episodes {budget}")
+    if updates:
+        told.append(f"the updates {budget}")
+    return f"Training curves average {', or '.join(told)}." if told else ""

@@ -1,100 +1,114 @@
 """Everything in `paper_figures/`: `make figures` runs this, and nothing else writes there.
 
-    python -m pneuma.figures.paper FOLDER [--results RESULTS]
+    python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
-The environment's own figures, the thesis's tables of hyperparameters, and what `plates` draws of every
-published study in RESULTS/published. Beside them an index: which command drew each, from which runs; and
-the same for people.
+The environment's own figures, the thesis's tables of hyperparameters, and of every published study in
+RESULTS/published its curves, what they came to, collapses, maps and numbers. Beside them an index: which
+command drew each, from which runs; and the same for people.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from itertools import starmap
+from dataclasses import asdict
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
+from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.sources import open_published
-from pneuma.analysis.tables import tell_figures_apart
-from pneuma.analysis.trajectories import read_trajectories
+from pneuma.analysis.summaries import summary_table
+from pneuma.analysis.tables import StudyData, tell_figures_apart
+from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
+from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
+from pneuma.figures import FIGURE_LAYOUTS
+from pneuma.figures.collapse import collapsed_shares, draw_collapse
+from pneuma.figures.curves import MOST_CURVES, TRAILING_WINDOW, USUAL_QUANTITIES, draw_study, settle
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
-from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, read_entries
-from pneuma.figures.plates import BESIDE, COMMAND, TABLE_FORMATS, TABLES, draw_published
-from pneuma.figures.settings_table import settings_table
+from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, index_entries, read_index
+from pneuma.figures.maps import draw_robustness, study_maps
+from pneuma.figures.panels import stem_of
+from pneuma.figures.style import shrink
+from pneuma.figures.summary import draw_summary, shown_outcome
+from pneuma.figures.trajectories import draw_trajectories
 from pneuma.study.files import write_whole
 from pneuma.study.provenance import available_cores
+from pneuma.values import shown_value
 
 RESULTS = Path("results")
+COMMAND = "make figures"
+TABLES = "tables"
+TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
+SETTINGS_STEM = "table-6-1-and-6-2"
 FEW = 4
 """Studies below which starting processes takes longer than they save."""
-SETTINGS_STEM = "table-6-1-and-6-2"
 
-Task = tuple[Path, str, str, str | None, Path]
-"""Of one study: the results folder, its name and its figures', the logs to draw beside it, and where to."""
+CONTRASTED = {
+    "optimizer": ("stationary", "non-stationary"),
+    "actor-size": ("smallest", "small"),
+}
+"""Conditions of the thesis's own figure, of studies that have more."""
+MORE_CURVES = {"gradient-limits": "grad_norm", "collapse": "entropy"}
+"""What else a study is about, beside the share killed and the return."""
+BESIDE_QUANTITIES = ("return", "length", "entropy")
+
+SETTINGS = (
+    "gamma", "gae_lambda", "learning_rate", "clip_range", "horizon", "minibatch", "epochs",
+    "value_coefficient", "entropy_coefficient", "optimizer", "betas", "epsilon", "activation",
+    "gradient_limit", "actor", "critic",
+)  # fmt: skip
+"""What the thesis's Tables 6.1 and 6.2 state, or leave to the library."""
+
+Entries = list[dict[str, Any]]
+"""What the index tells of some files."""
 
 
-def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
+def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | None = None) -> list[Path]:
     """Draw every figure, write every table, the index and its page; return the files written.
 
     What the index knew of and is not drawn any more is removed.
+
+    Args:
+        folder: where.
+        results: with published tables.
+        beside: imported logs whose runs are drawn with a study's own, by the study's name.
 
     Raises:
         UserError: when a published table, or the index that is there, is damaged.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
-    read_entries(folder)  # so that a damaged one is told before all is drawn
+    known = {entry["file"] for entry in read_index(folder)}  # a damaged one is told before all is drawn
     entries = [*_draw_environment(folder), *_write_settings(folder)]
     studies = open_published(results)
     tell_figures_apart(studies)
-    known = {data.study for data in studies}
-    logs = {study: name for study, name in BESIDE.items() if name in known}
-    tasks = [(results, data.study, data.figure, logs.get(data.study), folder) for data in studies]
-    for drawn in _draw_studies(tasks):
-        entries += drawn
-    gone = _indexed(folder) - {entry["file"] for entry in entries}
+    names = [(data.study, data.figure) for data in studies]
+    logs = {study: own for study, own in (beside or {}).items() if own in dict(names)}
+    draw = partial(_draw_one, folder, results, logs)
+    if len(names) < FEW:
+        drawn = list(map(draw, names))
+    else:
+        with ProcessPoolExecutor(min(len(names), available_cores()), get_context("spawn")) as pool:
+            drawn = list(pool.map(draw, names))
+    for own in drawn:
+        entries += own
+    written = {entry["file"] for entry in entries}
     write_whole(folder / INDEX, encode_index(entries))
     write_whole(folder / CONTENTS, encode_contents(entries))
-    for name in gone:
-        (folder / name).unlink(missing_ok=True)
+    for name in known - written:
+        if name.removeprefix(f"{TABLES}/") == Path(name).name:  # beside the index, or in its tables
+            (folder / name).unlink(missing_ok=True)
     return [*(folder / entry["file"] for entry in entries), folder / INDEX, folder / CONTENTS]
 
 
-def _indexed(folder: Path) -> set[str]:
-    """Return the files of a folder's index, if it has one; all lie beside it or in its tables."""
-    names = (entry["file"] for entry in read_entries(folder))
-    return {name for name in names if name.removeprefix(f"{TABLES}/") == Path(name).name}
-
-
-def _draw_studies(tasks: Sequence[Task]) -> Iterator[list[dict[str, Any]]]:
-    """Draw every study; many at once on all cores, each in the same way as alone."""
-    if len(tasks) < FEW:
-        yield from starmap(_draw_one, tasks)
-        return
-    with ProcessPoolExecutor(min(len(tasks), available_cores()), get_context("spawn")) as pool:
-        try:
-            yield from pool.map(_draw_one, *zip(*tasks, strict=True))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def _draw_one(
-    results: Path, study: str, figure: str, beside: str | None, folder: Path
-) -> list[dict[str, Any]]:
-    """Draw a study, under the name that its figures have among all that are drawn."""
-    (data,) = open_published(results, [study])
-    data.figure = figure
-    logs = open_published(results, [beside])[0] if beside else None
-    return draw_published(data, folder, read_trajectories(results, study), logs)
-
-
-def _draw_environment(folder: Path) -> list[dict[str, Any]]:
+def _draw_environment(folder: Path) -> Entries:
     """Draw what the thesis shows of the environment itself, which has more colours than a palette."""
     sources = {
         "pneuma/Mailman-v0": draw_mailman(folder),
@@ -107,7 +121,7 @@ def _draw_environment(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def _write_settings(folder: Path) -> list[dict[str, Any]]:
+def _write_settings(folder: Path) -> Entries:
     """Write the thesis's two tables of hyperparameters."""
     entries = []
     for form, suffix in TABLE_FORMATS.items():
@@ -117,7 +131,102 @@ def _write_settings(folder: Path) -> list[dict[str, Any]]:
     return entries
 
 
-def main(folder: Path, results: Path = RESULTS) -> None:
+def settings_table() -> pd.DataFrame:
+    """Return the two bases of every study: a row for each field, its value in either, whether they differ."""
+    bases = [as_fields(make_run(settings)) for settings in BASES.values()]
+    rows = [[name, *(shown_value(base[name]) for base in bases)] for name in SETTINGS]
+    table = pd.DataFrame(rows, columns=["setting", *BASES])
+    table["differs"] = ["yes" if one != other else "" for _, one, other in rows]
+    return table
+
+
+# --- One study ---------------------------------------------------------------------------------------
+
+
+def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tuple[str, str]) -> Entries:
+    """Draw a study, under the name that its figures have among all that are drawn."""
+    study, figure = names
+    (data,) = open_published(results, [study])
+    data.figure = figure
+    logs = open_published(results, [beside[study]])[0] if study in beside else None
+    return draw_published(data, folder, read_trajectories(results, study), logs)
+
+
+def draw_published(
+    data: StudyData,
+    folder: Path,
+    found: StudyTrajectories | None = None,
+    logs: StudyData | None = None,
+) -> Entries:
+    """Draw everything of a study and write its tables; return what the index tells of each file.
+
+    Pictures are made small: they are committed, and drawn anew whenever a study is published.
+
+    Args:
+        data: the study.
+        folder: where.
+        found: its trajectories, where these are published too.
+        logs: imported logs to draw its curves beside.
+    """
+    entries = []
+    for shown, paths, told in [*_curves(data, folder, logs), *_others(data, folder, found)]:
+        for path in paths:
+            shrink(path)
+        entries += index_entries(paths, COMMAND, shown, told)
+    summary = summary_table(data)
+    for form, suffix in TABLE_FORMATS.items():
+        path = folder / TABLES / f"{data.study}{suffix}"
+        path.write_bytes(encode_frame(summary, form))
+        (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": form})
+        entries.append({**entry, "file": f"{TABLES}/{path.name}"})
+    return entries
+
+
+Drawn = tuple[StudyData, list[Path], dict[str, Any]]
+"""What a figure shows, its files, and how it is drawn."""
+
+
+def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
+    """Draw the conditions of the thesis's figure, in its layout too, and all where the study has more."""
+
+    def drawn(own: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
+        told = {"figure": "curves", "conditions": own.conditions, **asdict(settle(own, **how))}
+        told |= {"beside": beside.study} if beside else {}
+        return own, draw_study(own, folder, shown=shown, beside=beside, **how), told
+
+    if len(data.conditions) <= MOST_CURVES and set(USUAL_QUANTITIES) & set(curve_names(data)):
+        names = [name for name in CONTRASTED.get(data.own_name, ()) if name in data.conditions]
+        contrasted = data.of_conditions(names) if names else data
+        of_thesis = data.figure.startswith("fig-") and "return" in data.quantities
+        for layout in FIGURE_LAYOUTS if of_thesis else FIGURE_LAYOUTS[:1]:
+            yield drawn(contrasted, layout=layout)
+        if names:
+            every = data.of_conditions(data.conditions)
+            every.figure = f"{data.figure}-all"
+            yield drawn(every, "every condition")
+    more = MORE_CURVES.get(data.own_name)
+    if more in data.quantities:
+        yield drawn(data, quantities=(more,))
+    if logs:
+        yield drawn(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=BESIDE_QUANTITIES)
+
+
+def _others(data: StudyData, folder: Path, found: StudyTrajectories | None) -> Iterator[Drawn]:
+    """Draw what the runs came to, and where they are known collapses, maps and trajectories."""
+    yield data, draw_summary(data, folder), {"figure": "summary", "outcome": shown_outcome(data)}
+    if len(collapsed_shares(data)):
+        yield data, draw_collapse(data, folder, stem_of(data, "collapses")), {"figure": "collapses"}
+    if maps := study_maps(data):
+        told = {"figure": "map", "contrasts": [each.setting for each in maps]}
+        yield data, draw_robustness(data, maps, folder, stem_of(data, "map")), told
+    ways = found and found.of_runs(data.runs)  # some may have been published anew
+    if ways and len(ways.episodes) and ways.level:
+        walked = data.of_runs(set(ways.episodes["run_id"]))
+        paths = draw_trajectories(walked, ways, folder, stem_of(data, "trajectories"))
+        yield walked, paths, {"figure": "trajectories", "episodes": ways.per_run}
+
+
+def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:
     """Draw all and say so.
 
     Raises:
@@ -125,7 +234,7 @@ def main(folder: Path, results: Path = RESULTS) -> None:
     """
     if not results.is_dir():
         raise UserError(f"{results}: is no folder, so nothing is drawn, and nothing removed")
-    written = draw_all(folder, results)
+    written = draw_all(folder, results, dict(each.split("=", 1) for each in beside))
     for path in written:
         print(f"wrote {path}")
     if {path.stem for path in written if path.parent.name == TABLES} <= {SETTINGS_STEM}:
@@ -137,6 +246,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--beside", action="append", default=[], metavar="STUDY=LOGS")
     try:
         main(**vars(parser.parse_args()))
     except (UserError, OSError) as error:

@@ -4,29 +4,61 @@
 
 `report.html.j2` is the page and `report.css` its style. Every text goes through the template's escaping. The
 page needs no script, its own policy forbids every request, and it tells no date and no place: the same
-results give the same bytes.
+results give the same bytes. Figures are drawn afresh, each in the smaller of two forms.
 """
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote as quote_link
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from pneuma.analysis.curves import curve_names
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.rounding import decimals, shown, shown_with_interval
-from pneuma.errors import counted
+from pneuma.analysis.tables import StudyData
+from pneuma.analysis.trajectories import StudyTrajectories
+from pneuma.errors import counted, plain
 from pneuma.figures import verdict_words
-from pneuma.figures.report_pictures import Picture
+from pneuma.figures.collapse import collapsed_shares, draw_collapse
+from pneuma.figures.curves import MOST_CURVES, draw_study
+from pneuma.figures.maps import draw_robustness, study_maps
+from pneuma.figures.style import shrink
+from pneuma.figures.summary import draw_summary, shown_outcome
+from pneuma.figures.trajectories import draw_trajectories
 from pneuma.figures.verdict_words import MEANINGS, PLACES
+from pneuma.values import shown_value
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
+LARGE_BYTES = 120_000
+"""An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
+MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as it goes into the page.
+
+    Attributes:
+        source: the file as a data URI. An SVG is shown as an image: nothing in it runs.
+        alt: what it shows, for those who cannot see it.
+        caption: what is written below it: what it is, and the command that makes it.
+    """
+
+    source: str
+    alt: str
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -162,14 +194,14 @@ def _run_places(report: Report) -> dict[str, tuple[str, int]]:
 
 def _anchor(kind: str, name: str) -> str:
     """Return the name of a place in the page: another for any other name, and without spaces."""
-    return f"{kind}-{quote(name, safe='', errors='surrogatepass')}"
+    return f"{kind}-{quote_link(name, safe='', errors='surrogatepass')}"
 
 
 def _visible(value: Any) -> Any:
     """Write characters that cannot be seen as their codes: two names that look the same must not be two."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
-    return "".join(c if c.isprintable() or c == "\n" else f"\\u{ord(c):04x}" for c in value)
+    return "\n".join(map(plain, value.split("\n")))
 
 
 # --- Tables ----------------------------------------------------------------------------------------
@@ -228,3 +260,64 @@ def _short(value: float) -> str:
 
 def _rows(frame: pd.DataFrame) -> Iterable[Any]:
     return frame.itertuples()
+
+
+# --- Pictures ----------------------------------------------------------------------------------------
+
+Draw = Callable[[Path, tuple[str, ...]], list[Path]]
+
+
+def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> Iterator[Picture]:
+    """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps.
+
+    Of more conditions than a page has room for the curves of, it shows what their runs came to.
+
+    Args:
+        data: the study.
+        found: its trajectories on one level, where these are published.
+    """
+
+    def picture(what: str, command: str, draw: Draw) -> Picture:
+        alt = f"{data.title}: {what}, for {', '.join(data.conditions)}."
+        told = f"{what[:1].upper()}{what[1:]}: pneuma study {command}."
+        return Picture(_source(draw), alt, told)
+
+    study = quote(data.study)
+    if curve_names(data) and len(data.conditions) <= MOST_CURVES:
+        yield picture(
+            f"curves over {data.budget:,} environment steps", f"plot {study}",
+            lambda folder, forms: draw_study(data, folder, formats=forms),
+        )  # fmt: skip
+    else:
+        yield picture(
+            f"{find_outcome(shown_outcome(data)).words}, every run and means", f"summary {study}",
+            lambda folder, forms: draw_summary(data, folder, forms),
+        )  # fmt: skip
+    if len(collapsed_shares(data)):
+        yield picture(
+            "runs that collapsed", f"collapse {study}",
+            lambda folder, forms: draw_collapse(data, folder, "collapse", forms),
+        )  # fmt: skip
+    if found is not None:
+        yield picture(
+            "where the final policies go, and how their episodes end", f"trajectories {study}",
+            lambda folder, forms: draw_trajectories(data, found, folder, "ways", forms),
+        )  # fmt: skip
+    if maps := study_maps(data):
+        values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
+        yield picture(
+            "in which cells contrasts hold",
+            f"robustness {study} --contrast {quote(f'{maps[0].setting}={values}')}",
+            lambda folder, forms: draw_robustness(data, maps, folder, "maps", forms),
+        )  # fmt: skip
+
+
+def _source(draw: Draw) -> str:
+    """Return a figure as an SVG, sharp at any size; as a PNG where that saves much."""
+    with TemporaryDirectory() as folder:
+        paths = draw(Path(folder), ("png", "svg"))
+        for path in paths:
+            shrink(path)
+        files = {path.suffix: path.read_bytes() for path in paths}
+    form = ".png" if len(files[".svg"]) > max(LARGE_BYTES, len(files[".png"])) else ".svg"
+    return f"data:{MEDIA_TYPES[form]};base64,{b64encode(files[form]).decode('ascii')}"

@@ -20,7 +20,7 @@ from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.visualization import matplotlib as plots
 
 from pneuma.errors import counted
-from pneuma.figures.style import house_style, put_caption, save_figure
+from pneuma.figures.style import CAPTION, TYPE_POINTS, house_style, save_figure
 from pneuma.search.optuna_study import create_study, frozen_trials
 from pneuma.search.storage import Searched
 
@@ -57,7 +57,8 @@ def draw_search(
             if axes is not None:
                 figure = np.ravel(axes)[0].figure
                 _lay_out(figure, name, len(searched.task.search.space.parameters))
-                put_caption(figure, _caption(searched))
+                text = {"x": 0.01, "ha": "left", "fontsize": CAPTION * TYPE_POINTS, "color": "#444444"}
+                figure.supxlabel(_caption(searched), **text)
                 stem = f"search-{searched.task.search.name}-{name}"
                 paths += save_figure(figure, folder, stem, formats)
             plt.close("all")

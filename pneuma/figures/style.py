@@ -1,40 +1,71 @@
-"""One look for all figures: fonts, colours that also read in grey, and files of fixed bytes."""
+"""One look for all figures: sizes, fonts, colours that also read in grey, and files of fixed bytes."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from PIL import Image
+
+from pneuma.errors import plain
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a figure is; lengths in inches.
+
+    Attributes:
+        width: of the figure.
+        height: of the figure; None where it is as high as its panels and texts need.
+        columns: most panels side by side.
+        panel_height: of a panel with its axis, where the height is free.
+        type_points: size of the text; titles are larger, ticks and captions smaller.
+        dots_per_inch: of a PNG.
+    """
+
+    width: float
+    height: float | None
+    columns: int
+    panel_height: float
+    type_points: float
+    dots_per_inch: int
+
+    @property
+    def line_inches(self) -> float:
+        """Height of a line of text."""
+        return self.type_points * 1.5 / 72
+
+    def characters(self, points: float, width: float | None = None) -> int:
+        """Return how many characters fit a width, or a line; DejaVu's are 0.54 as wide as high."""
+        return int(((width or self.width) - 0.15) * 72 / (0.54 * points))
+
+
+SIZES = {
+    "page": Size(7.0, None, 3, 2.3, 8.0, 200),
+    "column": Size(3.3, None, 1, 2.1, 7.0, 200),
+    "slide": Size(10.0, 5.625, 3, 2.5, 12.0, 192),  # 1,920 × 1,080
+}
+"""For two columns of a page, one, and a slide."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230")
 """After Okabe and Ito: told apart by colour-blind readers, and from the greys that all are held against."""
-
-DASHES: tuple[tuple[float, tuple[float, ...]] | str, ...] = (
-    "-",
-    (0, (5, 1.6)),
-    (0, (1.2, 1.4)),
-    (0, (6, 1.5, 1.2, 1.5)),
-    (0, (3, 1, 1, 1, 1, 1)),
-    (0, (8, 3)),
-    (0, (1, 3)),
-)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """One to a colour, so that lines can be told apart in grey."""
 
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-
-TYPE_POINTS = 8.0
-CAPTION_POINTS = 6.2
-"""Of `put_caption`."""
-HOUSE_FONT = "DejaVu Sans"
-"""It comes with matplotlib, so that words are as wide everywhere."""
+INK, GREY = "#222222", "#777777"
+TYPE_POINTS = SIZES["page"].type_points
+CAPTION = 0.78
+"""Size of small print, in that of the text."""
 
 _RC: Any = {
-    "font.family": HOUSE_FONT,
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that words are as wide everywhere
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.spines.top": False,
@@ -44,7 +75,7 @@ _RC: Any = {
     "grid.color": "#DDDDDD",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
-    "figure.dpi": 300,
+    "figure.dpi": 200,
     "savefig.dpi": "figure",
     "svg.hashsalt": "pneuma",
     "svg.fonttype": "path",
@@ -55,13 +86,14 @@ _RC: Any = {
 
 _RELATIVE_TYPE: Any = {
     "font.size": 1.0,
-    "axes.titlesize": 1.125,
+    "axes.titlesize": 1.0,
     "axes.labelsize": 1.0,
     "legend.fontsize": 1.0,
     "legend.title_fontsize": 0.9,
-    "xtick.labelsize": 0.9375,
-    "ytick.labelsize": 0.9375,
+    "xtick.labelsize": 0.9,
+    "ytick.labelsize": 0.9,
     "lines.linewidth": 0.2,
+    "lines.markersize": 0.5,
 }
 """In units of the text's size; so that lines grow with it."""
 
@@ -70,19 +102,6 @@ _NO_DATES = {
     "svg": {"Date": None},
     "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
 }
-
-
-def condition_look(place: int) -> dict[str, Any]:
-    """Return colour, dashes and marker of a study's condition by its place.
-
-    Past the last colour they start again with other dashes and markers.
-    """
-    round_, colour = divmod(place, len(COLOURS))
-    return {
-        "color": COLOURS[colour],
-        "linestyle": DASHES[(colour + round_) % len(DASHES)],
-        "marker": MARKERS[(colour + 2 * round_) % len(MARKERS)],
-    }
 
 
 @contextmanager
@@ -96,21 +115,91 @@ def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
         yield
 
 
-def put_caption(figure: Figure, caption: str) -> None:
-    """Put small print below the panels of a figure with constrained layout, in as many lines as it takes."""
-    width, height = figure.get_size_inches()
-    lines = textwrap.wrap(caption, int(width * 72 / (0.56 * CAPTION_POINTS)))
-    bottom = (0.18 + 0.12 * len(lines)) / height
-    figure.get_layout_engine().set(rect=(0, bottom, 1, 1 - bottom))  # type: ignore[union-attr, call-arg]
-    place = 0.01, 0.09 / height
-    figure.text(*place, "\n".join(lines), fontsize=CAPTION_POINTS, color="#444444", va="bottom")
+# --- Conditions --------------------------------------------------------------------------------------
+
+MOST_IN_A_PANEL = len(COLOURS)
+"""Conditions that share a panel at most; of more, each has a panel of its own."""
+
+_OWN_PLACES = {
+    **dict.fromkeys(
+        ("table-6-2", "tanh", "non-stationary", "adam", "smallest", "0.1", "thesis", "final", "alone", "ppo"),
+        0,
+    ),
+    **dict.fromkeys(("relu", "l2", "trpo"), 1),
+    **dict.fromkeys(("leaky-relu", "rmsprop", "dqn"), 2),
+    **dict.fromkeys(("stationary", "double-dqn"), 3),
+    **dict.fromkeys(("sgd", "a2c"), 4),
+    "momentum": 5,
+    "upgd": 6,
+}
+"""Looks that a name has wherever it stands: what Table 6.2 is called, what it is set against, and methods."""
+
+
+def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return colour and marker of each of a study's conditions, the same in all its figures.
+
+    Of more conditions than share a panel, those that differ in crossed factors alone look alike: each has
+    a panel or row of its own there, and `tanh` is to be seen as such under every limit.
+
+    Args:
+        conditions: all of the selection's, of which a figure may show some.
+    """
+    many = len(conditions) > MOST_IN_A_PANEL
+    kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}
+    places: dict[str, int] = {}
+    for kind in kinds.values():
+        place = _OWN_PLACES.get(kind)
+        if place is not None and place not in places.values():
+            places[kind] = place
+    free = (place for place in range(len(kinds)) if place not in places.values())
+    for kind in kinds.values():
+        if kind not in places:
+            places[kind] = next(free)
+    return {
+        name: {
+            "color": COLOURS[places[kind] % len(COLOURS)],
+            "marker": MARKERS[places[kind] % len(MARKERS)],
+        }
+        for name, kind in kinds.items()
+    }
+
+
+def split_name(condition: str) -> tuple[dict[str, str], str]:
+    """Return the factors and levels in a crossed condition's name, and what else it is called.
+
+    'reward=thesis, scale=raw, relu' is relu at two levels. A level may be a list: betas=[0.9, 0.999].
+    """
+    parts = re.split(r", (?![^\[]*\])", condition)
+    levels = dict(part.split("=", 1) for part in parts if "=" in part)
+    return levels, ", ".join(part for part in parts if "=" not in part)
+
+
+def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
+    """Return what conditions are called in a figure, and what the names consist of if that is not said.
+
+    Conditions that all have the same factors go by their levels alone, if these tell them apart.
+    """
+    split = {name: split_name(name) for name in conditions}
+    short = {
+        name: ", ".join([*levels.values(), *filter(None, [own])]) for name, (levels, own) in split.items()
+    }
+    factors = {tuple(levels) for levels, _ in split.values()}
+    if len(factors) != 1 or len(next(iter(factors))) < 2 or len({*short.values()}) < len(short):
+        return {name: name for name in conditions}, ""
+    own = ["condition"] * any(own for _, own in split.values())
+    return short, ", ".join([*next(iter(factors)), *own]).replace("_", " ")
+
+
+# --- Files -------------------------------------------------------------------------------------------
 
 
 def save_figure(
-    figure: Figure, folder: Path, stem: str, formats: tuple[str, ...], dots_per_inch: float | None = None
+    figure: Figure, folder: Path, stem: str, formats: Sequence[str], dots_per_inch: float | None = None
 ) -> list[Path]:
     """Write a figure in every format; the same figure gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
+    for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
+        text.set_text(clean(text.get_text()))
     _fix_places(figure)
     paths = []
     for name in formats:
@@ -118,6 +207,11 @@ def save_figure(
         figure.savefig(path, format=name, metadata=_NO_DATES[name], dpi=dots_per_inch or "figure")
         paths.append(path)
     return paths
+
+
+def clean(text: str) -> str:
+    """Return lines of text with control characters as their codes: names may be untrusted, an SVG is XML."""
+    return "\n".join(map(plain, text.split("\n")))
 
 
 def _fix_places(figure: Figure) -> None:
@@ -132,3 +226,29 @@ def _fix_places(figure: Figure) -> None:
     figure.set_layout_engine("none")
     for axes in figure.axes:
         axes.set_position([round(float(value), 5) for value in axes.get_position().bounds])  # type: ignore[arg-type]
+
+
+_PATH = re.compile(rb'(?<= d=")[^"]+')
+_LONG_NUMBER = re.compile(rb"-?\d+\.\d{3,}")
+
+
+def shrink(path: Path) -> None:
+    """Write a picture anew, smaller without a difference that is seen; other files stay as they are.
+
+    A PNG gets a palette that covers all colours, however few dots have them: one made by their number would
+    spend itself on the greys of letters. Paths of an SVG lie on hundredths of a point.
+    """
+    if path.suffix == ".png":
+        with Image.open(path) as image:
+            dots = image.info["dpi"]
+            small = image.convert("RGB").quantize(
+                256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+            )
+        small.save(path, "PNG", optimize=True, dpi=dots)
+    elif path.suffix == ".svg":
+        drawing = path.read_bytes()
+        path.write_bytes(_PATH.sub(lambda found: _LONG_NUMBER.sub(_rounded, found[0]), drawing))
+
+
+def _rounded(number: re.Match[bytes]) -> bytes:
+    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".").encode()

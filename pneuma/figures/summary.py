@@ -1,57 +1,63 @@
 """The figure of what a study's runs came to: every run, means with intervals, profiles, improvement.
 
 It shows the share of monsters killed at the end, or the return where nobody could be killed or no
-evaluations are held. Of many crossed conditions each cell is a panel of its own, with rows alone.
+evaluations are held.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.lines import Line2D
 
-from pneuma.analysis.coverage import is_trusted
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.estimates import performance_profile
-from pneuma.analysis.intervals import LEAST_RESAMPLED
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
-from pneuma.analysis.references import have_one_return
-from pneuma.analysis.run_view import common_step
+from pneuma.analysis.references import have_one_return, shared_levels
+from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData
-from pneuma.figures.captions import absent_told, forks_told, headline_of, looks_told, step_told
-from pneuma.figures.crossed import are_crossed, row_names
-from pneuma.figures.looks import MOST_IN_A_PANEL, condition_looks
-from pneuma.figures.panel import per_cent, whole_ticks
-from pneuma.figures.sizes import SIZES, Size
-from pneuma.figures.style import house_style, save_figure
-from pneuma.figures.summary_cells import draw_cells
-from pneuma.figures.summary_rows import (
-    ROW_LINES,
-    Rows,
-    Values,
-    dense,
-    draw_interval,
+from pneuma.figures.panels import (
+    FEW_RUNS,
+    draw_players,
+    headline_of,
+    label_of,
     label_rows,
-    row_entries,
+    notes_of,
+    put_texts,
+    round_ticks,
+    set_shares,
+    stem_of,
 )
-from pneuma.figures.words import Words, wrap_label
+from pneuma.figures.style import (
+    GREY,
+    INK,
+    MOST_IN_A_PANEL,
+    SIZES,
+    Size,
+    condition_looks,
+    house_style,
+    save_figure,
+    short_names,
+)
 
 WITHOUT_EVALUATIONS = "final-return"
-LABEL_LINE = 0.7
-"""How far apart rows are for each line of their names, in parts of the usual distance."""
-LONGEST_INCHES = 7.6
-"""Of the rows: with what is said around them a figure still fits a page."""
-LABEL_CHARACTERS = 32
-"""Of a line of a condition's name at most, so that it leaves room for the panels."""
-MOST_ROWS = 24
-"""Conditions up to which crossed ones, too, are rows one below the other."""
+ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
+"""Heights of a condition's row, usual and least, and of all rows, with which a figure fits a page."""
+DOT_SHARE = 0.012
+"""How wide a run's dot is, in parts of all values: those that are nearer lie side by side."""
+ABOVE = 0.2
+"""How far above its condition's row a mean lies, and below it an interquartile mean, in rows."""
+
+Values = Mapping[str, np.ndarray]
+"""What the runs of each condition came to, (runs,)."""
 
 
 def draw_summary(
@@ -64,22 +70,19 @@ def draw_summary(
         folder: where to write.
         formats: of `FIGURE_FORMATS`.
         size: one of `SIZES`.
-
-    Raises:
-        UserError: for more than a slide has room for.
     """
-    how = SIZES[size]
-    outcome = shown_outcome(data)
+    how, outcome = SIZES[size], shown_outcome(data)
     table = summary_table(data, [outcome])
-    own = table[table["outcome"] == outcome]
+    table = table[table["outcome"] == outcome]
+    values = {name: _known(data, name, outcome) for name in data.conditions if data.of_condition(name)}
     with house_style(how.type_points):
-        figure = _figure(data, outcome, own, how)
+        figure = _draw(data, outcome, values, table, how)
         return save_figure(figure, folder, summary_stem(data, size), formats, how.dots_per_inch)
 
 
 def summary_stem(data: StudyData, size: str) -> str:
     """Return the name of a summary's files."""
-    return "-".join([data.figure, "summary", *([] if size == "page" else [size])])
+    return stem_of(data, "summary", *([] if size == "page" else [size]))
 
 
 def shown_outcome(data: StudyData) -> str:
@@ -87,138 +90,159 @@ def shown_outcome(data: StudyData) -> str:
     return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
 
 
-def _figure(data: StudyData, outcome: str, table: pd.DataFrame, size: Size) -> Figure:
-    values = {name: _known(data, name, outcome) for name in data.conditions if data.of_condition(name)}
-    rows = Rows(data, outcome, values, table)
-    if len(values) > MOST_ROWS and are_crossed(list(values)):
-        words = _words(data, outcome, values, table[table["statistic"] != "improvement"])
-        return draw_cells(rows, size, words)
-    figure = Figure(figsize=(size.width, size.height or size.width), layout="constrained")
-    labels, told = _labels(values, size)
-    usual = ROW_LINES * size.line_inches
-    lines = max(label.count("\n") + 1 for label in labels)
-    wanted = usual * max(1, LABEL_LINE * lines)
-    pitch = min(wanted, LONGEST_INCHES / len(values))
-    rows_inches = pitch * len(values) + 0.75
-    improved = table[table["statistic"] == "improvement"]
-    profiled = len(values) <= MOST_IN_A_PANEL
-    panels = [
-        rows_inches,
-        *([rows_inches] if len(improved) else []),
-        *([size.panel_height] if profiled else []),
-    ]
-    stacked = size.columns == 1
-    places = figure.subplots(
-        len(panels) if stacked else 1,
-        1 if stacked else len(panels),
-        squeeze=False,
-        height_ratios=panels if stacked else None,
-    ).ravel()
-    with dense(pitch / wanted):
-        _draw_runs(places[0], rows, labels)
-        if len(improved):
-            _draw_improvement(places[1], data, list(values), improved, labels if stacked else ())
-    if profiled:
-        _draw_profiles(places[-1], rows)
-    words = _words(data, outcome, values, table)
-    words = replace(words, caption=[*words.caption, *filter(None, [told])])
-    low, high = words.put(figure, size, sum(panels) if stacked else max(panels), row_entries(places[0]))
-    size.check_room(1 + len(values) // 3, high - low)
-    return figure
-
-
-def _labels(values: Values, size: Size) -> tuple[list[str], str]:
-    """Return every condition's words beside its row, and what these are if that is not said."""
-    characters = min(LABEL_CHARACTERS, size.characters(size.type_points) // 3)
-    names, told = row_names(list(values), characters)
-    counted = (f"{name} (n = {len(runs)})" for name, runs in zip(names, values.values(), strict=True))
-    return ["\n".join(wrap_label(label, characters)) for label in counted], told
-
-
-def _words(data: StudyData, outcome: str, values: Values, table: pd.DataFrame) -> Words:
-    return Words(headline_of(data, "at the end of training"), "", _caption(data, outcome, values, table))
-
-
 def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
     values = outcome_values(data, condition, outcome, common_step(data))
     return values[np.isfinite(values)]
 
 
-def _draw_runs(axes: Axes, rows: Rows, labels: Sequence[str]) -> None:
-    rows.draw(axes, {name: place for place, name in enumerate(rows.values)})
-    label_rows(axes, labels)
-    axes.set(title="Every run", xlabel=rows.label)
-    rows.set_axis(axes)
+def _draw(data: StudyData, outcome: str, values: Values, table: pd.DataFrame, size: Size) -> Figure:
+    """Draw the panels side by side, or one below the other in one column of a page."""
+    pitch = min(max(LONGEST_INCHES / len(values), LEAST_ROW_INCHES), ROW_INCHES)
+    several = [name for name, runs in values.items() if len(runs) >= FEW_RUNS]
+    improved = table[(table["statistic"] == "improvement") & table["condition"].isin(several)]
+    profiled = len(values) <= MOST_IN_A_PANEL
+    rows = pitch * len(values) + 0.7
+    heights = [rows, *[rows] * bool(len(improved)), *[size.panel_height] * profiled]
+    stacked = size.columns == 1
+    figure = Figure(layout="constrained")
+    grid = (len(heights), 1) if stacked else (1, len(heights))
+    panels = figure.subplots(
+        *grid, squeeze=False, height_ratios=heights if stacked else None,
+        width_ratios=None if stacked else [1.25, *[1] * (len(heights) - 1)],
+    ).ravel()  # fmt: skip
+    names, parts = short_names(list(values))
+    labels = [label_of(data, name, names[name]) for name in values]
+    mark = 0.5 * size.type_points * min(1, pitch / ROW_INCHES)
+    with mpl.rc_context({"lines.markersize": mark}):
+        _draw_rows(panels[0], data, outcome, values, table)
+        label_rows(panels[0], labels, pitch)
+        if len(improved):
+            _draw_improvement(panels[1], data, list(values), improved)
+            label_rows(panels[1], labels if stacked else [""] * len(values), pitch)
+        entries = _entries(panels[0], table)
+    if profiled:
+        _draw_profiles(panels[-1], data, outcome, values)
+    caption = [*notes_of(data), *_caption(data, outcome, values, len(improved) > 0)]
+    caption.append(parts and f"Rows: {parts}.")
+    headline = headline_of(data, "at the end of training")
+    put_texts(figure, size, sum(heights) if stacked else max(heights), headline, entries, caption)
+    return figure
 
 
-def _draw_improvement(
-    axes: Axes, data: StudyData, shown: Sequence[str], table: pd.DataFrame, labels: Sequence[str]
-) -> None:
+def _draw_rows(axes: Axes, data: StudyData, outcome: str, values: Values, table: pd.DataFrame) -> None:
+    """Draw every run of a condition as a dot in its row, and its means with their intervals."""
+    reach = float(np.ptp(np.concatenate([*values.values(), [0.0]])))
     looks = condition_looks(data.conditions)
-    for one in table.itertuples():
-        sure = np.isfinite(float(one.low))  # type: ignore[arg-type]
-        face = looks[str(one.condition)]["color"] if sure else "white"
-        draw_interval(axes, one, shown.index(str(one.condition)), "o", face)
-    axes.axvline(0.5, color="#666666", linewidth=0.9, zorder=1.2)
-    if (baseline := data.record["baseline"]) in shown:
-        place = (0.5, shown.index(baseline))
-        axes.annotate(
-            "baseline", place, (4, 0), textcoords="offset points", size="small", color="#666666", va="center"
-        )
+    for place, (condition, runs) in enumerate(values.items()):
+        colour = looks[condition]["color"]
+        (dots,) = axes.plot(
+            runs, place + _beside(runs, reach), "o", color=colour, markersize=0.6 * _mark(),
+            markeredgewidth=0, alpha=0.7 if len(runs) < 20 else 0.4, clip_on=False, zorder=2.6,
+        )  # fmt: skip
+        dots.set_in_layout(False)  # there may be none
+        enough = len(runs) >= FEW_RUNS
+        for row in table[table["condition"] == condition].to_dict("records"):
+            if row["statistic"] == "mean" and len(runs) > 1:
+                _draw_interval(axes, row, place - ABOVE, "D", colour, enough)
+            elif row["statistic"] == "iqm" and enough:
+                _draw_interval(axes, row, place + ABOVE, "s", "white")
+    if outcome == PRIMARY:
+        draw_players(axes, shared_levels(data, "share_killed"), reach, upright=True)
+    axes.set(title="Every run", xlabel=_label(outcome))
+    axes.xaxis.set_major_locator(round_ticks(4))
+    if _are_shares(outcome):
+        axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
+        set_shares(axes, upright=False)
+
+
+def _draw_interval(
+    axes: Axes, row: Mapping[Any, Any], place: float, marker: str, face: str, interval: bool = True
+) -> None:
+    """Draw a row of the summary's table: its value in its interval."""
+    if interval:
+        axes.plot([row["low"], row["high"]], [place, place], color=INK, linewidth=0.25 * _mark())
+    look: Any = {"color": INK, "markerfacecolor": face, "markeredgewidth": 0.8, "markersize": _mark()}
+    (mark,) = axes.plot(row["value"], place, marker, clip_on=False, zorder=2.7, **look)
+    mark.set_in_layout(False)  # it may be of no value
+
+
+def _draw_improvement(axes: Axes, data: StudyData, shown: Sequence[str], table: pd.DataFrame) -> None:
+    looks = condition_looks(data.conditions)
+    for row in table.to_dict("records"):
+        colour = looks[row["condition"]]["color"]
+        _draw_interval(axes, row, shown.index(row["condition"]), "o", colour)
+    axes.axvline(0.5, color=GREY, linewidth=0.9, zorder=1.2)
     axes.set(xlim=(0, 1), title="Against the baseline", xlabel="Probability of being better")
-    label_rows(axes, labels or [""] * len(shown))
+    axes.xaxis.set_major_locator(round_ticks(4))
 
 
-def _draw_profiles(axes: Axes, rows: Rows) -> None:
+def _draw_profiles(axes: Axes, data: StudyData, outcome: str, values: Values) -> None:
     """Draw the share of runs above every level: whoever's line is higher is better at that level."""
-    pooled = np.concatenate(list(rows.values.values()))
-    if not len(pooled):
-        return
-    levels = np.linspace(0 if rows.are_shares else pooled.min(), pooled.max(), 201)
-    looks = condition_looks(rows.data.conditions)
-    for condition, runs in rows.values.items():
+    pooled = np.concatenate(list(values.values()))
+    looks = condition_looks(data.conditions)
+    levels = np.linspace(min(0, *pooled) if len(pooled) else 0, max(pooled, default=1), 201)
+    for condition, runs in values.items():
         if len(runs):
-            look = {**looks[condition], "marker": ""}
-            axes.step(levels, performance_profile(runs, levels), where="post", **look)
-    axes.set(title="Runs above a level", xlabel=rows.label)
-    axes.set(ylabel="Share of runs", ylim=(0, 1.02))
-    axes.xaxis.set_major_locator(whole_ticks(4))
-    axes.yaxis.set_major_formatter(FuncFormatter(per_cent))
-    if rows.are_shares:
-        axes.xaxis.set_major_formatter(FuncFormatter(per_cent))
+            profile = performance_profile(runs, levels)
+            axes.step(levels, profile, where="post", color=looks[condition]["color"])
+    axes.set(title="Runs above a level", xlabel=_label(outcome), ylabel="Share of runs", ylim=(0, 1.02))
+    axes.xaxis.set_major_locator(round_ticks(4))
+    set_shares(axes)
+    if _are_shares(outcome):
+        set_shares(axes, upright=False)
 
 
-def _caption(data: StudyData, outcome: str, values: Values, table: pd.DataFrame) -> list[str]:
-    known_outcome = find_outcome(outcome)
-    shown = known_outcome.words
-    words = [f"{', '.join(data.environments)}. {shown[:1].upper()}{shown[1:]}."]
-    words += [*forks_told(data), *looks_told(data)]
-    if len(values) <= MOST_IN_A_PANEL:
-        words.append("Runs above a level: in the colours of the rows.")
-    words += step_told(data)
-    improved = table[table["statistic"] == "improvement"]
-    if len(improved):
-        resampled = min(len(known) for known in values.values()) >= LEAST_RESAMPLED
-        why = ": no resample differs" if resampled else ""
-        hollow = f"; hollow where there is none{why}" if improved["low"].isna().any() else ""
-        words.append(
-            "Against the baseline: the probability that a run is better than one of "
-            f"{data.record['baseline']}, a tie being half of it, with 95 % intervals (bootstrap){hollow}."
-        )
-    words += absent_told(data)
+def _beside(values: np.ndarray, reach: float) -> np.ndarray:
+    """Return how far from their row's middle the dots of (runs,) lie: those that are alike, apart."""
+    beside = np.zeros(len(values))
+    near = np.round(values / (DOT_SHARE * reach or 1.0))
+    for place in np.unique(near):
+        alike = np.flatnonzero(near == place)
+        step = min(0.09, 0.6 / len(alike))
+        beside[alike] = step * (np.arange(len(alike)) - (len(alike) - 1) / 2)
+    return beside
+
+
+def _mark() -> float:
+    return float(mpl.rcParams["lines.markersize"])
+
+
+def _are_shares(outcome: str) -> bool:
+    return find_outcome(outcome).bounds == (0.0, 1.0)
+
+
+def _label(outcome: str) -> str:
+    return "Share killed" if _are_shares(outcome) else "Return of an episode"
+
+
+def _entries(axes: Axes, table: pd.DataFrame) -> dict[str, Any]:
+    """Return what the legend says of a row's marks, and of the players' levels."""
+    run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
+    iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}
+    entries = {"a run": Line2D([], [], **run)}
+    entries["mean, 95 % interval"] = Line2D([], [], color=INK, marker="D", markersize=4)
+    if (table["statistic"].eq("iqm") & table["runs"].ge(FEW_RUNS)).any():
+        entries["interquartile mean, 95 % interval"] = Line2D([], [], **iqm)
+    handles, labels = axes.get_legend_handles_labels()
+    return {**entries, **dict(zip(labels, handles, strict=True))}
+
+
+def _caption(data: StudyData, outcome: str, values: Values, improved: bool) -> list[str]:
+    """Return what to mind in this summary: sentences, the gravest first."""
+    words = find_outcome(outcome).words
+    told = [f"{words[:1].upper()}{words[1:]}."]
+    if is_return(outcome) and not have_one_return(data):
+        told.append("Returns of unlike rewards, or of more players, cannot be compared.")
+    if step := common_step(data):
+        told.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
     for name, known in values.items():
         total = len(data.of_condition(name))
         if len(known) < total:
-            words.append(
-                f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere here."
-            )
-    if known_outcome.bounds == (0.0, 1.0) and (table["low"] < 0).any():
-        words.append("Intervals are cut off below 0 %.")
-    counts = [len(known) for known in values.values()]
-    if is_return(outcome) and not have_one_return(data):
-        words.append("Returns of unlike rewards, or of more players, cannot be compared.")
-    if any(0 < count < LEAST_RESAMPLED for count in counts):
-        words.append("Of fewer than three runs there is no bootstrap interval, of one none at all.")
-    if any(count >= LEAST_RESAMPLED and not is_trusted("bootstrap", count) for count in counts):
-        words.append("With so few runs bootstrap intervals cover less often than in 95 % of cases.")
-    return words
+            told.append(f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere.")
+    if any(len(known) < FEW_RUNS for known in values.values()):
+        told.append(f"Of fewer than {FEW_RUNS} runs there is no interval.")
+    if any(len(known) >= FEW_RUNS for known in values.values()):
+        told.append("Intervals: Student's t for means, else bootstrap.")
+    if improved:
+        told.append(f"The baseline is {data.record['baseline']}; a tie counts half.")
+    return told

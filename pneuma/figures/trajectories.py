@@ -17,10 +17,8 @@ from pneuma.analysis.trajectories import ENDINGS, KEPT_EPISODES, StudyTrajectori
 from pneuma.env.render import Renderer
 from pneuma.env.watch import level_worlds
 from pneuma.errors import UserError
-from pneuma.figures.captions import headline_of
-from pneuma.figures.sizes import SIZES
-from pneuma.figures.style import COLOURS, house_style, save_figure
-from pneuma.figures.words import Words
+from pneuma.figures.panels import headline_of, put_texts, runs_told
+from pneuma.figures.style import COLOURS, SIZES, house_style, save_figure
 
 SHIPPED_LEVEL = "thesis"
 """The one whose map is known without opening files that a stranger may have named."""
@@ -30,33 +28,25 @@ BARE_MARGIN = 0.03
 """What is left around lines without a map, in parts of their extent, for the marks at their ends."""
 VEIL = 0.55
 """How much of the map's colours is taken away, so that lines stand out."""
-
 STEEPEST = 4.0
 """How high a panel is at most, as a multiple of its width."""
-
+WORDS_INCHES = 0.6
+"""Of a panel, above and below its map."""
 SIZE = SIZES["page"]
 SMALL = 0.85 * SIZE.type_points
 """Type below a panel."""
-WORDS_INCHES = 0.6
-"""Of a panel, above and below its map."""
 
 LOOKS: dict[str, dict[str, Any]] = {
-    "killed": {"color": COLOURS[1], "linestyle": "-", "marker": "x"},
-    "drowned": {"color": COLOURS[0], "linestyle": "-", "marker": "o"},
-    "cleared": {"color": COLOURS[2], "linestyle": "-", "marker": "*"},
-    "time-limit": {"color": COLOURS[3], "linestyle": "-", "marker": "s"},
+    "killed": {"color": COLOURS[1], "marker": "x", "label": "die of bites"},
+    "drowned": {"color": COLOURS[0], "marker": "o", "label": "drown"},
+    "cleared": {"color": COLOURS[2], "marker": "*", "label": "kill every monster"},
+    "time-limit": {"color": COLOURS[3], "marker": "s", "label": "run out of time"},
 }
 START: dict[str, Any] = {
     "marker": "o",
     "markerfacecolor": "white",
     "markeredgecolor": "black",
-    "markeredgewidth": 0.5,
-}
-WORDS = {
-    "killed": "die of bites",
-    "drowned": "drown",
-    "cleared": "kill every monster",
-    "time-limit": "run out of time",
+    "linestyle": "",
 }
 
 
@@ -85,32 +75,25 @@ def draw_trajectories(
     """
     if not found.level:
         raise UserError(f"study {data.study}: its runs play on several levels; no one map shows them")
-    table = endings(found)
-    conditions = found.conditions
-    columns = _columns(len(conditions))
+    table, conditions = endings(found), found.conditions
+    columns = min(len(conditions), 3)
     rows = -(-len(conditions) // columns)
-    words = Words(headline_of(data, "where the policies go"), "", _caption(found))
     with house_style(SIZE.type_points):
         figure = Figure(layout="constrained")
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         backdrop = _Backdrop(found, drawer)
         for axes, condition in zip(panels, conditions, strict=False):
-            own = found.episodes[found.episodes["condition"] == condition]
             backdrop.put(axes)
-            _draw_episodes(axes, own)
-            axes.set_title(condition)
+            _draw_episodes(axes, found.episodes[found.episodes["condition"] == condition])
             told = _told(table[table["condition"] == condition], SIZE.characters(SMALL) // columns)
+            axes.set_title(condition)
             axes.set_xlabel(told, fontsize=SMALL)
         for axes in panels[len(conditions) :]:
-            axes.axis("off")
-        panel_inches = SIZE.width / columns * backdrop.height_by_width + WORDS_INCHES
-        words.put(figure, SIZE, rows * panel_inches, _entries(found))
+            axes.remove()
+        inches = rows * (SIZE.width / columns * backdrop.height_by_width + WORDS_INCHES)
+        headline = headline_of(data, "where the policies go")
+        put_texts(figure, SIZE, inches, headline, _entries(found), [_caption(found)])
         return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
-
-
-def _columns(panels: int) -> int:
-    """Return 3, or 2 where that leaves fewer holes."""
-    return min(panels, min((3, 2), key=lambda columns: -panels % columns))
 
 
 class _Backdrop:
@@ -153,20 +136,16 @@ def _draw_episodes(axes: Axes, own: pd.DataFrame) -> None:
     for row in own[own["x"].map(len) > 0].to_dict("records"):
         look = LOOKS[row["ending"]]
         axes.plot(row["x"], row["y"], color=look["color"], linewidth=0.6, alpha=0.55)
-        axes.plot(row["x"][0], row["y"][0], **START, markersize=2.2, zorder=2.5)
-        axes.plot(
-            row["x"][-1], row["y"][-1], marker=look["marker"], color=look["color"], markersize=2.6, zorder=3
-        )
+        axes.plot(row["x"][0], row["y"][0], **START, markersize=2.2, markeredgewidth=0.5, zorder=2.5)
+        end = row["x"][-1], row["y"][-1]
+        axes.plot(*end, marker=look["marker"], color=look["color"], markersize=2.6, zorder=3)
 
 
 def _entries(found: StudyTrajectories) -> dict[str, Line2D]:
     """Return the legend: where ways begin, and the endings that there are."""
-    drawn = found.episodes["x"].map(len) > 0
-    seen = set(found.episodes["ending"][drawn])
-    return {"begin": Line2D([], [], markersize=4, linestyle="", **START)} | {
-        WORDS[ending]: Line2D([], [], markersize=4, linewidth=1.2, **LOOKS[ending])
-        for ending in ENDINGS
-        if ending in seen
+    seen = set(found.episodes["ending"][found.episodes["x"].map(len) > 0])
+    return {"begin": Line2D([], [], markersize=4, **START)} | {
+        LOOKS[name]["label"]: Line2D([], [], markersize=4, **LOOKS[name]) for name in ENDINGS if name in seen
     }
 
 
@@ -178,7 +157,7 @@ def _told(table: pd.DataFrame, room: int) -> str:
         room: characters that a line has.
     """
     means = dict(zip(table["outcome"], table["value"], strict=True))
-    shares = [f"{share_told(means[name])} {WORDS[name]}" for name in ENDINGS if means.get(name)]
+    shares = [f"{share_told(means[name])} {LOOKS[name]['label']}" for name in ENDINGS if means.get(name)]
     an_episode = f"{means['steps']:,.0f} steps an episode, {means['kills']:.2g} monsters killed"
     return "\n".join([*textwrap.wrap(", ".join(shares), room), an_episode])
 
@@ -190,12 +169,10 @@ def share_told(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _caption(found: StudyTrajectories) -> list[str]:
-    runs = found.episodes.groupby("condition", sort=False)["run_id"].nunique()
-    counts = sorted(set(runs))
-    of = f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} run{'s' * (counts[0] > 1)}"
-    return [
-        f"{of} a condition, by their policies at the end of training, which draw their actions.",
-        f"Lines: {min(KEPT_EPISODES, found.per_run)} episodes of each run; marks: where they end.",
-        f"Numbers: means over runs of {found.per_run} episodes each.",
-    ]
+def _caption(found: StudyTrajectories) -> str:
+    runs = runs_told(found.episodes.groupby("condition")["run_id"].nunique())
+    lines = min(KEPT_EPISODES, found.per_run)
+    return (
+        f"Policies at the end of training, which draw their actions; runs of a condition: {runs}. Lines: "
+        f"{lines} episodes of each run. Numbers: means over runs of {found.per_run} episodes each."
+    )

@@ -22,7 +22,7 @@ from pneuma.analysis.tables import StudyData
 from pneuma.cli import study_crossed
 from pneuma.errors import UserError
 from pneuma.figures.collapse import draw_collapse
-from pneuma.figures.robustness import draw_robustness
+from pneuma.figures.maps import draw_robustness
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study

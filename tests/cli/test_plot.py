@@ -31,10 +31,7 @@ def results(tmp_path: Path) -> Path:
             store.save_run(run_id, Status("done", 1000), _records(seed))
     about = {"study": "mine", "path": None, "title": "Mine", "figure": "fig-mine", "baseline": "tanh"}
     selection: dict[str, Any] = {
-        "preset": None,
-        "seeds": None,
-        "steps": None,
-        "engine": None,
+        **dict.fromkeys(("preset", "seeds", "steps", "engine")),
         "conditions": [],
         "settings": {},
     }
@@ -57,44 +54,40 @@ def _records(seed: int) -> dict[str, bytes]:
     }
 
 
+def _plot(results: Path, *words: str) -> tuple[int, str, str]:
+    return call("study", "plot", *words, "--format", "svg", "--results", results)
+
+
 def _index(folder: Path) -> dict[str, dict[str, Any]]:
     document = json.loads((folder / "index.json").read_text(encoding="utf-8"))
     assert document["schema"] == 1
     return {entry["file"]: entry for entry in document["figures"]}
 
 
-def test_the_index_leads_from_a_figure_to_its_runs_and_looks(results: Path) -> None:
-    code, out, _ = call("study", "plot", "mine", "--band", "minmax", "--results", results)
-    assert code == 0 and "fig-mine-minmax.png" in out and "index.json" not in out
-    index = _index(results / "figures")
-    assert list(index) == ["fig-mine-minmax.png", "fig-mine-minmax.svg"]
-    entry = index["fig-mine-minmax.png"]
-    drawn = (results / "figures" / "fig-mine-minmax.png").read_bytes()
-    assert entry["sha256"] == hashlib.sha256(drawn).hexdigest()
-    assert (entry["from"], entry["runs"], entry["n"]) == ("study mine", IDS, {"tanh": 2, "relu": 1})
-    assert (entry["environments"], entry["engines"]) == (["pneuma/Pneuma-v0"], ["sb3"])
-    looks = (entry["band"], entry["window"], entry["layout"], entry["size"], entry["quantities"])
-    assert looks == ("minmax", "budget-5%", "pneuma", "page", ["share_killed", "return"])
-
-
 @pytest.mark.parametrize(
-    "options",
+    ("options", "name"),
     [
-        ("--quantity", "entropy", "--quantity", "actions", "--format", "svg"),
-        ("--figure", "summary", "--size", "column", "--format", "svg"),
-        ("--layout", "thesis", "--size", "column", "--condition", "tanh", "--seeds", "1", "--format", "svg"),
+        (("--quantity", "actions", "--band", "minmax"), None),
+        (("--figure", "summary", "--size", "column"), "fig-mine-summary-column.svg"),
+        (("--layout", "thesis", "--condition", "tanh", "--seeds", "1"), "fig-mine-thesis.svg"),
+        (("--window", "trailing-100", "--band", "ci"), "fig-mine-trailing-100.svg"),
     ],
 )
-def test_the_command_of_the_index_draws_the_same_bytes(
-    results: Path, tmp_path: Path, options: tuple[str, ...]
+def test_the_index_tells_runs_and_a_command_that_draws_the_same_bytes(
+    results: Path, tmp_path: Path, options: tuple[str, ...], name: str | None
 ) -> None:
-    assert call("study", "plot", "mine", *options, "--results", results)[0] == 0
-    ((name, entry),) = _index(results / "figures").items()
+    assert _plot(results, "mine", *options)[0] == 0
+    ((file, entry),) = _index(results / "figures").items()
+    assert name in (None, file)
+    drawn = (results / "figures" / file).read_bytes()
+    assert entry["sha256"] == hashlib.sha256(drawn).hexdigest()
+    assert entry["from"] == "study mine" and entry["runs"]["tanh"][0] == IDS["tanh"][0]
+    assert (entry["environments"], entry["engines"]) == (["pneuma/Pneuma-v0"], ["sb3"])
     command, *again = shlex.split(entry["command"])
     assert command == "pneuma"
     assert call(*again, "--results", results, "--out", tmp_path / "again")[0] == 0
-    assert {path.name for path in (tmp_path / "again").iterdir()} == {name, "index.json"}
-    assert (tmp_path / "again" / name).read_bytes() == (results / "figures" / name).read_bytes()
+    assert {path.name for path in (tmp_path / "again").iterdir()} == {file, "index.json"}
+    assert (tmp_path / "again" / file).read_bytes() == drawn
 
 
 def test_the_index_keeps_what_other_calls_drew_and_drops_what_is_gone(results: Path) -> None:
@@ -105,45 +98,25 @@ def test_the_index_keeps_what_other_calls_drew_and_drops_what_is_gone(results: P
     assert list(_index(results / "figures")) == ["fig-mine-thesis.png", "fig-mine-thesis.svg", "fig-mine.svg"]
 
 
-@pytest.mark.parametrize(
-    ("options", "stem"),
-    [
-        ((), "fig-mine"),
-        (("--band", "ci", "--window", "budget-5%"), "fig-mine"),
-        (("--window", "trailing-100"), "fig-mine-trailing-100"),
-        (("--layout", "thesis"), "fig-mine-thesis"),
-        (("--layout", "thesis", "--band", "ci", "--window", "budget-5%"), "fig-mine-thesis-ci-budget-5"),
-        (("--quantity", "entropy", "--size", "column", "--band", "runs"), "fig-mine-entropy-column-runs"),
-    ],
-)
-def test_a_files_name_tells_in_what_it_differs_from_the_usual(
-    results: Path, options: tuple[str, ...], stem: str
-) -> None:
-    assert call("study", "plot", "mine", *options, "--format", "svg", "--results", results)[0] == 0
-    assert list(_index(results / "figures")) == [f"{stem}.svg"]
-
-
-@pytest.mark.parametrize("there", ["[]", "not JSON", '{"figures": [{"file": 3}]}', '{"schema": 1}'])
-def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path, there: str) -> None:
+def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path) -> None:
     out = tmp_path / "site"
     out.mkdir()
-    (out / "index.json").write_text(there, encoding="utf-8")
-    code, _, said = call("study", "plot", "mine", "--out", out, "--results", results)
-    assert code == 2 and "is no index of figures" in said
-    assert [path.name for path in out.iterdir()] == ["index.json"]
-    assert (out / "index.json").read_text(encoding="utf-8") == there
+    for there in ("[]", "not JSON", '{"figures": [{"file": 3}]}'):
+        (out / "index.json").write_text(there, encoding="utf-8")
+        code, _, said = call("study", "plot", "mine", "--out", out, "--results", results)
+        assert code == 2 and "is no index of figures" in said
+        assert [path.name for path in out.iterdir()] == ["index.json"]
+        assert (out / "index.json").read_text(encoding="utf-8") == there
 
 
 @pytest.mark.parametrize(
     ("options", "told"),
     [
         (("--band", "min-max"), "--band min-max: unknown value 'min-max' (did you mean minmax?)"),
-        (("--size", "pagee"), "--size pagee: unknown value 'pagee' (did you mean page?)"),
-        (("--layout", "tesis"), "--layout tesis: unknown value 'tesis' (did you mean thesis?)"),
         (("--quantity", "entropi"), "--quantity entropi: unknown value 'entropi' (did you mean entropy?)"),
         (("--figure", "summary", "--band", "ci"), "--band: is of --figure curves"),
-        (("--figure", "summery"), "--figure summery: unknown value 'summery' (did you mean summary?)"),
-        (("--quantity", "all", "--size", "slide"), "rows of panels do not fit a height of 5.625 inches"),
+        (("--quantity", "all", "--size", "slide"), "panels do not fit a height of 5.625 inches"),
+        (("nosuch",), "unknown study 'nosuch'"),
     ],
 )
 def test_what_cannot_be_drawn_is_told_and_nothing_written(
@@ -157,72 +130,45 @@ def test_what_cannot_be_drawn_is_told_and_nothing_written(
 def test_of_all_studies_those_are_drawn_that_can_be(results: Path) -> None:
     """One without what is asked for hinders no other, unless it is named, or none is left."""
     store = Store(results)
-    mine = store.selection("mine")
-    assert mine is not None
+    mine = store.selection("mine") or {}
     records = {name: file for name, file in _records(0).items() if name != "metrics.parquet"}
     store.save_run("c" * 16, Status("done", 1000), records)
     run = {**mine["runs"][0], "run_id": "c" * 16}
     store.save_selection("bare", {**mine, "study": "bare", "figure": "fig-bare", "runs": [run]})
-    entropy = ("study", "plot", "--quantity", "entropy", "--format", "svg", "--results", results)
-    code, out, said = call(*entropy)
+    code, out, said = _plot(results, "--quantity", "entropy")
     assert code == 0 and "fig-mine" in out and "fig-bare" not in out
     assert said.startswith("Note: ") and "c" * 16 in said and said.count("\n") == 1
-    assert call(*entropy[:2], "bare", *entropy[2:])[0] == 2
+    assert _plot(results, "bare", "--quantity", "entropy")[0] == 2
     store.selection_path("mine").unlink()
-    assert call(*entropy)[0] == 2
+    assert _plot(results, "--quantity", "entropy")[0] == 2
 
 
-def add_study(store: Store, name: str, figure: str) -> None:
-    """Record a study of the same runs as 'mine'."""
-    mine = store.selection("mine")
-    assert mine is not None
-    store.save_selection(name, {**mine, "study": name, "figure": figure})
-
-
-def owners(results: Path) -> dict[str, str]:
+def _owners(results: Path) -> dict[str, str]:
     return {file: entry["from"].split()[1] for file, entry in _index(results / "figures").items()}
 
 
-@pytest.mark.parametrize(
-    "calls", [["mine", "other", "mine"], ["mine other"], ["mine other", "other", "mine"]]
-)
-def test_no_study_takes_the_files_of_anothers_figure(results: Path, calls: list[str]) -> None:
+def test_no_study_and_no_variant_takes_the_file_of_anothers_figure(results: Path) -> None:
     """Whoever drew first keeps the name, drawn with others or alone."""
-    add_study(Store(results), "other", "fig-mine")
-    for names in calls:
-        assert call("study", "plot", *names.split(), "--format", "svg", "--results", results)[0] == 0
-    assert owners(results) == {"fig-mine.svg": "mine", "fig-mine-other.svg": "other"}
-    (results / "figures" / "fig-mine.svg").unlink()
-    assert call("study", "plot", "other", "--format", "svg", "--results", results)[0] == 0
-    assert owners(results) == {"fig-mine.svg": "other", "fig-mine-other.svg": "other"}
-
-
-def test_a_name_may_be_taken_by_what_ends_it(results: Path) -> None:
-    """An added study's name, a quantity or a kind of figure: each name here is another study's whole one."""
     store = Store(results)
-    add_study(store, "other", "fig-mine")
-    for figure in ("fig-mine-other", "fig-mine-entropy", "fig-mine-summary"):
-        add_study(store, figure[4:], figure)
-    options = {"other": (), "mine": ("--quantity", "entropy"), "mine ": ("--figure", "summary")}
-    call("study", "plot", "--format", "svg", "--results", results)
-    for name, more in options.items():
-        assert call("study", "plot", name.strip(), *more, "--format", "svg", "--results", results)[0] == 0
-    assert owners(results) == {
-        "fig-mine.svg": "mine",
-        "fig-mine-other.svg": "mine-other",
-        "fig-mine-entropy.svg": "mine-entropy",
-        "fig-mine-summary.svg": "mine-summary",
-        "fig-mine-other-other.svg": "other",
-        "fig-mine-mine-entropy.svg": "mine",
-        "fig-mine-mine-summary.svg": "mine",
+    mine = store.selection("mine") or {}
+    for name, figure in (("other", "fig-mine"), ("entropy", "fig-mine-entropy")):
+        store.save_selection(name, {**mine, "study": name, "figure": figure})
+    for words in (["mine", "other"], ["other", "mine"], ["entropy"], ["mine", "--quantity", "entropy"]):
+        assert _plot(results, *words)[0] == 0
+    named = {"fig-mine.svg": "mine", "fig-mine-other.svg": "other", "fig-mine-entropy.svg": "entropy"}
+    assert _owners(results) == {**named, "fig-mine-mine-entropy.svg": "mine"}
+    changed = {**mine["selection"], "settings": {"learning_rate": 0.001}}
+    store.save_selection("mine", {**mine, "selection": changed})
+    before = (results / "figures" / "fig-mine.svg").read_bytes()
+    assert _plot(results, "mine")[0] == 0
+    assert (results / "figures" / "fig-mine.svg").read_bytes() == before
+    assert _index(results / "figures")["fig-mine-learning_rate=0.001.svg"]["changed"] == {
+        "learning_rate": 0.001
     }
 
 
 def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:
-    for command in (
-        ("search", "plot", "nosuch"),
-        ("study", "collapse", "nosuch"),
-        ("study", "plot", "nosuch"),
-    ):
-        code, _, err = call(*command, "--out", tmp_path / "new" / "deep", "--results", tmp_path / "results")
+    for command in (("search", "plot"), ("study", "collapse"), ("study", "plot")):
+        out = ("--out", tmp_path / "new" / "deep", "--results", tmp_path / "results")
+        code, _, err = call(*command, "nosuch", *out)
         assert code == 2 and err and not (tmp_path / "new").exists(), command

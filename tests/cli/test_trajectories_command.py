@@ -56,6 +56,9 @@ def test_it_says_how_the_episodes_of_each_condition_end(trained: Path) -> None:
 
 def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(trained: Path, tmp_path: Path) -> None:
     results = shutil.copytree(trained, tmp_path / "results")
+    store = Store(results)  # a published table does not say what a variant changed
+    record = store.selection("activation-godot") or {}
+    store.save_selection("activation-godot", {**record, "selection": {**record["selection"], "settings": {}}})
     printed("study", "publish", *GODOT, "--results", str(results))
     ours = told_of(*GODOT, "--episodes", "2", "--publish", "--out", tmp_path / "ours", "--results", results)
     clone = tmp_path / "clone"
@@ -65,6 +68,7 @@ def test_it_draws_the_same_figure_from_policies_and_in_a_fresh_clone(trained: Pa
     assert ours["endings"] == theirs["endings"]
     name = "fig-6-5-godot-trajectories.png"
     assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
+    store.save_selection("activation-godot", record)
     alone = told_of(*GODOT, "--condition", "relu", "--results", clone)
     assert {row["condition"] for row in alone["endings"]} == {"relu"}
     assert (alone["source"], alone["steps"]) == ("the published table", 256)
@@ -100,10 +104,7 @@ def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path) -> None
     line = refused("study", "trajectories", *told)
     assert f"would read the level {level}; if you trust where it is from, give --trust" in line
     document = told_of(*told, "--trust", "--episodes", "1", "--out", tmp_path / "figures")
-    assert [Path(file).name for file in document["files"]] == [
-        "fig-6-5-trajectories.png",
-        "fig-6-5-trajectories.svg",
-    ]
+    assert [Path(file).suffix for file in document["files"]] == [".png", ".svg"]
     drawn = np.asarray(Image.open(document["files"][0]).convert("RGB"))
     assert (drawn == 255).all(axis=2).mean() < 0.5  # most of it is the map
     assert "name a folder for the figure by --out DIR" in refused(

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.figures import curves, style, summary
+from pneuma.figures import collapse, curves, style, summary
 
 from .hand_made import HandMade
 
@@ -22,7 +22,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         figures.append(figure)
         return style.save_figure(figure, *arguments)
 
-    for module in (curves, summary):
+    for module in (curves, summary, collapse):
         monkeypatch.setattr(module, "save_figure", save)
     return figures
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from pneuma.analysis.sources import open_study
+from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.figures.curves import draw_study
 from pneuma.study.store import Status, Store
@@ -67,8 +68,12 @@ class HandMade:
         files["metrics.parquet"] = to_parquet([_update(k, seed) for k in range(20)], METRIC_COLUMNS)
         self.store.save_run(run_id, Status(status, steps), files)
 
+    @property
+    def data(self) -> StudyData:
+        return open_study(self.store, self.record)
+
     def draw(self, folder: Path, **options: Any) -> list[Path]:
-        return draw_study(open_study(self.store, self.record), folder, **options)
+        return draw_study(self.data, folder, **{"formats": ("svg",), **options})
 
 
 def _update(k: int, seed: int) -> dict[str, Any]:
@@ -101,11 +106,6 @@ def legend(figure: Figure) -> list[str]:
 
 
 def words(figure: Figure) -> str:
-    """Return all texts of a figure, one below the other."""
-    return "\n".join(text.get_text() for text in figure.findobj(Text) if isinstance(text, Text))
-
-
-def headline(figure: Figure) -> str:
-    """Return the line that begins with the study's title."""
-    (line,) = [line for line in words(figure).splitlines() if line.startswith("Mine")]
-    return line
+    """Return all texts of a figure, one after the other."""
+    texts = (text.get_text() for text in figure.findobj(Text) if isinstance(text, Text))
+    return " ".join(" ".join(texts).split())

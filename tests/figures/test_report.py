@@ -15,17 +15,17 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from pneuma.figures import report_pictures
+from pneuma.figures import report
 from pneuma.figures.report import (
     Conditions,
     Part,
+    Picture,
     Report,
     StudySection,
     Table,
     numbers_table,
     report_page,
 )
-from pneuma.figures.report_pictures import Picture
 
 from .hand_made_verdicts import claim, comparison, judged
 
@@ -144,7 +144,7 @@ def test_a_large_drawing_gives_way_to_a_small_image(size: int, form: str) -> Non
         Image.new("RGB", (20, 40)).save(folder / "figure.png", dpi=(300, 300))
         return [folder / "figure.png", folder / "figure.svg"]
 
-    kind, _, data = report_pictures._source(draw).partition(";base64,")
+    kind, _, data = report._source(draw).partition(";base64,")
     assert kind == f"data:image/{form}" and b64decode(data)
 
 

@@ -15,7 +15,6 @@ import pytest
 from safetensors.numpy import save
 
 import pneuma
-from pneuma.analysis.tables import StudyData
 from pneuma.cli import study_plot
 from pneuma.config import as_fields, make_run
 from pneuma.engines.checkpoint import Checkpoint
@@ -288,12 +287,11 @@ def test_a_figure_replaces_a_link_and_leaves_what_it_leads_to(
     (store.root / "figures" / "mine.png").symlink_to(precious)
     store.save_selection("mine", {**RECORD, "runs": [CELL]})
 
-    def draw(data: StudyData, folder: Path, *_: object) -> tuple[list[Path], dict[str, str]]:
+    def draw(_: object, folder: Path, *__: object) -> list[dict[str, str]]:
         (folder / "mine.png").write_bytes(b"drawn")
-        return [folder / "mine.png"], {"figure": "curves"}
+        return [{"file": "mine.png"}]
 
-    monkeypatch.setattr(study_plot, "_files", lambda *_: ["mine.png"])
-    monkeypatch.setattr(study_plot, "_draw_curves", draw)
+    monkeypatch.setattr(study_plot, "_draw_one", draw)
     assert called("study", "plot", "mine", "--results", store.root)[0] == 0
     assert precious.read_bytes() == b"mine"
     assert (store.root / "figures" / "mine.png").read_bytes() == b"drawn"

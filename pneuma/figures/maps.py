@@ -1,0 +1,133 @@
+"""The robustness map: in which cells of a crossed study a contrast holds, is reversed, or is open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
+
+from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
+from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.run_view import common_step, step_words
+from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
+from pneuma.figures.panels import headline_of, label_rows, notes_of, put_texts, round_ticks, runs_told
+from pneuma.figures.style import COLOURS, GREY, INK, SIZES, house_style, save_figure
+from pneuma.values import shown_level, shown_value
+
+SIZE = SIZES["page"]
+ROW_INCHES, AROUND_INCHES = 0.17, 0.75
+"""Heights of a row, and of a map's title, ticks and label together."""
+
+LOOKS: dict[str, dict[str, Any]] = {
+    HOLDS: {"marker": "o", "color": COLOURS[0], "markerfacecolor": COLOURS[0]},
+    REVERSED: {"marker": "s", "color": COLOURS[1], "markerfacecolor": COLOURS[1]},
+    OPEN: {"marker": "o", "color": GREY, "markerfacecolor": "white"},
+}
+"""Filled where decided, square where reversed: told apart in grey too."""
+
+MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
+    "robustness": (
+        ("betas", [0.9, 0.9], [0.9, 0.999]),
+        ("activation", "tanh", "relu"),
+        ("actor", [128], [256]),
+        ("clip_range", 0.1, 0.2),
+    )
+}
+"""Contrasts of the thesis that a study maps: a field, the value said to do better, and the other."""
+
+
+def study_maps(data: StudyData) -> list[Map]:
+    """Return every map that a study is for; one whose conditions were not run is left out."""
+    found = []
+    for contrast in MAPS.get(data.own_name, ()):
+        try:
+            found.append(robustness_map(data, *contrast))
+        except UserError:
+            continue
+    return found
+
+
+def draw_robustness(
+    data: StudyData, maps: Sequence[Map], folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
+) -> list[Path]:
+    """Draw maps of one outcome, a panel each; return the files written.
+
+    Args:
+        data: the study.
+        maps: of it.
+        folder: where to write.
+        stem: the files' name without its end.
+        formats: of `FIGURE_FORMATS`.
+    """
+    columns = min(len(maps), 2)
+    rows = -(-len(maps) // columns)
+    with house_style(SIZE.type_points):
+        figure = Figure(layout="constrained")
+        panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
+        for axes, found in zip(panels, maps, strict=False):
+            _draw_map(axes, found)
+            axes.xaxis.set_major_locator(round_ticks(8 // columns))
+        for axes in panels[len(maps) :]:
+            axes.remove()
+        inches = ROW_INCHES * max(len(found.cells) for found in maps) + AROUND_INCHES
+        cells = [cell.label for found in maps for cell in found.cells]
+        entries = {
+            f"{label} ({cells.count(label)})": Line2D([], [], linestyle="", markersize=4.5, **look)
+            for label, look in LOOKS.items()
+        }
+        headline = headline_of(data, "does the contrast hold elsewhere?")
+        put_texts(figure, SIZE, rows * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
+        return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
+
+
+def _draw_map(axes: Axes, found: Map) -> None:
+    """Draw a row for each cell, named by its levels; the vertical axis says of which factors."""
+    axes.axvline(0, color=INK, linewidth=0.8)
+    for place, cell in enumerate(found.cells):
+        look, interval = LOOKS[cell.label], cell.contrast.interval
+        if np.isfinite([interval.low, interval.high]).all():
+            axes.plot([interval.low, interval.high], [place, place], color=look["color"], linewidth=1.3)
+        axes.plot([cell.contrast.effect], [place], linestyle="", markersize=4.5, **look)
+    labels = [", ".join(shown_level(level) for _, level in cell.levels) for cell in found.cells]
+    label_rows(axes, labels, ROW_INCHES)
+    factors = ", ".join(key for key, _ in found.cells[0].levels)
+    axes.text(
+        -0.02, 1.03, _read(factors), ha="right", va="bottom", transform=axes.transAxes, fontsize="small"
+    )
+    better, worse = map(shown_value, found.values)
+    axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=f"{better} less {worse}{_unit(found)}")
+    if find_outcome(found.outcome).bounds == (0.0, 1.0):
+        axes.xaxis.set_major_formatter(FuncFormatter(_points))
+
+
+def _unit(found: Map) -> str:
+    """Return the unit of differences, for an axis; '' where there is none."""
+    return " (percentage points)" if find_outcome(found.outcome).bounds == (0.0, 1.0) else ""
+
+
+def _points(share: float, _: Any) -> str:
+    """Return a difference of shares in percentage points, with its sign."""
+    return f"{100 * share:+.3g}".replace("-", "−") if share else "0"
+
+
+def _read(field: str) -> str:
+    return field.replace("_", " ")
+
+
+def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
+    outcome = find_outcome(maps[0].outcome)
+    turned = " (turned, as less is better)" if outcome.better == "lower" else ""
+    runs = runs_told(runs for found in maps for cell in found.cells for runs in cell.contrast.seeds)
+    step = common_step(data)
+    return [
+        f"Differences of means in {outcome.words}{turned}, {runs} runs an arm, with 95 % intervals.",
+        "Filled: other than 0 by relabelings and by Welch's t, at 5 % over each panel (Holm).",
+        f"All as they stood at {step:,} steps, {step_words(data)}." if step else "",
+    ]

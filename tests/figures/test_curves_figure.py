@@ -1,0 +1,297 @@
+"""A study's curves: the same bytes every time, means and bands in their place, and what is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pneuma.analysis.curves import curve_names
+from pneuma.analysis.sources import open_study
+from pneuma.errors import UserError
+from pneuma.figures import FIGURE_FORMATS
+from pneuma.figures.curves import draw_study
+from pneuma.figures.panels import CAPTION_LINES, FEW_RUNS, caption_lines, title_of
+from pneuma.figures.style import SIZES
+from pneuma.study.imported import import_tensorboard
+from pneuma.study.store import Store
+
+from .hand_made import BUDGET, HandMade, legend, make_id, words
+
+NAN = float("nan")
+
+
+def _values(figure: Figure, panel: int, line: int = 0) -> np.ndarray:
+    return np.asarray(figure.axes[panel].get_lines()[line].get_ydata(), float)
+
+
+def _lines_of_runs(figure: Figure, panel: int) -> int:
+    return sum(line.get_linewidth() < 0.6 for line in figure.axes[panel].get_lines())
+
+
+# --- Files -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", FIGURE_FORMATS)
+def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
+    study: HandMade, tmp_path: Path, form: str
+) -> None:
+    (first,) = study.draw(tmp_path / "first", formats=(form,))
+    with mpl.rc_context({"lines.linewidth": 9.0, "font.size": 20, "axes.facecolor": "red"}):
+        (second,) = study.draw(tmp_path / "second", formats=(form,))
+        assert mpl.rcParams["lines.linewidth"] == 9.0  # and is left alone
+    assert first.read_bytes() == second.read_bytes()
+    assert first.name == f"fig-mine.{form}"
+
+
+def test_other_numbers_give_other_bytes(study: HandMade, tmp_path: Path) -> None:
+    (first,) = study.draw(tmp_path / "first")
+    study.record["runs"].pop(0)
+    (second,) = study.draw(tmp_path / "second")
+    assert first.read_bytes() != second.read_bytes()
+
+
+def test_a_variant_never_has_the_studys_own_file_and_says_what_it_changed(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study.record["selection"] = {"settings": {"learning_rate": 0.001, "level": "/a/path/" + 200 * "x"}}
+    (path,) = study.draw(tmp_path)
+    assert path.name.startswith("fig-mine-learning_rate=0.001-level=") and len(path.name) < 120
+    assert "Mine (learning_rate = 0.001" in words(drawn[0])
+    study.record["selection"]["settings"]["level"] += "y"
+    assert study.draw(tmp_path) != [path]  # though a long name is cut
+
+
+def test_every_run_of_another_study_is_drawn_beside(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    other = open_study(study.store, {**study.record, "study": "other", "title": "Another"})
+    study.draw(tmp_path, quantities=("return",))
+    (path,) = study.draw(tmp_path, quantities=("return",), beside=other)
+    alone, beside = (figure.axes[0] for figure in drawn)
+    assert path.stem == "fig-mine-return-beside-other"
+    assert len(beside.lines) == len(alone.lines) + 4
+    assert "Another" in legend(drawn[1])
+
+
+@pytest.mark.parametrize(
+    ("size", "pixels"), [("page", (1400, 0)), ("column", (660, 0)), ("slide", (1920, 1080))]
+)
+def test_a_size_is_what_it_says(study: HandMade, tmp_path: Path, size: str, pixels: tuple[int, int]) -> None:
+    (path,) = study.draw(tmp_path, size=size, formats=("png",))
+    with Image.open(path) as image:
+        assert image.width == pixels[0] and pixels[1] in (0, image.height)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_no_word_reaches_over_the_edge(
+    study: HandMade, tmp_path: Path, drawn: list[Figure], size: str
+) -> None:
+    study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
+    study.draw(tmp_path, size=size, band="bootstrap", formats=("png",))
+    width, height = drawn[0].bbox.size
+    for text in (*drawn[0].texts, *drawn[0].legends):
+        box = text.get_window_extent()
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
+
+
+def test_what_does_not_fit_a_slide_is_told(study: HandMade, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="do not fit a height of 5.625 inches"):
+        study.draw(tmp_path / "figures", quantities=curve_names(study.data), size="slide")
+    assert not (tmp_path / "figures").exists()
+
+
+# --- Curves ------------------------------------------------------------------------------------------
+
+
+def test_lines_are_the_means_of_runs(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
+    study.draw(tmp_path, band="minmax")
+    killed, returned = drawn[0].axes
+    tanh = next(line for line in returned.get_lines() if line.get_label() == "tanh (n = 2)")
+    # 1,000 / 200 = 5 steps a point, 50 steps a window: at 50 (point 10) episode 0 alone, returning 0 and 1
+    assert np.isnan(np.asarray(tanh.get_ydata(), float)[:9]).all()
+    assert np.asarray(tanh.get_ydata(), float)[9] == 0.5
+    killed_by_tanh = next(line for line in killed.get_lines() if line.get_label() == "tanh (n = 2)")
+    assert np.asarray(killed_by_tanh.get_ydata()).tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert killed.get_xlim() == returned.get_xlim() == (0, BUDGET)
+
+
+def test_few_runs_are_drawn_themselves_and_no_band_sets_the_axis(tmp_path: Path, drawn: list[Figure]) -> None:
+    few, enough = HandMade(tmp_path / "few"), HandMade(tmp_path / "enough")
+    for study, runs in ((few, FEW_RUNS - 1), (enough, FEW_RUNS)):
+        for seed in range(runs):
+            study.add("tanh", seed, evaluations=(0.0, 0.1 + 0.8 * (seed == 0)), random=0.01)
+        study.draw(tmp_path, band="std")
+    assert [len(figure.axes[0].collections) for figure in drawn] == [0, 1]
+    assert [_lines_of_runs(figure, 0) for figure in drawn] == [FEW_RUNS - 1, 0]
+    assert drawn[0].axes[0].get_ylim()[1] < 1
+    assert "thin lines: runs" in words(drawn[0]) and "standard deviation" not in words(drawn[0])
+    assert "± 1 standard deviation" in words(drawn[1])
+    enough.draw(tmp_path, band="se")  # which covers the mean too rarely at five runs
+    assert _lines_of_runs(drawn[2], 0) == FEW_RUNS and len(drawn[2].axes[0].collections) == 1
+
+
+def test_a_diverged_run_counts_and_ends_in_a_cross(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study.add("tanh", 2, episodes=2, evaluations=(0.1,), status="diverged")
+    study.draw(tmp_path)
+    assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
+    crosses = [line for line in drawn[0].axes[0].get_lines() if line.get_marker() == "x"]
+    assert [np.asarray(line.get_xydata()).tolist() for line in crosses] == [[[250.0, 0.1]]]
+    whole = next(line for line in drawn[0].axes[1].get_lines() if str(line.get_label()).startswith("tanh"))
+    line = np.asarray(whole.get_ydata(), float)
+    assert line[9] == 1.0  # at step 50: of seeds 0, 1 and 2
+    assert np.isnan(line[199])  # where seeds 0 and 1 alone have a value
+    assert "×: a run diverged" in words(drawn[0])
+
+
+def test_a_band_about_the_mean_is_not_drawn_where_runs_are_missing(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    """Design section 4: a diverged run stays in every statistic; those that are left are no sample."""
+    study = HandMade(tmp_path)
+    for seed in range(FEW_RUNS):
+        study.add("tanh", seed)
+    study.add("tanh", 9, episodes=0, evaluations=(), status="diverged")
+    study.draw(tmp_path)
+    assert not drawn[0].axes[0].collections[0].get_paths()
+
+
+def test_random_player_and_hunter_are_told_with_their_levels_and_flatten_nothing(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study.draw(tmp_path)
+    assert legend(drawn[0])[-2:] == ["random player (4 %)", "scripted hunter (50 %)"]
+    low = HandMade(tmp_path / "low")
+    low.add("tanh", 0, evaluations=(0.0, 0.1))
+    low.draw(tmp_path)
+    assert legend(drawn[1])[-1] == "scripted hunter (50 %): above"
+    assert drawn[1].axes[0].get_ylim()[1] < 0.2
+    study.add("elsewhere", 0, hunter=0.9)  # of another world than the others'
+    study.draw(tmp_path)
+    assert "scripted hunter" not in words(drawn[2])
+
+
+def test_every_quantity_has_a_panel_and_all_can_be_drawn(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    (path,) = study.draw(tmp_path, quantities=("entropy", "grad_norm"))
+    assert path.stem == "fig-mine-entropy-grad_norm"
+    assert [axes.get_yscale() for axes in drawn[0].axes] == ["linear", "log"]
+    names = curve_names(study.data)
+    (path,) = study.draw(tmp_path, quantities=names)
+    assert path.stem == "fig-mine-all"
+    assert len(drawn[1].axes) == len(names) == 18  # 3 of evaluations, 4 of episodes, 11 of updates
+
+
+def test_what_no_run_has_a_value_of_is_not_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
+    mail = HandMade(tmp_path)
+    mail.add("rate-1", 0, evaluations=(NAN,) * 4)
+    mail.draw(tmp_path)
+    assert len(drawn[0].axes) == 1
+    with pytest.raises(UserError, match="holds no share_killed; its curves are: "):
+        mail.draw(tmp_path, quantities=("share_killed",))
+
+
+def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    for rate in range(12):
+        study.add(f"rate={rate}, scale=unit, tanh", 0)
+    study.record["baseline"] = "rate=0, scale=unit, tanh"
+    study.draw(tmp_path)
+    titles = [axes.get_title(loc="left") for axes in drawn[0].axes]
+    assert [" ".join(title.split()) for title in titles] == [
+        f"{rate}, unit, tanh (n=1)" for rate in range(12)
+    ]
+    assert len({axes.get_ylim() for axes in drawn[0].axes}) == 1
+    assert "0, unit, tanh (baseline)" in legend(drawn[0])
+    assert "Panels: rate, scale, condition." in words(drawn[0])
+
+
+# --- Words -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changed", "options", "said"),
+    [
+        ({"parent": "a" * 16}, {}, "Runs are forks of one run: intervals take them for independent."),
+        ({"engine": ("batched", "sb3")}, {}, "Engines are mixed (batched, sb3): no contrast holds."),
+        ({"reward": ("thesis", "kills")}, {"quantities": ("return",)}, "unlike rewards"),
+        ({}, {"window": "trailing-100"}, "Training curves average the last 100 episodes."),
+        ({}, {"quantities": ("entropy",)}, "average the updates of the last 5 % of the budget."),
+        ({}, {"layout": "thesis"}, "Training curves average the last 100 episodes."),
+    ],
+)
+def test_a_figure_says_what_to_mind(
+    study: HandMade, tmp_path: Path, drawn: list[Figure], changed: Any, options: Any, said: str
+) -> None:
+    for place, run in enumerate(study.record["runs"]):
+        run["run"] |= {k: v[place % 2] if isinstance(v, tuple) else v for k, v in changed.items()}
+    study.draw(tmp_path, **options)
+    assert said in words(drawn[0])
+
+
+@pytest.mark.parametrize(
+    ("changed", "title"),
+    [
+        ({}, "Mine in the text's world"),
+        ({"env": "pneuma/PneumaGodot-v0"}, "Mine in the published code's world"),
+        ({"env": "CartPole-v1"}, "Mine"),
+        ({"level": "own.json"}, "Mine"),
+    ],
+)
+def test_where_a_study_is_played_is_told_by_its_runs(
+    study: HandMade, changed: dict[str, str], title: str
+) -> None:
+    for run in study.record["runs"]:
+        run["run"] |= changed
+    assert title_of(study.data) == title
+
+
+def test_what_is_missing_is_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
+    study.add("never", 0, status="crashed")
+    study.add("tanh", 2, returns=NAN)
+    study.add("big", 0, steps=BUDGET // 2, episodes=10, evaluations=(0.1, 0.2))
+    study.record["same"] = [["tanh", "again"]]
+    study.add("again", 0, run_id=make_id("tanh", 0))
+    study.draw(tmp_path)
+    for said in (
+        "Without a finished run: never.",
+        "1 of 3 runs of tanh have no return, and count in no mean of it.",
+        "Upright line: 500 steps",
+        "A/A: tanh = again are one configuration",
+    ):
+        assert said in words(drawn[0])
+
+
+def test_a_caption_has_three_lines_and_whole_sentences() -> None:
+    sentences = [f"Sentence {number} {'of many words ' * 6}and no more." for number in range(9)]
+    lines = caption_lines(sentences, SIZES["page"])
+    assert len(lines) <= CAPTION_LINES
+    told = " ".join(lines)
+    assert told.endswith("and no more.") and told.startswith(sentences[0])
+
+
+def test_imported_logs_say_what_was_averaged_and_where_they_end(
+    tmp_path: Path, write_events: Callable[[Path, Any], Path], drawn: list[Figure]
+) -> None:
+    """Of two runs of 'small' the second was stopped at half of its steps."""
+    for name, end in (("small_1", 1000), ("small_2", 500)):
+        points = [("rollout/ep_rew_mean", step, step / 100) for step in range(100, end + 1, 100)]
+        write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)
+    store = Store(tmp_path / "results")
+    import_tensorboard([tmp_path / "logs"], store)
+    data = open_study(store, store.selection("logs") or {})
+    draw_study(data, tmp_path / "figures", formats=("svg",))
+    (axes,) = drawn[0].axes
+    assert axes.get_ylabel() == "Return, mean of 100 episodes"
+    assert legend(drawn[0]) == ["small (n = 2, 1 at the end)"]
+    with pytest.raises(UserError, match="window budget-5% cannot be had"):
+        draw_study(data, tmp_path / "other", window="budget-5%")

@@ -1,0 +1,107 @@
+"""All that `make figures` draws of published studies, without their runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.published import published_path
+from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
+from pneuma.errors import UserError
+from pneuma.figures import paper
+
+from .hand_made import HandMade
+
+
+@pytest.fixture(autouse=True)
+def no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the environment's own figures, which tests of theirs draw."""
+    monkeypatch.setattr(paper, "_draw_environment", lambda folder: [])
+    monkeypatch.setattr(paper, "_write_settings", lambda folder: [])
+
+
+@pytest.fixture
+def published(study: HandMade, tmp_path: Path) -> Path:
+    """A results folder with two published studies alone, and trajectories of one of their runs."""
+    data = study.data
+    run = data.of_condition("tanh")[1]
+    episode = {"episode": 0, "player": 0, "steps": 1, "kills": 0, "ending": "drowned"}
+    row = {"condition": "tanh", "seed": 1, "run_id": run.run_id, "places": np.zeros((2, 2)), **episode}
+    fresh = tmp_path / "fresh"
+    files = {trajectories_path(fresh, "mine"): encode_trajectories(gathered("thesis", [row]))}
+    for name in ("mine", "mine-godot"):
+        data.study = name
+        files[fresh / published_path(study.store, name).relative_to(study.store.root)] = encode_study(data)
+    for path, content in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return fresh
+
+
+def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: Path) -> None:
+    beside = {"mine": "mine-godot", "mine-godot": "nothing published"}
+    written = paper.draw_all(tmp_path / "paper", published, beside)
+    index = json.loads((tmp_path / "paper" / "index.json").read_bytes())["figures"]
+    assert {entry["file"] for entry in index} == {
+        str(path.relative_to(tmp_path / "paper"))
+        for path in written
+        if path.name not in ("index.json", "README.md")
+    }
+    drawn = {Path(entry["file"]).stem: entry for entry in index}
+    for stem in (
+        "fig-mine",
+        "fig-mine-thesis",
+        "fig-mine-godot-summary",
+        "fig-mine-trajectories",
+        "mine-godot",
+    ):
+        assert drawn[stem]["command"] == "make figures"
+    assert drawn["fig-mine"]["n"] == {"tanh": 2, "relu": 2}
+    assert [entry["beside"] for entry in drawn.values() if "beside" in entry] == ["mine-godot"]
+    assert drawn["fig-mine-trajectories"]["n"] == {"tanh": 1}
+    assert (
+        "- [fig-mine.png](fig-mine.png): curves: share killed" in (tmp_path / "paper/README.md").read_text()
+    )
+
+
+@pytest.mark.slow
+def test_studies_drawn_at_once_are_drawn_as_alone(
+    published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paper.draw_all(tmp_path / "paper", published)
+    monkeypatch.setattr(paper, "FEW", 0)
+    for path in paper.draw_all(tmp_path / "again", published):
+        assert path.read_bytes() == (tmp_path / "paper" / path.relative_to(tmp_path / "again")).read_bytes()
+
+
+def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    mine, other = tmp_path / "mine.txt", tmp_path.parent / "other.png"
+    drawn = tmp_path / "paper" / "fig-old.png"
+    drawn.parent.mkdir()
+    for path in (mine, other, drawn):
+        path.write_bytes(b"")
+    entries = [{"file": "fig-old.png"}, {"file": "../mine.txt"}, {"file": str(other)}]
+    (tmp_path / "paper" / "index.json").write_text(json.dumps({"figures": entries}))
+    paper.draw_all(tmp_path / "paper", tmp_path / "results")
+    assert (drawn.exists(), mine.exists(), other.exists()) == (False, True, True)
+
+
+def test_where_nothing_is_published_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UserError, match="is no folder, so nothing is drawn, and nothing removed"):
+        paper.main(tmp_path / "paper", tmp_path / "results")
+    (tmp_path / "results").mkdir()
+    paper.main(tmp_path / "paper", tmp_path / "results")
+    assert "no study is published in" in capsys.readouterr().out
+
+
+def test_the_tables_of_hyperparameters_are_those_of_the_thesis() -> None:
+    rows = {row[0]: row[1:] for row in paper.settings_table().itertuples(index=False, name=None)}
+    assert rows["horizon"] == ("2048", "256", "yes")
+    assert rows["gradient_limit"] == ("none", "0.5", "yes")
+    left_to_the_text = ["betas", "activation", "gradient_limit"]
+    changed = ["clip_range", "horizon", "epochs", "value_coefficient", *left_to_the_text]
+    assert [name for name, values in rows.items() if values[2] == "yes"] == changed
