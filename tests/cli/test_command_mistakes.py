@@ -72,7 +72,7 @@ MISTAKES = {
     f"{RUN} --seeds 0..99999999999": "--seeds 0..99999999999",
     f"{RUN} --seeds 10001": "a count from 1 to 10000",
     f"{RUN} --seeds 4294967296,": "from 0 to 4294967295",
-    "study run nowhere.toml": "nowhere.toml: No such file",
+    "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study rn": "'run'",
     "studdy": "'study'",
     "study run": "NAME",
