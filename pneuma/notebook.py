@@ -97,7 +97,7 @@ def run_study(
             f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
             f"{status.name}{': ' if unwell[0].reason else ''}{unwell[0].reason}{where}"
         )
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
 
     return open_study(store, execute.selection_record(planned))
 
@@ -113,25 +113,24 @@ def open_data(study: Where, results: Where = RESULTS, *, world: str | None = Non
     Raises:
         UserError: when the folder has nothing of it, or no run has finished.
     """
-    from pneuma.analysis.published import published_path, published_studies, read_published
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.published import published_studies
+    from pneuma.analysis.run_index import RunIndex, open_study
 
     check_world(world)
     store, told = Store(results), os.fspath(study)
     own = Path(told).stem if told.endswith(".toml") else told
     name = in_world(own, world or TEXT)
-    record = store.selection(name)
+    index = RunIndex(store)
+    record = index.record(name)
     if record is not None and own != told:
         execute.check_same_file(record, Path(told), store)
-    if record is None and published_path(store, name).exists():
-        record = read_published(store, name).record
     if record is None and (path := store.selection_path(name)).exists():
         raise UserError(f"{path}: damaged; run, import or fork it anew")
     if record is None:
         raise unknown_name(
             f"study in {store.root}", name, sorted({*store.studies(), *published_studies(store)})
         )
-    return open_study(store, record)
+    return open_study(index, record)
 
 
 def load_policy(

@@ -79,7 +79,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     """Diagnose a run, as it stood at a step where one is given."""
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
-    found, falls = _clipped(data.source.signs(run), seen), _falls(seen, steps, shares)
+    found, falls = _clipped(run.records.signs(), seen), _falls(seen, steps, shares)
     unseen = _unseen(found, bool(falls or (len(steps) and not run.begun)))  # a fork's best was its parent's
     distance = _update_steps(data, run)
     gap = GAP * seen.until + (distance or 0)

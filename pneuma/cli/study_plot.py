@@ -187,7 +187,7 @@ def _studies_to_draw(
     world: str | None,
 ) -> list[tuple[str, StudyData]]:
     """Return studies by the names that a person gave, or all."""
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
 
     def opened(name: str) -> StudyData:
         data = open_study(store, study_record(store, name, selection, world))
@@ -204,7 +204,7 @@ def _studies_to_draw(
 
 
 def _opened(store: Store, name: str) -> StudyData:
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
 
     return open_study(store, study_record(store, name, None, None))
 

@@ -96,19 +96,22 @@ class RunState(NamedTuple):
     Attributes:
         run: its entry in the record.
         status: the name of its status.
-        published: whether that is told by the published table, as the run is not here.
+        published: whether that is told by a published table, as the run is not here, or damaged here.
         step: agent steps of its records, or of its latest checkpoint.
+        damaged: whether what is here is damaged.
     """
 
     run: dict[str, Any]
     status: str
     published: bool
     step: int
+    damaged: bool = False
 
     @property
     def told(self) -> str:
         """How it stands, for people."""
-        return f"{self.status} as published" if self.published else self.status
+        told = f"{self.status} as published" if self.published else self.status
+        return f"{told}, damaged here" if self.damaged and self.published else told
 
     @property
     def reached(self) -> str:
@@ -122,29 +125,22 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     Raises:
         UserError: when the published table is damaged.
     """
-    here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
-    taken = {} if all(status.finished for status in here.values()) else _taken(store, record, here)
+    taken: dict[str, Status] = {}
+    if (store.root / "published").is_dir():
+        from pneuma.analysis.run_index import RunIndex
+
+        index = RunIndex(store)
+        found, _ = index.of_record(record)
+        here = {run_id: index(run_id).status for run_id in found}
+        taken = {run_id: own.status for run_id, own in found.items() if own.published}
+    else:
+        here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     states = []
     for run in record["runs"]:
-        status = taken.get(run["run_id"], here[run["run_id"]])
-        states.append(RunState(run, status.name, run["run_id"] in taken, status.step))
+        own, run_id = here[run["run_id"]], run["run_id"]
+        status = taken.get(run_id, own)
+        states.append(RunState(run, status.name, run_id in taken, status.step, own.name == "damaged"))
     return states
-
-
-def _taken(store: Store, record: Mapping[str, Any], here: Mapping[str, Status]) -> dict[str, Status]:
-    """Return how the runs stand that `open_study` takes from the published table."""
-    if not (store.root / "published").is_dir():
-        return {}
-    from pneuma.analysis.published import published_path, read_published
-    from pneuma.analysis.sources import beside
-
-    nothing = all(status.name == "planned" for status in here.values())
-    if (nothing or record.get("source") == "published") and published_path(store, record["study"]).exists():
-        table = read_published(store, record["study"])
-        told = {run_id: table.status(run_id) for run_id in here}
-        return {run_id: status for run_id, status in told.items() if status.finished}
-    found = beside(store, record, {run_id for run_id, status in here.items() if status.finished})
-    return {run_id: found[0].status(run_id) for run_id in found[1]} if found else {}
 
 
 def _record_name(name: str, world: str | None) -> str:

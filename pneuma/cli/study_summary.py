@@ -158,7 +158,7 @@ def _drawn_collapses(data: StudyData, out: Path, formats: tuple[str, ...]) -> li
 def open_data(store: Store, name: str, selection: Any, world: str | None, *, mixed: bool = True) -> StudyData:
     """Open a study's data, as `open_study` does, saying how many runs of the selection are left out."""
     record = study_record(store, name, selection, world)
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
 
     data = open_study(store, record, mixed=mixed)
     tell_left_out(data)
@@ -231,7 +231,7 @@ def _beside(data: StudyData) -> str:
     """Say how much of a core those runs had whose times are told."""
     from pneuma.analysis.outcomes import QUIET
 
-    shares = [data.source.processor_share(run) for run in data.runs]
+    shares = [run.records.processor_share for run in data.runs]
     known = [share for share in shares if share is not None]
     if len(known) == len(shares) and min(known, default=1.0) >= QUIET:
         return ""

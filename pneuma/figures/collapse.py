@@ -144,7 +144,7 @@ def _caption(
     if any(blind.values()):
         told = ", ".join(f"{count} of {name}" for name, count in blind.items() if count)
         mind.append(f"Of some runs nothing is recorded that a collapse shows in: {told}.")
-    unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
+    unseen = {run.condition for run in data.runs if NO_ENTROPY not in run.records.signs()}
     if unseen := {name for name in unseen if len(data.of_condition(name)) > blind[name]}:
         told = ", ".join(name for name in data.conditions if name in unseen)
         none = f"Of {told} no entropy is recorded, and only a fall is seen. {none}"

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.sources import open_published
+from pneuma.analysis.run_index import open_published
 from pneuma.analysis.tables import tell_figures_apart
 from pneuma.analysis.trajectories import read_trajectories
 from pneuma.errors import UserError

@@ -137,7 +137,8 @@ def _take(descriptor: int) -> None:
 def is_held(folder: Path) -> bool:
     """Tell whether some process trains the run of this folder now."""
     try:
-        descriptor = os.open(folder / ".lock", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe is not waited for
+        descriptor = os.open(folder / ".lock", flags)
     except OSError:
         return False
     try:

@@ -12,7 +12,7 @@ from matplotlib.text import Text
 from pneuma.analysis.collapse import incidence
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures import collapse

@@ -11,7 +11,7 @@ import pytest
 
 from pneuma.analysis.crossing import find_crossing
 from pneuma.analysis.effects import Effects, study_effects
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.execute import selection_record

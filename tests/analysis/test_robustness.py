@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pneuma.analysis.effects import study_effects
 from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.robustness import Map, _contrast, map_table, robustness_map
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import main, study_map
 from pneuma.errors import UserError

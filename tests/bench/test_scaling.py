@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.bench import scaling
 from pneuma.bench.synthetic import store_study
 from pneuma.errors import UserError

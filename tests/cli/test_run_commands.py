@@ -237,7 +237,7 @@ def test_a_file_outside_the_folder_is_not_even_measured(store: Store) -> None:
         status = seal({"status": "done", "step": 256, "files": files})
         (store.run_folder(ALONE) / "status.json").write_bytes(status)
         document = described("run", "show", ALONE, "--json")
-        assert {"name": name, "bytes": 0, "state": "refused"} in document["files"]
+        assert {"name": name, "bytes": 0, "state": "missing"} in document["files"]
         assert document["status"] == "damaged"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.figures import curves, style
 from pneuma.figures.curves import draw_study

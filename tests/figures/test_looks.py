@@ -14,7 +14,7 @@ from PIL import Image
 from pneuma.analysis.curves import Curve, curve_names
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.figures.curves import settle
 from pneuma.figures.multiples import _grid

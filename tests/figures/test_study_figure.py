@@ -10,7 +10,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.looks import MOST_IN_A_PANEL

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.errors import UserError
 from pneuma.figures import paper, summary, summary_rows
