@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
-.PHONY: help install study figures test storm test-all lint clean
+.PHONY: help install study figures docs test storm test-all lint clean
 .PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow trajectories tuning
 
 help:            ## Say what each target does
@@ -129,13 +129,16 @@ tuning: install  ## Tune optimizers and algorithms alike (RIVALS: which), and tr
 	$(if $(filter optimizers,$(RIVALS)),$(call tuned,optimizers,$(TUNED_OPTIMIZERS),1000000))
 	$(if $(filter algorithms,$(RIVALS)),$(call tuned,algorithms,$(TUNED_ALGORITHMS),200000))
 
+docs: install  ## Build the pages of docs/ as a site in site/, with all commands and modules; broken links are errors
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow'
 
 storm: install  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.study.storm
 
-test-all: install lint  ## The same with the slow tests
+test-all: install lint docs  ## The same with the slow tests, and the links of the pages
 	$(BIN)/python -m pytest
 
 lint: install
@@ -144,4 +147,4 @@ lint: install
 	$(BIN)/mypy
 
 clean:           ## Remove what was built; results stay
-	rm -rf .venv build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist site *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

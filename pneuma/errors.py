@@ -1,4 +1,4 @@
-"""The one error a person is meant to see, the nearest right name to a wrong one, and counts in words.
+"""The one error a person is meant to see, the nearest right name to a wrong one, counts, and safe texts.
 
 Every layer raises `UserError` for a mistake made outside the code (a key, a value, a file, an
 option); the command line prints it as one line and leaves with exit code 2.
@@ -22,6 +22,15 @@ class UserError(Exception):
 def install_extra(name: str) -> str:
     """Return how to install one of the extras; from its folder, for the index has another `pneuma`."""
     return f"pip install '.[{name}]' in Pneuma's folder"
+
+
+def plain(text: str) -> str:
+    """Return a text with each character that cannot be seen written as its code, as JSON does.
+
+    For terminals and figures: titles and names may come from untrusted files, and control characters could
+    drive a terminal, reverse the direction of writing, or make an SVG that is no XML.
+    """
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
 
 
 def counted(count: int, noun: str) -> str:

@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.analysis.adaptive import experiments, looked_at, looks_of
 from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.outcomes import HALF_A_MONSTER, PRIMARY, outcome_values
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.sequential import Stage, decide, make_stages
+from pneuma.analysis.sequential import Stage, decide, looked_at, make_stages
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.verdicts import found
 from pneuma.config import stream_seed
@@ -85,7 +84,6 @@ def run_until_decided(
     others = compared(plans[0])
     recorded = store.selection(study.name) or {}
     _refuse_another_plan(recorded, stages, others, plans[-1])
-    before = _of_other_runs(recorded, plans[-1])
     looks: list[Look] = []
     for stage, planned in zip(stages, plans, strict=True):
         if not train(planned):
@@ -93,8 +91,15 @@ def run_until_decided(
         record = execute.selection_record(planned)
         earlier = {f.condition: f.decided for f in looks[-1].findings} if looks else {}
         looks.append(_look(open_study(store, record), study.baseline, others, stage, earlier))
-        now = _of_same_looks(recorded, plans[-1], _as_record(stages, others, looks, planned))
-        store.save_selection(study.name, {**record, "adaptive": now, **before})
+        now = {
+            "outcome": PRIMARY,
+            "margin": HALF_A_MONSTER,
+            "stages": [stage.seeds for stage in stages],
+            "conditions": list(others),
+            "runs": sorted({cell.run_id for cell in planned.cells}),
+            "looks": [look_document(look) for look in looks],
+        }
+        store.save_selection(study.name, {**record, "adaptive": now})
         yield looks[-1]
         if looks[-1].decided:
             return
@@ -104,37 +109,15 @@ def _refuse_another_plan(
     record: Mapping[str, Any], stages: Sequence[Stage], others: Sequence[str], whole: Plan
 ) -> None:
     """Refuse to look at runs again by other stages, or for other conditions: that spends alpha twice."""
-    asked = [stage.seeds for stage in stages]
-    for each in experiments(record):
-        told, at = each["adaptive"], looks_of(each)
-        if not at or not {cell.run_id for cell in whole.cells} & looked_at(each):
-            continue
-        if told.get("stages") != asked or told.get("conditions", list(others)) != list(others):
-            raise UserError(
-                f"study {whole.study.name}: was looked at with {', '.join(map(str, at))} seeds by another "
-                "--max-seeds or --condition; looking again would spend its error rate twice: give the same "
-                "ones, or fix --seeds"
-            )
-
-
-def _of_same_looks(record: Mapping[str, Any], whole: Plan, now: dict[str, Any]) -> dict[str, Any]:
-    """Return what is to be kept of looks at a plan's runs: those before, while fewer are repeated so far."""
-    own = {cell.run_id for cell in whole.cells}
-    for each in experiments(record):
-        if own & looked_at(each) and len(looks_of(each)) > len(now["looks"]):
-            return dict(each["adaptive"])
-    return now
-
-
-def _of_other_runs(record: Mapping[str, Any], whole: Plan) -> dict[str, Any]:
-    """Return what a record keeps of looks at runs that a plan has none of."""
-    own = {cell.run_id for cell in whole.cells}
-    others = [
-        {**each["adaptive"], "runs": sorted(looked_at(each))}
-        for each in experiments(record)
-        if looks_of(each) and not own & looked_at(each)
-    ]
-    return {"adaptive_before": others} if others else {}
+    before = record.get("adaptive")
+    if not before or not {cell.run_id for cell in whole.cells} & looked_at(record):
+        return
+    if before["stages"] != [stage.seeds for stage in stages] or before["conditions"] != list(others):
+        at = ", ".join(str(look["seeds"]) for look in before["looks"])
+        raise UserError(
+            f"study {whole.study.name}: was looked at with {at} seeds by another --max-seeds or --condition; "
+            "looking again would spend its error rate twice: give the same ones, or fix --seeds"
+        )
 
 
 def compared(planned: Plan) -> tuple[str, ...]:
@@ -173,45 +156,18 @@ def _look(
             f"--until-decided compares by {PRIMARY}, which no run of study {data.study} has; "
             "give a number of --seeds"
         )
-    contrasts = {
-        name: compare("mean", _had(values), _had(base), HALF_A_MONSTER, _generator(stage, name))
-        for name, values in arms.items()
-    }
-    left_out = {name: int(np.isnan(values).sum() + np.isnan(base).sum()) for name, values in arms.items()}
+    had = {name: values[np.isfinite(values)] for name, values in (*arms.items(), ("", base))}
+    contrasts = {}
+    for name in others:  # each with its own draws, so that none depends on which others there are
+        generator = np.random.default_rng(stream_seed(f"until-decided/{stage.seeds}", name))
+        contrasts[name] = compare("mean", had[name], had[""], HALF_A_MONSTER, generator)
     decided = decide(stage, [contrast.p_any for contrast in contrasts.values()])
-    findings = [
-        Finding(
-            name,
-            contrast,
-            earlier.get(name) or (found(contrast) if now and not left_out[name] else ""),
-            left_out[name],
-        )
-        for (name, contrast), now in zip(contrasts.items(), decided, strict=True)
-    ]
+    findings = []
+    for (name, contrast), now in zip(contrasts.items(), decided, strict=True):
+        left_out = arms[name].size + base.size - sum(contrast.seeds)
+        new = found(contrast) if now and not left_out else ""
+        findings.append(Finding(name, contrast, earlier.get(name) or new, left_out))
     return Look(stage, tuple(findings))
-
-
-def _generator(stage: Stage, condition: str) -> np.random.Generator:
-    """Return a contrast's own draws at a look, so that none depends on which others there are."""
-    return np.random.default_rng(stream_seed(f"until-decided/{stage.seeds}", condition))
-
-
-def _had(values: np.ndarray) -> np.ndarray:
-    return values[np.isfinite(values)]
-
-
-def _as_record(
-    stages: list[Stage], others: Sequence[str], looks: list[Look], planned: Plan
-) -> dict[str, Any]:
-    """Return what a study's record keeps of how its seeds came about."""
-    return {
-        "outcome": PRIMARY,
-        "margin": HALF_A_MONSTER,
-        "stages": [stage.seeds for stage in stages],
-        "conditions": list(others),
-        "runs": sorted({cell.run_id for cell in planned.cells}),
-        "looks": [look_document(look) for look in looks],
-    }
 
 
 def look_document(look: Look) -> dict[str, Any]:

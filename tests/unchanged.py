@@ -55,7 +55,6 @@ def _run_ids() -> dict[str, str]:
                     world,
                     "--preset",
                     preset,
-                    "--no-calibrate",
                     "--json",
                 )
                 done = _pneuma(*words)

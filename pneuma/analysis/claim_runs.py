@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from pneuma.analysis.claims import Claim, ClaimList
+from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.published import published_studies
+from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.run_view import view
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_settings
 from pneuma.study.claimed import training_command
@@ -21,11 +23,11 @@ from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 
-MEND = "train with:"
-"""What the part of a reason begins with that names the command."""
+TRAIN_WITH = "train with:"
+"""How the part of a reason begins that names the command."""
 
-RISEN = 0.1
-"""The score, of 0 for the random player and 1 for the hunter, above which a run has learned something."""
+FLOOR_LEVEL = 0.05
+"""The level of the one-sided test of whether an arm plays better than the random player."""
 
 
 @dataclass(frozen=True)
@@ -33,16 +35,17 @@ class Arm:
     """One arm of a contrast.
 
     Attributes:
-        values: (seeds,) the outcome of each run that counts, in the order of the seeds.
+        values: (seeds,) the outcome of each run that counts, in the order of the seeds; 1 or 0 where runs
+            with an event are counted.
         run_ids: of the same runs.
-        blank: why a run has no value; empty where all have one.
-        idle: that the arm never rose above the random player, where the outcome supposes that; else empty.
+        reason: why it cannot be compared: a run has no value.
+        learned: whether it is shown to play better than the random player; None where that is not known.
     """
 
     values: np.ndarray
     run_ids: tuple[str, ...]
-    blank: str = ""
-    idle: str = ""
+    reason: str = ""
+    learned: bool | None = None
 
 
 class ClaimRuns:
@@ -55,11 +58,10 @@ class ClaimRuns:
         self.study = cache(self._study)
         self._cells_of = cache(self._plan_cells)
         self._data = cache(self._open)
-        self._arms: dict[tuple[str, str, str], Arm] = {}
+        self._arms: dict[tuple[str, str, str, str], Arm] = {}
 
-    def hindrance(self, claim: Claim, world: str, a: str, b: str | None) -> str:
+    def hindrance(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
         """Say why arms cannot be compared, before any value is looked at; empty where they can."""
-        names = [name for name in (a, b) if name is not None]
         runs = [self._cells(claim, world, name)[0].run for name in names]
         if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
@@ -68,10 +70,10 @@ class ClaimRuns:
             return f"engines are mixed: {told}"
         missing = [*filter(None, (self._missing(claim, world, name) for name in names))]
         if not missing:
-            return self._machines(claim, world, names)
+            return self._machines(claim, world, outcome, names)
         command = training_command(self.study(claim.study, world), self._claims.path)
         rest = " --unpublished" if published_studies(self._store) else ""
-        return "; ".join([*missing, *([f"{MEND} {command}{rest}"] if command else [])])
+        return "; ".join([*missing, *([f"{TRAIN_WITH} {command}{rest}"] if command else [])])
 
     def undefined(self, claim: Claim, world: str) -> str:
         """Say why a claim is not judged in a world at all."""
@@ -79,16 +81,15 @@ class ClaimRuns:
             return f"world not defined: the claim is not about {world}"
         return f"world not defined: the study {claim.study} is not run in {world}"
 
-    def arm(self, claim: Claim, world: str, condition: str) -> Arm:
+    def arm(self, claim: Claim, world: str, outcome: str, condition: str) -> Arm:
         """Return an arm whose runs have all finished."""
-        key = claim.name, world, condition
+        key = claim.name, world, outcome, condition
         if key not in self._arms:
-            self._arms[key] = self._measure(claim, world, condition)
+            self._arms[key] = self._measure(claim, world, outcome, condition)
         return self._arms[key]
 
-    def known_ids(self, claim: Claim, world: str, a: str, b: str | None) -> tuple[str, ...]:
+    def known_ids(self, claim: Claim, world: str, names: Sequence[str]) -> tuple[str, ...]:
         """Return the ids of what runs there are."""
-        names = [name for name in (a, b) if name is not None]
         found = [self._finished(claim, world, name).values() for name in names]
         return tuple(run.run_id for runs in found for run in runs)
 
@@ -120,7 +121,7 @@ class ClaimRuns:
             cell.run_id: cell
             for claim in self._claims.claims.values()
             if world in claim.worlds and self._group(claim, world) == group
-            for condition in dict.fromkeys((*claim.a, *claim.b))
+            for condition in claim.conditions
             for cell in self._cells(claim, world, condition)
         }
         record = _record(self.study(study, world), [*cells.values()])
@@ -167,9 +168,9 @@ class ClaimRuns:
         )
         return max((steps for run_id, steps in lower.items() if found[run_id].status.finished), default=0)
 
-    def _machines(self, claim: Claim, world: str, names: list[str]) -> str:
+    def _machines(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
         """Refuse to compare times of different machines, or of one that had other work beside."""
-        if find_outcome(claim.outcome).source != "times":
+        if all(find_outcome(part).source != "times" for part in outcome.split(MINUS)):
             return ""
         data = self._data(*self._group(claim, world))
         runs = [run for name in names for run in self._finished(claim, world, name).values()]
@@ -183,7 +184,7 @@ class ClaimRuns:
 
     # --- Values ----------------------------------------------------------------------------------
 
-    def _measure(self, claim: Claim, world: str, condition: str) -> Arm:
+    def _measure(self, claim: Claim, world: str, name: str, condition: str) -> Arm:
         data = self._data(*self._group(claim, world))
         if data is None:
             raise ValueError(f"claim {claim.name}: no runs of {condition}")
@@ -191,45 +192,78 @@ class ClaimRuns:
         steps = {*claim.steps.values()}
         at_step = float(min(steps)) if len(steps) > 1 else None
         runs = [found[seed] for seed in claim.seeds[condition]]
-        unknown = ""
+        reasons = []
         if claim.only:
             counts = _values(data, runs, claim.only, at_step)
-            unknown = _first(condition, runs, np.isnan(counts), lambda run: f"its {claim.only} is not known")
+            if np.isnan(counts).any():
+                seed = runs[int(np.isnan(counts).argmax())].seed
+                reasons.append(f"{condition} seed {seed}: its {claim.only} is not known")
             runs = [run for run, own in zip(runs, counts, strict=True) if own == 1]
             if not runs:
                 none = f"no run of {condition} counts: {claim.only} is 0 in all"
-                return Arm(np.array([]), (), unknown or none)
-        values = _values(data, runs, claim.outcome, at_step)
+                return Arm(np.array([]), (), "; ".join(reasons) or none)
+        values = _values(data, runs, name, at_step)
         # What is never reached is endless: no number to compare, but one to count.
         missing = np.isnan(values) if claim.event else ~np.isfinite(values)
-        blank = _first(
-            condition, runs, missing,
-            lambda run: reason(data, run, claim.outcome, at_step) or f"it never gets to its {claim.outcome}",
-        )  # fmt: skip
-        idle = _idle(condition, data, runs, at_step) if find_outcome(claim.outcome).supposes_rise else ""
-        return Arm(values, tuple(run.run_id for run in runs), unknown or blank, idle)
+        if missing.any():
+            run = runs[int(missing.argmax())]
+            why = next(filter(None, (reason(data, run, part, at_step) for part in name.split(MINUS))), "")
+            reasons.append(f"{condition} seed {run.seed}: {why or f'it never gets to its {name}'}")
+        if claim.event:
+            over = values > claim.event.threshold if claim.event.above else values < claim.event.threshold
+            values = over.astype(float)
+        learned = _learned(data, found.values(), at_step)
+        return Arm(values, tuple(run.run_id for run in runs), reasons[0] if reasons else "", learned)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What judging needs to know of an outcome.
+
+    Attributes:
+        bounds: its least and greatest value.
+        near: how near to them a run counts as there.
+        supposes_rise: whether it tells only of runs that learned something.
+        of_play: whether more of it is better play.
+    """
+
+    bounds: tuple[float, float]
+    near: float
+    supposes_rise: bool
+    of_play: bool
+
+
+def measure_of(name: str) -> Measure:
+    """Return what judging needs to know of an outcome, or of the difference of two."""
+    parts = [find_outcome(part) for part in name.split(MINUS)]
+    of_play = all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
+    rise = any(own.supposes_rise for own in parts)
+    if len(parts) > 1:
+        return Measure((-np.inf, np.inf), 0.0, rise, of_play)
+    return Measure(parts[0].bounds, parts[0].alike, rise, of_play)
 
 
 def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:
-    """Return an outcome of each run, (runs,)."""
-    return np.array([outcome(data, run, name, at_step) for run in runs], float)
+    """Return an outcome of each run, or how far the first of two exceeds the second, (runs,)."""
+    first, *second = (
+        np.array([outcome(data, run, part, at_step) for run in runs], float) for part in name.split(MINUS)
+    )
+    return first - second[0] if second else first
 
 
-def _first(
-    condition: str, runs: Sequence[FinishedRun], missing: np.ndarray, told: Callable[[FinishedRun], str]
-) -> str:
-    """Tell of the first run that something is missing of; empty where none is."""
-    if not missing.any():
-        return ""
-    run = runs[int(missing.argmax())]
-    return f"{condition} seed {run.seed}: {told(run)}"
+def _learned(data: StudyData, runs: Iterable[FinishedRun], at_step: float | None) -> bool | None:
+    """Tell whether an arm is shown to play better than the random player, by a one-sided Student's test.
 
-
-def _idle(condition: str, data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> str:
-    """Tell of an arm of which half never learns, where an outcome supposes that runs do; empty otherwise."""
-    if (_values(data, runs, "best-score", at_step) > RISEN).mean() > 0.5:
-        return ""
-    return f"arm at floor: half the runs of {condition} or more never score above {RISEN:g}"
+    A run's number is its mean score over all its evaluations, where 0 is the random player. A greatest
+    score would be above 0 by chance alone. None where a run has no score.
+    """
+    every = [view(data, run, at_step).evaluations("score")[1] for run in runs]
+    scores = np.array([own.mean() if len(own) else np.nan for own in every])
+    if not np.isfinite(scores).all() or scores.size < 2:
+        return None
+    error = scores.std(ddof=1) / np.sqrt(scores.size)
+    p_greater, _ = student_tails(scores.mean(), np.array(error), scores.size - 1)
+    return bool(p_greater <= FLOOR_LEVEL) and bool(scores.mean() > 0)
 
 
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:

@@ -1,42 +1,122 @@
 """Claims: the thesis's empirical sentences, each stated as a test before the runs.
 
-    [defaults]                  what a claim has where it says nothing: seeds, steps
+    [list]                      title, what was learned before, alpha, weights, the first seed
+    [defaults]                  seeds and steps of a claim that has none
     [logs.runs.small]           figures of the author's published single runs
+    [pilot], [plausible]        what the design check needs: `pneuma.analysis.design`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `judgement.py`. The file's checksum goes into every verdict. docs/claims.md
-tells what each key means. Which runs a claim fixes is read by `pneuma.study.claimed`.
+studies/claims.toml → ClaimList → `judgement.py`. The file's checksum is in every verdict. docs/claims.md says
+what each key means. Which runs a claim fixes is read by `pneuma.study.claimed`.
 """
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BeforeValidator, Field, ValidationError
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
-from pneuma.analysis.outcomes import PICKING, find_outcome
-from pneuma.analysis.verdicts import DIRECTIONS, NEEDS
+from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.verdicts import MARGINAL
 from pneuma.errors import UserError, unknown_name
+from pneuma.schema import Table, complaint, plain
 from pneuma.study.claimed import CLAIMS_FILE, read_fixed_runs
 from pneuma.study.files import checksum
 from pneuma.study.spec import Study, load_study, studies_folder
 from pneuma.study.toml_file import TomlFile, Where, read_toml, shown
-from pneuma.values import Number
+from pneuma.worlds import WORLDS
 
-KINDS = ("mean", "spread", "incidence")
-FIGURES = ("start", "best", "end", "length", "hours", "steps_per_second")
-"""What is known of a published run: facts 3."""
+LOGS = "logs"
+"""The last place where a claim is judged: the author's published logs."""
 
-_KEYS = (
-    "quote", "section", "study", "a", "b", "value", "outcome", "above", "below", "kind", "direction",
-    "only", "margin", "need", "untestable", "seeds", "steps", "worlds", "logs", "note",
-)  # fmt: skip
-_NEEDED = ("quote", "section", "study", "a", "outcome", "kind", "direction")
+PLACES = (*WORLDS, LOGS)
+MINUS = " - "
+"""Between two outcomes of one run whose difference is what a claim is about."""
+
+Figure = Literal["start", "best", "end", "length", "hours", "steps_per_second"]
+"""What is known of a published run."""
+
+
+def _fraction(value: object) -> object:
+    """Return 1/28 where a text says so: a share that has no exact decimal number."""
+    above, slash, below = value.partition("/") if isinstance(value, str) else ("", "", "")
+    return int(above) / int(below) if slash and above.isdigit() and below.strip("0").isdigit() else value
+
+
+def _one_line(value: object) -> object:
+    return " ".join(value.split()) if isinstance(value, str) else value
+
+
+def _listed(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+Finite = Annotated[float, BeforeValidator(_fraction)]
+Positive = Annotated[Finite, Field(gt=0)]
+Text = Annotated[str, BeforeValidator(_one_line)]
+Words = Annotated[Text, Field(min_length=1)]
+ByOutcome = Positive | dict[str, Positive] | None
+"""One number for all outcomes of a claim, or one for each."""
+
+
+class LogContrast(Table):
+    """Two published runs, and the figure that bears on a claim."""
+
+    a: str
+    b: str
+    figure: Figure
+
+
+class PublishedLogs(Table):
+    """Figures of single runs that were once published.
+
+    Attributes:
+        runs: by name, the values of `Figure`.
+        same: pairs of names that stand for one configuration, from which runs' spread is known.
+    """
+
+    runs: dict[str, dict[Figure, Finite]] = {}
+    same: tuple[tuple[str, str], ...] = ()
+
+
+class ListHead(Table):
+    """What holds for a whole list.
+
+    Attributes:
+        title: of the list.
+        learned: what the list before it taught.
+        alpha: the chance of any false verdict in the whole list.
+        weights: how alpha is split between groups of claims; none where all contrasts have equal parts.
+        world_weights: how each part is split between places.
+        seeds_from: the first seed of runs that a claim fixes by their number.
+    """
+
+    title: Text = ""
+    learned: Text = ""
+    alpha: Annotated[Positive, Field(lt=1)] = 0.05
+    weights: dict[str, Positive] = {}
+    world_weights: dict[str, Positive] = {}
+    seeds_from: Annotated[int, Field(ge=0)] = 0
+
+
+class Pilot(Table):
+    """How far runs of other seeds lay apart.
+
+    Attributes:
+        command: what printed it.
+        spreads: by world and outcome the standard deviation between runs; of an incidence, by 'OUTCOME above
+            X', the share of runs in arm b.
+    """
+
+    command: Text = ""
+    spreads: dict[str, dict[str, Annotated[Finite, Field(ge=0)]]] = {}
 
 
 @dataclass(frozen=True)
@@ -52,33 +132,26 @@ class Event:
         return f"{'above' if self.above else 'below'} {self.threshold:g}"
 
 
-@dataclass(frozen=True)
-class LogContrast:
-    """Two published runs, and the figure of `FIGURES` that bears on a claim."""
-
-    a: str
-    b: str
-    figure: str
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A sentence of the thesis as a test.
+class Claim(Table):
+    """A sentence of the thesis as a test; see docs/claims.md.
 
     Attributes:
         name: of the claim.
         quote: the words that it is, or a part of them.
+        context: what the sentence says around them, in one line.
         section: of the thesis.
+        group: whose part of alpha it shares; its section, where it names none.
         study: what tests it.
         a, b: conditions; every one of a is held against every one of b.
+        c, d: one condition each: the claim is on (a - b) - (c - d).
         value: a constant that a is held against in place of b.
-        outcome: a name of `pneuma.analysis.outcomes`.
-        event: what is counted, for an incidence.
+        outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
+        above, below: the threshold of an incidence.
         only: an outcome, 0 or 1: runs with 0 do not count; empty where all do.
-        kind: one of `KINDS`.
-        direction: of `DIRECTIONS`: what a is beside b.
+        direction: what a is beside b.
         margin: within what a difference counts as none; see `contrasts.compare`.
-        need: of `NEEDS`: whether all contrasts must be as claimed, or any.
+        plausible: the largest effect thought possible.
+        need: whether all contrasts must be as claimed, or any.
         untestable: why no runs of ours can tell; empty where they can.
         seeds, steps: of each condition, fixed beforehand.
         worlds: those of `WORLDS` that it is about.
@@ -87,43 +160,63 @@ class Claim:
     """
 
     name: str
-    quote: str
-    section: str
-    study: str
+    quote: Words
+    context: Text = ""
+    section: Words
+    group: Text = ""
+    study: Words
     a: tuple[str, ...]
-    b: tuple[str, ...]
-    value: float | None
-    outcome: str
-    event: Event | None
-    only: str
-    kind: str
-    direction: str
-    margin: float | None
-    need: str
-    untestable: str
-    seeds: Mapping[str, tuple[int, ...]]
-    steps: Mapping[str, int]
+    b: tuple[str, ...] = ()
+    c: tuple[str, ...] = ()
+    d: tuple[str, ...] = ()
+    value: Finite | None = None
+    outcome: Annotated[tuple[Words, ...], BeforeValidator(_listed), Field(min_length=1, max_length=2)]
+    above: Finite | None = None
+    below: Finite | None = None
+    only: Literal["", "collapsed"] = ""
+    kind: Literal["mean", "spread", "incidence"]
+    direction: Literal["greater", "less", "different", "equal", "not-less"]
+    margin: ByOutcome = None
+    plausible: ByOutcome = None
+    need: Literal["all", "any"] = "all"
+    untestable: Text = ""
+    seeds: dict[str, tuple[int, ...]]
+    steps: dict[str, int]
     worlds: tuple[str, ...]
-    logs: tuple[LogContrast, ...]
-    note: str
+    logs: tuple[LogContrast, ...] = ()
+    note: Text = ""
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """The outcomes that it is about, one or two."""
+        return self.outcome
+
+    @property
+    def event(self) -> Event | None:
+        """What is counted, for an incidence."""
+        threshold = self.below if self.above is None else self.above
+        return None if threshold is None else Event(self.above is not None, threshold)
 
     @property
     def pairs(self) -> list[tuple[str, str | None]]:
-        """The contrasts that the claim comes to: an arm, and the other; None for the constant."""
+        """The contrasts that it makes of each outcome: an arm, and the other; None for the constant."""
         return list(product(self.a, self.b or (None,)))
 
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Every condition that it is about."""
+        return tuple(dict.fromkeys((*self.a, *self.b, *self.c, *self.d)))
 
-@dataclass(frozen=True)
-class PublishedLogs:
-    """Figures of single runs that were once published.
+    def of(self, key: Literal["margin", "plausible"], outcome: str) -> float | None:
+        """Return the margin, or what is plausible, of one outcome."""
+        value: float | dict[str, float] | None = getattr(self, key)
+        return value.get(outcome) if isinstance(value, dict) else value
 
-    Attributes:
-        runs: by name, the values of `FIGURES`.
-        same: pairs of names that stand for one configuration, from which runs' spread is known.
-    """
-
-    runs: Mapping[str, Mapping[str, float]]
-    same: tuple[tuple[str, str], ...]
+    def contrasts_in(self, place: str) -> int:
+        """Return how many contrasts it has in one of `PLACES`."""
+        if place == LOGS:
+            return len(self.logs)
+        return len(self.outcomes) * len(self.pairs) if place in self.worlds else 0
 
 
 @dataclass(frozen=True)
@@ -132,12 +225,43 @@ class ClaimList:
 
     Attributes:
         digest: SHA-256 of the file.
+        plausible: by outcome, the largest effect thought possible, of claims that say nothing.
     """
 
     path: Path
     digest: str
     claims: Mapping[str, Claim]
     logs: PublishedLogs
+    head: ListHead = ListHead()
+    pilot: Pilot | None = None
+    plausible: Mapping[str, float] | None = None
+
+    @property
+    def contrasts(self) -> int:
+        """How many contrasts the list has, with and without runs."""
+        return sum(claim.contrasts_in(place) for claim in self.claims.values() for place in PLACES)
+
+    def factor(self, claim: Claim, place: str) -> float:
+        """Return what a contrast's p-value is multiplied by: alpha over its own part of it.
+
+        Without weights, the number of contrasts (Bonferroni). With them, each group and place has its part
+        of alpha, and its contrasts share that part equally (weighted Bonferroni: Rosenthal and Rubin 1983).
+        """
+        counts: Counter[tuple[str, str]] = Counter()
+        for own in self.claims.values():
+            for where in PLACES:
+                counts[self._cell(own, where)] += own.contrasts_in(where)
+        parts = {cell: self._weight(cell) for cell, count in counts.items() if count}
+        cell = self._cell(claim, place)
+        return counts[cell] * sum(parts.values()) / parts.get(cell, 1.0)
+
+    def _cell(self, claim: Claim, place: str) -> tuple[str, str]:
+        group = (claim.group or claim.section) if self.head.weights else ""
+        return group, place if self.head.world_weights else ""
+
+    def _weight(self, cell: tuple[str, str]) -> float:
+        group, place = cell
+        return self.head.weights.get(group, 1.0) * self.head.world_weights.get(place, 1.0)
 
 
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
@@ -147,173 +271,110 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
         UserError: naming file, line, key, value and what is allowed.
     """
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
-    file.refuse_unknown((), file.data, ("defaults", "logs", "claims"))
+    file.refuse_unknown((), file.data, ("list", "defaults", "logs", "pilot", "plausible", "claims"))
     file.refuse_unknown(("defaults",), file.table(("defaults",)), ("seeds", "steps"))
+    head = _read(ListHead, file, ("list",), file.table(("list",)))
     logs = _read_logs(file)
-    claims = {name: _read_claim(file, name, logs) for name in file.table(("claims",))}
+    claims = {name: _read_claim(file, name, logs, head) for name in file.table(("claims",))}
     if not claims:
         raise UserError(f"{file.path}: holds no claims")
-    return ClaimList(file.path, checksum(file.text.encode()), claims, logs)
+    for place in head.world_weights:
+        if place not in PLACES:
+            raise file.mistake(("list", "world_weights"), str(unknown_name("world", place, PLACES)), place)
+    pilot = _read(Pilot, file, ("pilot",), file.table(("pilot",))) if "pilot" in file.data else None
+    plausible = file.table(("plausible",))
+    return ClaimList(file.path, checksum(file.text.encode()), claims, logs, head, pilot, plausible)
+
+
+_Model = TypeVar("_Model", bound=Table)
+
+
+def _read(model: type[_Model], file: TomlFile, where: Where, table: Mapping[str, Any]) -> _Model:
+    """Return a table as a model; what is wrong with it as a mistake in the file."""
+    try:
+        return model.model_validate(plain(table))
+    except ValidationError as error:
+        inside, key, message = complaint(error, table)
+    raise file.mistake((*where, *inside), message, key)
 
 
 # --- One claim -----------------------------------------------------------------------------------
 
 
-def _read_claim(file: TomlFile, name: str, logs: PublishedLogs) -> Claim:
+def _read_claim(file: TomlFile, name: str, logs: PublishedLogs, head: ListHead) -> Claim:
     where = ("claims", name)
     table = file.table(where)
-    file.refuse_unknown(where, table, _KEYS)
-    for key in _NEEDED:
-        if key not in table:
-            raise file.mistake(where, f"the key {key!r} is missing")
-    texts = {
-        key: _text(file, where, table, key)
-        for key in ("quote", "section", "study", "outcome", "only", "untestable", "note")
-    }
-    study = _study(file, where, texts["study"])
-    fixed = read_fixed_runs(file, where, study)
-    _allowed(file, where, "outcome", lambda: find_outcome(texts["outcome"]))
-    if texts["only"]:
-        _choice(file, where, table, "only", PICKING)
-    kind = _choice(file, where, table, "kind", KINDS)
-    direction = _choice(file, where, table, "direction", DIRECTIONS)
-    value = _value(file, where, table, kind, direction)
-    if bool(fixed.b) == (value is not None):
-        raise file.mistake(where, "a claim holds a against either b, conditions, or value, a number")
-    return Claim(
-        **{"name": name, **texts},
-        a=fixed.a,
-        b=fixed.b,
-        value=value,
-        event=_event(file, where, table, kind),
-        kind=kind,
-        direction=direction,
-        margin=_margin(file, where, table, kind, direction),
-        need=_choice(file, where, {"need": "all", **table}, "need", NEEDS),
-        seeds=fixed.seeds,
-        steps=fixed.steps,
-        worlds=fixed.worlds,
-        logs=_log_contrasts(file, where, table, logs),
-    )
-
-
-def _text(file: TomlFile, where: Where, table: Mapping[str, Any], key: str) -> str:
-    value = table.get(key, "")
-    if not isinstance(value, str) or (key in _NEEDED and not value.strip()):
-        raise file.mistake(where, f"{key} = {shown(value)} is not allowed: a text", key)
-    return " ".join(value.split())
-
-
-def _allowed(file: TomlFile, where: Where, key: str, read: Callable[[], Any]) -> Any:
-    """Return what a reader gives; its complaint at the line of the key."""
-    try:
-        return read()
-    except UserError as error:
-        raise file.mistake(where, f"{key}: {error}", key) from None
+    fixed: dict[str, Any] = {"seeds": {}, "steps": {}, "worlds": ()}
+    if isinstance(table.get("study"), str):
+        study = _study(file, where, table["study"])
+        fixed = vars(read_fixed_runs(file, where, study))
+    claim = _read(Claim, file, where, {**table, **fixed, "name": name})
+    for key, message in _mistakes(claim, logs, head):
+        raise file.mistake(where, message, key)
+    return claim
 
 
 def _study(file: TomlFile, where: Where, name: str) -> Study:
     """Load a study; a path is taken from the claims' own folder."""
-    path = str(file.path.parent / name) if name.endswith(".toml") else name
-    study: Study = _allowed(file, where, "study", lambda: load_study(path))
-    return study
-
-
-def _choice(file: TomlFile, where: Where, table: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
-    if table[key] not in names:
-        raise file.mistake(where, f"{key}: {unknown_name(key, str(table[key]), names)}", key)
-    return str(table[key])
-
-
-def _number(file: TomlFile, where: Where, table: Mapping[str, Any], key: str) -> float | None:
-    value = table.get(key)
-    if value is None:
-        return None
     try:
-        return Number(-math.inf).read(value)
-    except ValueError:
-        raise file.mistake(where, f"{key} = {shown(value)} is not allowed: a number", key) from None
+        return load_study(str(file.path.parent / name) if name.endswith(".toml") else name)
+    except UserError as error:
+        raise file.mistake(where, f"study: {error}", "study") from None
 
 
-def _value(file: TomlFile, where: Where, table: Mapping[str, Any], kind: str, direction: str) -> float | None:
-    value = _number(file, where, table, "value")
-    if value is None:
-        return None
-    if kind not in CONSTANT_KINDS:
-        raise file.mistake(where, f"value: {', '.join(CONSTANT_KINDS)} can be held against a number", "value")
-    if kind == "incidence" and not 0 <= value <= 1:
-        raise file.mistake(where, f"value = {value:g} is not allowed: a share of runs, from 0 to 1", "value")
-    if kind == "incidence" and (direction, value) in (("less", 0), ("greater", 1)):
-        raise file.mistake(where, f"value = {value:g}: no share of runs is {direction} than that", "value")
-    return value
+def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[str, str]]:
+    """Return what is wrong with a claim whose keys are each right by themselves: the key, and what it is."""
+    value, kind, event = claim.value, claim.kind, claim.event
+    wrong = []
 
+    def check(right: bool, key: str, message: str) -> None:
+        if not right:
+            wrong.append((key, message))
 
-def _event(file: TomlFile, where: Where, table: Mapping[str, Any], kind: str) -> Event | None:
-    above, below = (_number(file, where, table, key) for key in ("above", "below"))
-    given = [number for number in (above, below) if number is not None]
-    if len(given) != (kind == "incidence"):
-        raise file.mistake(where, "an incidence, and nothing else, counts runs by above or below, a number")
-    return Event(above is not None, given[0]) if given else None
-
-
-def _margin(
-    file: TomlFile, where: Where, table: Mapping[str, Any], kind: str, direction: str
-) -> float | None:
-    margin = _number(file, where, table, "margin")
-    if margin is None and direction in ("equal", "not-less"):
-        raise file.mistake(where, "the key 'margin' is missing: within it, a difference counts as none")
-    least = 1 if kind == "spread" else 0
-    if margin is not None and margin <= least:
-        raise file.mistake(where, f"margin = {margin:g} is not allowed: above {least} for {kind}", "margin")
-    if margin is not None and kind == "incidence" and margin >= 1:
-        raise file.mistake(where, f"margin = {margin:g} is not allowed: below 1, a share of runs", "margin")
-    return margin
-
-
-# --- Published logs --------------------------------------------------------------------------------
+    for outcome in (part for name in claim.outcomes for part in name.split(MINUS)):
+        try:
+            find_outcome(outcome)
+        except UserError as error:
+            check(False, "outcome", f"outcome: {error}")
+    check(bool(claim.b) != (value is not None), "", "a claim holds a against either b, conditions, or value")
+    check(value is None or kind in CONSTANT_KINDS, "value", f"value: {kind} is not held against a number")
+    if value is not None and kind == "incidence":
+        check(0 <= value <= 1, "value", f"value = {value:g} is not allowed: a share of runs, from 0 to 1")
+        least = (claim.direction, value) not in (("less", 0), ("greater", 1))
+        check(least, "value", f"value = {value:g}: no share of runs is {claim.direction} than that")
+    given = sum(own is not None for own in (claim.above, claim.below))
+    counted = "an incidence, and nothing else, counts runs by above or below, a number"
+    check(given == (kind == "incidence"), "", counted)
+    four = [claim.a, claim.b, claim.c, claim.d]
+    effects = kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
+    told = "a difference of two effects is of means, with another condition in each of a, b, c, d"
+    check(effects or not (claim.c or claim.d), "c", told)
+    for outcome in claim.outcomes:
+        margin = claim.of("margin", outcome)
+        lacks = "the key 'margin' is missing: within it, a difference counts as none"
+        check(margin is not None or claim.direction not in MARGINAL, "margin", lacks)
+        if margin is not None:
+            least_margin, most = (1, float("inf")) if kind == "spread" else (0, 1 if event else float("inf"))
+            allowed = f"above {least_margin}{' and below 1' * bool(event)} for {kind}"
+            inside = least_margin < margin < most
+            check(inside, "margin", f"margin = {margin:g} is not allowed: {allowed}")
+    group = claim.group or claim.section
+    if head.weights and group not in head.weights:
+        check(False, "group", f"group: {unknown_name('group of weights', group, head.weights)}")
+    early = [seed for own in claim.seeds.values() for seed in own if seed < head.seeds_from]
+    check(not early, "seeds", f"seeds: {min(early, default=0)} is below seeds_from = {head.seeds_from}")
+    for own in claim.logs:
+        for name in (own.a, own.b):
+            if name not in logs.runs:
+                check(False, "logs", f"logs: {unknown_name('published run', name, logs.runs)}")
+            elif own.figure not in logs.runs[name]:
+                check(False, "logs", f"logs: the published run {name} has no {own.figure}")
+    return wrong
 
 
 def _read_logs(file: TomlFile) -> PublishedLogs:
-    where = ("logs",)
-    file.refuse_unknown(where, file.table(where), ("runs", "same"))
-    runs = {}
-    for name in file.table((*where, "runs")):
-        place = (*where, "runs", name)
-        table = file.table(place)
-        file.refuse_unknown(place, table, FIGURES)
-        runs[name] = {key: value for key in table if (value := _number(file, place, table, key)) is not None}
-    same = file.table(where).get("same", [])
-    for pair in same if isinstance(same, list) else [same]:
-        if (
-            not isinstance(pair, list)
-            or len(pair) != 2
-            or not all(isinstance(name, str) and name in runs for name in pair)
-        ):
-            raise file.mistake(where, f"same: {shown(pair)} is no pair of names of runs", "same")
-    return PublishedLogs(runs, tuple((a, b) for a, b in same))
-
-
-def _log_contrasts(
-    file: TomlFile, where: Where, table: Mapping[str, Any], logs: PublishedLogs
-) -> tuple[LogContrast, ...]:
-    """Read `logs`: a list of { a, b, figure }, two published runs and what is compared of them."""
-    value = table.get("logs", [])
-    if not isinstance(value, list) or not all(isinstance(own, dict) for own in value):
-        raise file.mistake(
-            where, f"logs = {shown(value)} is not allowed: a list of {{ a, b, figure }}", "logs"
-        )
-    found = []
-    for own in value:
-        unknown = [key for key in own if key not in ("a", "b", "figure")]
-        if unknown:
-            raise file.mistake(
-                where, f"logs: {unknown_name('key', unknown[0], ('a', 'b', 'figure'))}", "logs"
-            )
-        for key, known in (("a", logs.runs), ("b", logs.runs), ("figure", FIGURES)):
-            if not isinstance(own.get(key), str) or own[key] not in known:
-                raise file.mistake(where, f"logs: {unknown_name(key, str(own.get(key)), known)}", "logs")
-        for name in (own["a"], own["b"]):
-            if own["figure"] not in logs.runs[name]:
-                raise file.mistake(where, f"logs: the published run {name} has no {own['figure']}", "logs")
-        found.append(LogContrast(own["a"], own["b"], own["figure"]))
-    return tuple(found)
+    logs = _read(PublishedLogs, file, ("logs",), file.table(("logs",)))
+    for pair in logs.same:
+        if not {*pair} <= {*logs.runs}:
+            raise file.mistake(("logs",), f"same: {shown(pair)} is no pair of names of runs", "same")
+    return logs

@@ -1,29 +1,29 @@
 """Contrasts: one arm of runs against another, or against a constant, with an effect, an interval and tests.
 
-A contrast carries five one-sided p-values, each valid by itself: that the effect is above no
-difference, below it, within the margin on both sides, and beyond it, above and below. What they come to
-for a claim is for `pneuma.analysis.verdicts`. Which test each kind uses, and what it assumes, is in
-docs/evidence.md.
+A contrast has five one-sided p-values, each valid by itself: that the effect is above no difference, below
+it, within the margin on both sides, and beyond it, above and below. What they mean for a claim is decided in
+`pneuma.analysis.verdicts`. Which test each kind uses, and what it assumes, is in docs/evidence.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pneuma.analysis import incidence, intervals, permutation, two_arms
+from pneuma.analysis import intervals, pvalues
 from pneuma.analysis.estimates import deviation, finite
 from pneuma.analysis.intervals import Interval, no_interval
-from pneuma.analysis.two_arms import OneSided, PValues, two_one_sided
+from pneuma.analysis.pvalues import PValues
 
-CONTRAST_KINDS = ("mean", "spread", "incidence", "paired")
-"""Difference of means; ratio of standard deviations; difference of shares of runs with an event (values
-0 or 1); mean difference of runs that belong together one by one."""
+CONTRAST_KINDS = ("mean", "spread", "incidence")
+"""Difference of means; ratio of standard deviations; difference of shares of runs with an event (values 0 or
+1)."""
 
 CONSTANT_KINDS = ("mean", "incidence")
-"""Which of them one arm can be held against a constant in."""
+"""Those in which one arm can be held against a constant."""
 
 LEVEL = 0.05
 """The error rate at which too few seeds are called too few."""
@@ -44,6 +44,7 @@ class Contrast:
         reason: what hinders a conclusion, in words; empty where nothing does.
         smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
         p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 where there is none.
+        simultaneous: its interval at the level of a whole list of contrasts.
     """
 
     kind: str
@@ -58,6 +59,7 @@ class Contrast:
     smallest_less: float = 0.0
     p_far_greater: float = 1.0
     p_far_less: float = 1.0
+    simultaneous: Interval = no_interval()
 
     @property
     def p_different(self) -> float:
@@ -69,40 +71,96 @@ class Contrast:
         """The p-value of anything found: it bounds the chance of any false finding."""
         return min(self.p_different, self.p_equivalent)
 
+    @property
+    def none(self) -> float:
+        """The effect that is no difference."""
+        return 1.0 if self.kind == "spread" else 0.0
+
 
 def compare(
-    kind: str, a: ArrayLike, b: ArrayLike, margin: float | None, generator: np.random.Generator
+    kind: str,
+    a: ArrayLike,
+    b: ArrayLike,
+    margin: float | None,
+    generator: np.random.Generator,
+    level: float = intervals.LEVEL,
 ) -> Contrast:
     """Compare arm a with arm b.
 
     Args:
         kind: one of `CONTRAST_KINDS`.
         a: (runs,) finite values, one per run.
-        b: the same of the other arm; of as many runs, in the same order, for "paired".
+        b: the same of the other arm.
         margin: within what a difference counts as none: in the outcome's unit, or as a share, or as a
             ratio above 1 for "spread". None where no such claim can be made.
         generator: draws relabelings where there are too many to count.
+        level: of the simultaneous interval.
 
     Raises:
         ValueError: for an unknown kind, values that are not finite, or a margin out of range.
     """
     first, second = finite(a), finite(b)
     _check(kind, CONTRAST_KINDS, margin)
-    if kind == "paired" and first.size != second.size:
-        raise ValueError(f"paired arms of {first.size} and {second.size} runs")
+    seeds, effect = (first.size, second.size), _effect(kind, first, second)
     fewest = 1 if kind == "incidence" else 2
-    seeds = (first.size, second.size)
     if min(seeds) < fewest:
-        return undecided(kind, _too_few(seeds, fewest), seeds, _effect(kind, first, second))
-    if kind == "paired":
-        return _one_sample(first - second, margin, generator, "paired", seeds)
+        return undecided(kind, _too_few(min(seeds), fewest), seeds, effect)
     if kind == "incidence":
-        return _incidence(first, second, margin)
-    return (_mean if kind == "mean" else _spread)(first, second, margin, generator)
+        return _incidence(first, second, margin, level)
+    equal = [name for name, arm in (("a", first), ("b", second)) if not _differ(arm)]
+    if kind == "spread" and equal:
+        reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
+        return undecided(kind, reason, seeds, effect)
+    labels = pvalues.relabel(first.size, second.size, generator)
+    if kind == "mean":
+        found = pvalues.mean_p_values(first[None], second[None], margin, labels)
+        make = intervals.difference_interval
+    else:
+        found = pvalues.spread_p_values(first[None], second[None], margin, labels)
+        make = intervals.deviation_ratio_interval
+    both = make(first, second), make(first, second, level)
+    return _contrast(kind, effect, both, found, seeds, labels.smallest_p)
+
+
+def compare_effects(
+    arms: Sequence[ArrayLike], margin: float | None, level: float = intervals.LEVEL
+) -> Contrast:
+    """Compare the difference of means a - b with c - d, by Student's distribution over four arms.
+
+    The degrees of freedom are Welch's for four arms (Satterthwaite 1946).
+
+    Args:
+        arms: (runs,) finite values of a, b, c and d.
+        margin: within what the difference of differences counts as none, or None.
+        level: of the simultaneous interval.
+    """
+    values = [finite(arm) for arm in arms]
+    seeds = min(own.size for own in values[:2]), min(own.size for own in values[2:])
+    if min(seeds) < 2:
+        return undecided("mean", _too_few(min(seeds), 2), seeds)
+    means = [own.mean() for own in values]
+    effect = float(means[0] - means[1] - means[2] + means[3])
+    parts = np.array([own.var(ddof=1) / own.size for own in values])
+    error, degrees = float(np.sqrt(parts.sum())), np.array([own.size - 1 for own in values])
+    if error == 0:
+        return undecided("mean", "all runs of every arm are equal", seeds, effect)
+    freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
+    both = [
+        intervals.around(effect, error, freedom, own, "Welch t, four arms")
+        for own in (intervals.LEVEL, level)
+    ]
+    shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
+    tails = pvalues.student_tails(shifted, np.full(shifted.shape, error), freedom)
+    return _contrast("mean", effect, (both[0], both[1]), pvalues.by_shift(*tails, 1), seeds, 0.0)
 
 
 def compare_with(
-    kind: str, a: ArrayLike, value: float, margin: float | None, generator: np.random.Generator
+    kind: str,
+    a: ArrayLike,
+    value: float,
+    margin: float | None,
+    generator: np.random.Generator,
+    level: float = intervals.LEVEL,
 ) -> Contrast:
     """Compare one arm with a constant: is its mean, or its share of runs, above or below it?
 
@@ -112,6 +170,7 @@ def compare_with(
         value: the constant, in their unit.
         margin: as for `compare`.
         generator: draws turns of signs where there are too many to count.
+        level: of the simultaneous interval.
 
     Raises:
         ValueError: as for `compare`.
@@ -119,12 +178,16 @@ def compare_with(
     runs = finite(a)
     _check(kind, CONSTANT_KINDS, margin)
     seeds = (runs.size, 0)
+    effect = float((runs - value).mean()) if runs.size else float("nan")
+    fewest = 1 if kind == "incidence" else 2
+    if runs.size < fewest:
+        return undecided(kind, _too_few(runs.size, fewest), seeds, effect)
     if kind == "incidence":
-        return _incidence_with(runs, value, margin)
-    if runs.size < 2:
-        effect = float(runs[0] - value) if runs.size else float("nan")
-        return undecided(kind, _too_few(seeds[:1], 2), seeds, effect)
-    return _one_sample(runs - value, margin, generator, "mean", seeds)
+        return _incidence_with(runs, value, margin, level)
+    flips = pvalues.sign_flips(runs.size, generator)
+    found = pvalues.one_mean_p_values((runs - value)[None], margin, flips)
+    both = intervals.mean_interval(runs - value), intervals.mean_interval(runs - value, level)
+    return _contrast(kind, effect, both, found, seeds, 1 / len(flips))
 
 
 def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
@@ -134,75 +197,31 @@ def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
         raise ValueError(f"a margin of {margin} for a contrast of kind {kind}")
 
 
-def _mean(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
-    labels = permutation.relabel(a.size, b.size, generator)
-    found = two_arms.mean_p_values(a[None], b[None], margin, labels)
-    interval = intervals.difference_interval(a, b)
-    return _contrast("mean", _effect("mean", a, b), interval, found, (a.size, b.size), labels.smallest_p)
+def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None, level: float) -> Contrast:
+    (count_a, n), (count_b, m) = (_count(a), a.size), (_count(b), b.size)
+    found = pvalues.incidence_p_values(np.array([count_a]), n, np.array([count_b]), m, margin)
+    counts = count_a, n, count_b, m
+    make = intervals.incidence_difference_interval
+    both = make(*counts), make(*counts, level)
+    extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
+    smallest = float(extremes.greater[0]), float(extremes.less[1])
+    return _contrast("incidence", _effect("incidence", a, b), both, found, (n, m), *smallest)
 
 
-def _spread(a: np.ndarray, b: np.ndarray, margin: float | None, generator: np.random.Generator) -> Contrast:
-    seeds, effect = (a.size, b.size), _effect("spread", a, b)
-    equal = [name for name, arm in (("a", a), ("b", b)) if not _differ(arm)]
-    if equal:
-        reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
-        return undecided("spread", reason, seeds, effect)
-    labels = permutation.relabel(a.size, b.size, generator)
-    found = two_arms.spread_p_values(a[None], b[None], margin, labels)
-    interval = intervals.deviation_ratio_interval(a, b)
-    return _contrast("spread", effect, interval, found, seeds, labels.smallest_p)
-
-
-def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None) -> Contrast:
-    counts_a, counts_b = np.array([_count(a)]), np.array([_count(b)])
-    found = two_arms.incidence_p_values(counts_a, a.size, counts_b, b.size, margin)
-    interval = intervals.incidence_difference_interval(counts_a[0], a.size, counts_b[0], b.size)
-    most = two_arms.incidence_p_values(np.array([a.size]), a.size, np.array([0]), b.size, None)
-    least = two_arms.incidence_p_values(np.array([0]), a.size, np.array([b.size]), b.size, None)
-    seeds, smallest = (a.size, b.size), (float(most.greater[0]), float(least.less[0]))
-    return _contrast("incidence", _effect("incidence", a, b), interval, found, seeds, *smallest)
-
-
-def _one_sample(
-    differences: np.ndarray,
-    margin: float | None,
-    generator: np.random.Generator,
-    kind: str,
-    seeds: tuple[int, int],
-) -> Contrast:
-    """Test a mean of differences by turning their signs, which supposes that they lie alike to both sides."""
-    signs = permutation.sign_flips(differences.size, generator)
-    shifts = np.array([0.0] if margin is None else [0.0, -margin, margin])
-    samples = differences + shifts[:, None]
-    size = np.abs(samples).max()  # so that units do not matter to what counts as equal
-    p_greater, p_less = permutation.tails(signs @ (samples / (size or 1.0)).T)
-    found = two_one_sided(p_greater, p_less, 1)
-    interval = intervals.mean_interval(differences)
-    return _contrast(kind, float(differences.mean()), interval, found, seeds, 1 / len(signs))
-
-
-def _incidence_with(runs: np.ndarray, value: float, margin: float | None) -> Contrast:
-    if not runs.size:
-        return undecided("incidence", _too_few((0,), 1))
-    count, above, below = _count(runs), incidence.p_share_above, incidence.p_share_below
-    own = intervals.incidence_interval(count, runs.size)
-    interval = Interval(own.low - value, own.high - value, own.level, own.method)
-
-    def one_sided(share: float) -> OneSided:  # beyond an end of the scale no share can be
-        p_above = 0.0 if share < 0 else 1.0 if share > 1 else above(count, runs.size, share)
-        p_below = 0.0 if share > 1 else 1.0 if share < 0 else below(count, runs.size, share)
-        return np.array([p_above]), np.array([p_below])
-
-    beyond = (None, None) if margin is None else (one_sided(value + margin), one_sided(value - margin))
-    found = two_arms.p_values(one_sided(value), *beyond)
-    smallest = (above(runs.size, runs.size, value), below(0, runs.size, value))
-    return _contrast("incidence", float(runs.mean() - value), interval, found, (runs.size, 0), *smallest)
+def _incidence_with(runs: np.ndarray, value: float, margin: float | None, level: float) -> Contrast:
+    count, seeds = _count(runs), (runs.size, 0)
+    made = [intervals.incidence_interval(count, runs.size, own) for own in (intervals.LEVEL, level)]
+    first, second = (Interval(own.low - value, own.high - value, own.level, own.method) for own in made)
+    found = pvalues.one_share_p_values(np.array([count]), runs.size, value, margin)
+    extremes = pvalues.one_share_p_values(np.array([runs.size, 0]), runs.size, value, None)
+    smallest = float(extremes.greater[0]), float(extremes.less[1])
+    return _contrast("incidence", float(runs.mean() - value), (first, second), found, seeds, *smallest)
 
 
 def _contrast(
     kind: str,
     effect: float,
-    interval: Interval,
+    both: tuple[Interval, Interval],
     found: PValues,
     seeds: tuple[int, int],
     smallest_greater: float,
@@ -211,10 +230,26 @@ def _contrast(
     """Return the contrast of one sample; both directions have the same smallest p unless it is given."""
     greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in found)
     smallest = (smallest_greater, smallest_greater if smallest_less is None else smallest_less)
-    reason = _reason(min(smallest))
+    least = 2 * min(smallest)
+    reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
+    first, simultaneous = both
     return Contrast(
-        kind, effect, interval, greater, less, equivalent, seeds, reason, *smallest, far_greater, far_less
-    )
+        kind, effect, first, greater, less, equivalent, seeds, reason, *smallest, far_greater, far_less,
+        simultaneous,
+    )  # fmt: skip
+
+
+def undecided(
+    kind: str, reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")
+) -> Contrast:
+    """Return a comparison that tells nothing, for a reason."""
+    return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
+
+
+def _too_few(seeds: int, fewest: int) -> str:
+    if seeds == 0:
+        return "an arm has no runs"
+    return f"an arm has {seeds} run{'s' * (seeds > 1)}; it takes {fewest} to see how runs differ"
 
 
 def _count(runs: np.ndarray) -> int:
@@ -225,7 +260,7 @@ def _count(runs: np.ndarray) -> int:
 
 def _differ(arm: np.ndarray) -> bool:
     """Tell whether runs differ by more than rounding."""
-    return bool(permutation.scaled(arm[None]).any())
+    return bool(pvalues.scaled(arm[None]).any())
 
 
 def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
@@ -237,22 +272,3 @@ def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
     if under == 0 or not _differ(b):
         return float("inf") if over > 0 and _differ(a) else float("nan")
     return over / under
-
-
-def undecided(
-    kind: str, reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")
-) -> Contrast:
-    """Return a comparison that tells nothing, for a reason."""
-    return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
-
-
-def _too_few(seeds: tuple[int, ...], fewest: int) -> str:
-    if min(seeds) == 0:
-        return "an arm has no runs"
-    return f"an arm has {min(seeds)} run{'s' * (min(seeds) > 1)}; it takes {fewest} to see how runs differ"
-
-
-def _reason(smallest: float) -> str:
-    if 2 * smallest <= LEVEL:
-        return ""
-    return f"too few seeds: the smallest p possible is {2 * smallest:.2g}"

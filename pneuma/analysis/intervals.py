@@ -1,8 +1,8 @@
 """Intervals: between what bounds an estimate over runs lies.
 
-Every interval says its level and its method. Where there are too few runs, or none that differ, or its ends
-would not, there is none: its ends are NaN and its method is "none". What each covers at which number of runs
-is printed by `pneuma bench calibration` and told in docs/evidence.md.
+Every interval has its level and its method. Where there are too few runs, or none that differ, there is
+none: its ends are NaN and its method is "none". What each covers at which number of runs is printed by
+`pneuma bench calibration` and told in docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -52,13 +52,19 @@ def no_interval(level: float = LEVEL) -> Interval:
     return Interval(float("nan"), float("nan"), level, "none")
 
 
+def around(centre: float, error: float, freedom: float, level: float, method: str) -> Interval:
+    """Return Student's interval of an estimate by its standard error."""
+    half = error * special.stdtrit(freedom, (1 + level) / 2)
+    return Interval(float(centre - half), float(centre + half), level, method)
+
+
 def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
     runs = finite(values)
     if runs.size < 2 or np.ptp(runs) == 0:
         return no_interval(level)
-    half = runs.std(ddof=1) / np.sqrt(runs.size) * special.stdtrit(runs.size - 1, (1 + level) / 2)
-    return Interval(float(runs.mean() - half), float(runs.mean() + half), level, "t")
+    error = runs.std(ddof=1) / np.sqrt(runs.size)
+    return around(runs.mean(), error, runs.size - 1, level, "t")
 
 
 def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
@@ -67,16 +73,13 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
     if min(first.size, second.size) < 2 or np.ptp(first) + np.ptp(second) == 0:
         return no_interval(level)
     error, freedom = welch_error(first, second)
-    half = error * special.stdtrit(freedom, (1 + level) / 2)
-    centre = first.mean() - second.mean()
-    return Interval(float(centre - half), float(centre + half), level, "Welch t")
+    return around(first.mean() - second.mean(), float(error), float(freedom), level, "Welch t")
 
 
 def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Bonett's interval of the standard deviation: it asks for no normal distribution.
+    """Return Bonett's interval of the standard deviation, which does not suppose a normal distribution.
 
-    Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal
-    distributions.
+    Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal distributions.
     """
     runs = finite(values)
     if runs.size < 5 or np.ptp(runs) == 0:
@@ -84,16 +87,15 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     z = special.ndtri((1 + level) / 2)
     factor = runs.size / (runs.size - z)
     half = z * factor * np.sqrt(_log_variance_error((runs,)))
-    centre = np.log(factor * runs.var(ddof=1))
-    return _of_log_variance(float(centre), float(half), level)
+    return _of_log_variance(np.log(factor * runs.var(ddof=1)), half, level)
 
 
 def deviation_ratio_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Bonett's interval of the ratio of standard deviations, a over b.
 
     Source: Bonett (2006), Robust confidence interval for a ratio of standard deviations: the error of
-    a log variance follows from the kurtosis of both arms together, each here in units of its own deviation,
-    for pooled as they are, arms of unlike spread would look heavy-tailed by that alone.
+    a log variance follows from the kurtosis of both arms together. Each is taken here in units of its own
+    deviation, for otherwise arms of unlike spread would look heavy-tailed by that alone.
     """
     first, second = finite(a), finite(b)
     if min(first.size, second.size) < 5 or np.ptp(first) == 0 or np.ptp(second) == 0:
@@ -101,8 +103,7 @@ def deviation_ratio_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -
     z = special.ndtri((1 + level) / 2)
     factor = first.size / (first.size - z) * (second.size - z) / second.size
     half = z * np.sqrt(_log_variance_error(tuple(arm / arm.std(ddof=1) for arm in (first, second))))
-    centre = np.log(factor * first.var(ddof=1) / second.var(ddof=1))
-    return _of_log_variance(float(centre), float(half), level)
+    return _of_log_variance(np.log(factor * first.var(ddof=1) / second.var(ddof=1)), half, level)
 
 
 def _of_log_variance(centre: float, half: float, level: float) -> Interval:
@@ -142,10 +143,8 @@ def incidence_difference_interval(
     """
     if min(runs_a, runs_b) < 1:
         return no_interval(level)
-    (share_a, low_a, high_a), (share_b, low_b, high_b) = (
-        _wilson(count_a, runs_a, level),
-        _wilson(count_b, runs_b, level),
-    )
+    share_a, low_a, high_a = _wilson(count_a, runs_a, level)
+    share_b, low_b, high_b = _wilson(count_b, runs_b, level)
     centre = share_a - share_b
     low = centre - np.hypot(share_a - low_a, high_b - share_b)
     high = centre + np.hypot(high_a - share_a, share_b - low_b)

@@ -1,60 +1,55 @@
 """Judgement: claims and runs → a verdict on every claim in every world.
 
-    ClaimList and Store → [Judged]
+    ClaimList and Store → [Verdict]
 
-Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in each
-world, and by the published logs where they bear on it, side by side and never pooled. All contrasts of all
-claims in all worlds, also of those without runs, are one family for the correction:
-whatever is asked for and whatever has been run, the chance of any false verdict stays at most `ALPHA`.
+Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in each world, and
+by the published logs where they bear on it, side by side and never pooled. All contrasts of all claims in all
+places, also of those without runs, are one family for the correction: whatever is asked for and whatever has
+been run, the chance of any false verdict stays at most the list's alpha.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pneuma.analysis.claim_runs import MEND, Arm, ClaimRuns
-from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_with, undecided
-from pneuma.analysis.log_contrasts import compare_logs
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, measure_of
+from pneuma.analysis.claims import LOGS, PLACES, Claim, ClaimList, LogContrast, PublishedLogs
+from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
+from pneuma.analysis.intervals import LEVEL, around
 from pneuma.analysis.power import seeds_needed
+from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.verdicts import (
     INCONCLUSIVE,
+    MARGINAL,
+    MIXED,
     REFUTED,
     SUPPORTED,
-    Verdict,
+    UNTESTABLE,
+    decide,
     found,
-    judge_list,
+    of_outcomes,
     smallest_p,
     together,
 )
 from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
 
-ALPHA = 0.05
-"""The chance of any false verdict in the whole list."""
-
-LOGS = "logs"
-"""The third place where a claim is judged: the author's published logs."""
-
-PLACES = (*WORLDS, LOGS)
-UNTESTABLE = "untestable"
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
-VERDICTS = (SUPPORTED, REFUTED, INCONCLUSIVE, UNTESTABLE)
+VERDICTS = (SUPPORTED, REFUTED, MIXED, INCONCLUSIVE, UNTESTABLE)
 
 
 @dataclass(frozen=True)
-class Pair:
-    """One contrast of a claim, and what it comes to.
+class Comparison:
+    """One contrast of a claim, and what is concluded on it.
 
     Attributes:
         a, b: the arms' names; b is a number where a is held against one.
+        outcome: what is compared.
         contrast: its reason is not empty where nothing can be concluded.
         verdict: of `VERDICTS`.
         p: corrected for the whole list.
@@ -63,6 +58,7 @@ class Pair:
 
     a: str
     b: str
+    outcome: str
     contrast: Contrast
     run_ids: tuple[str, ...] = ()
     verdict: str = ""
@@ -71,35 +67,34 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A claim's verdict in one of `PLACES`.
+class Verdict:
+    """The verdict on a claim in one of `PLACES`.
 
     Attributes:
         verdict: of `VERDICTS`.
-        reason: in words, why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain
-            result.
-        pairs: its contrasts; none where its study is not run in the world.
+        reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
+        comparisons: its contrasts; none where its study is not run in the world.
     """
 
     claim: Claim
     place: str
     verdict: str
     reason: str
-    pairs: tuple[Pair, ...]
+    comparisons: tuple[Comparison, ...] = ()
 
     @property
-    def told(self) -> Pair | None:
+    def decisive(self) -> Comparison | None:
         """The contrast that decides: the surest where one is enough for the verdict, else the least sure."""
-        deciding = [pair for pair in self.pairs if pair.verdict == self.verdict] or [*self.pairs]
+        deciding = [own for own in self.comparisons if own.verdict == self.verdict] or [*self.comparisons]
         one_is_enough = self.verdict == (REFUTED if self.claim.need == "all" else SUPPORTED)
-        return (min if one_is_enough else max)(deciding, key=lambda pair: pair.p, default=None)
+        return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
 
     @property
     def seeds_needed(self) -> int | None:
         """Seeds per arm that an open claim needs for its open contrasts, all or any, where known of each."""
         if self.verdict != INCONCLUSIVE:
             return None
-        needed = [pair.seeds_needed for pair in self.pairs if pair.verdict == INCONCLUSIVE]
+        needed = [own.seeds_needed for own in self.comparisons if own.verdict == INCONCLUSIVE]
         known = [count for count in needed if count is not None]
         most = max if self.claim.need == "all" else min
         return most(known) if known and len(known) == len(needed) else None
@@ -107,10 +102,15 @@ class Judged:
     @property
     def run_ids(self) -> list[str]:
         """Ids of every run that was looked at."""
-        return list(dict.fromkeys(run_id for pair in self.pairs for run_id in pair.run_ids))
+        return list(dict.fromkeys(run_id for own in self.comparisons for run_id in own.run_ids))
+
+    @property
+    def not_run(self) -> bool:
+        """Whether it lacks runs that can be trained."""
+        return TRAIN_WITH in self.reason
 
 
-def judge(claims: ClaimList, store: Store) -> list[Judged]:
+def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     """Return the verdict on every claim of a list in every place that it can be judged in.
 
     Args:
@@ -121,152 +121,194 @@ def judge(claims: ClaimList, store: Store) -> list[Judged]:
         UserError: for a damaged published table.
     """
     runs = ClaimRuns(store, claims)
-    open_cases = [
-        (claim, place, _contrasts(claim, place, runs, claims))
-        for claim in claims.claims.values()
-        for place in PLACES
+    cases = [(claim, place) for claim in claims.claims.values() for place in PLACES]
+    return [
+        _judge_one(claim, place, runs, claims)
+        for claim, place in cases
+        if place != LOGS or claim.contrasts_in(place)
     ]
-    family = [(pair.contrast, claim.direction) for claim, _, pairs in open_cases for pair in pairs]
-    verdicts = iter(judge_list(family, ALPHA))
-    judged = []
-    for claim, place, pairs in open_cases:
-        decided = tuple(_decided(pair, next(verdicts), claim, len(family)) for pair in pairs)
-        if place in (*claim.worlds, LOGS) and (decided or place != LOGS):
-            judged.append(_judged(claim, place, _planned(claim, place, runs, decided, len(family))))
-        elif place != LOGS:
-            reason = runs.undefined(claim, place)
-            judged.append(Judged(claim, place, UNTESTABLE, reason, ()))
-    return judged
+
+
+def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> Verdict:
+    if place == LOGS:
+        made = [_of_logs(claims.logs, claim, own, _level(claim, place, claims)) for own in claim.logs]
+    elif place in claim.worlds:
+        made = [
+            _compared(claim, place, runs, name, *pair, _level(claim, place, claims))
+            for name in claim.outcomes
+            for pair in claim.pairs
+        ]
+    else:
+        return Verdict(claim, place, UNTESTABLE, runs.undefined(claim, place))
+    decided = [_decided(own, claim, place, runs, claims) for own in made]
+    by_outcome = [
+        together([own.verdict for own in decided if own.outcome == name], claim.need)
+        for name in dict.fromkeys(own.outcome for own in decided)
+    ]
+    untestable = UNTESTABLE in [own.verdict for own in decided]
+    verdict = of_outcomes(by_outcome) or (UNTESTABLE if untestable else INCONCLUSIVE)
+    if verdict == UNTESTABLE:
+        reason = _joined(own.contrast.reason for own in decided)
+    else:
+        refuted = [own.contrast for own in decided if own.verdict == REFUTED]
+        small = verdict == REFUTED and all(_is_as_claimed_but_small(own, claim.direction) for own in refuted)
+        reason = AS_CLAIMED_BUT_SMALL if small else ""
+    return Verdict(claim, place, verdict, reason, tuple(decided))
+
+
+def _level(claim: Claim, place: str, claims: ClaimList) -> float:
+    """Return the level of an interval that holds for all contrasts of the list at once."""
+    return 1 - claims.head.alpha / claims.factor(claim, place)
 
 
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _contrasts(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> list[Pair]:
-    if place == LOGS:
-        return [Pair(own.a, own.b, compare_logs(claims.logs, claim, own)) for own in claim.logs]
-    if place not in claim.worlds:
-        return []
-    return [_pair(claim, place, runs, a, b) for a, b in claim.pairs]
-
-
-def _pair(claim: Claim, world: str, runs: ClaimRuns, a: str, b: str | None) -> Pair:
-    """Return a claim's contrast of two arms, or of one with a number."""
+def _compared(
+    claim: Claim, world: str, runs: ClaimRuns, outcome: str, a: str, b: str | None, level: float
+) -> Comparison:
+    """Return a claim's contrast on one of its outcomes: of two arms, of one with a number, of two effects."""
+    names = [name for name in (a, b, *claim.c, *claim.d) if name is not None]
     told = f"{claim.value:g}" if b is None else b
-    reason = claim.untestable or runs.hindrance(claim, world, a, b)
-    if reason:
-        return Pair(a, told, undecided(claim.kind, reason), runs.known_ids(claim, world, a, b))
-    arms = [runs.arm(claim, world, name) for name in (a, b) if name is not None]
-    run_ids = tuple(run_id for arm in arms for run_id in arm.run_ids)
-    reason = _first(arm.blank or arm.idle for arm in arms) or _at_an_end(claim, arms)
-    if reason:
-        seeds = arms[0].values.size, arms[1].values.size if len(arms) > 1 else 0
-        return Pair(a, told, undecided(claim.kind, reason, seeds), run_ids)
     generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", f"{a}/{told}"))
-    first = _counted(claim, arms[0].values)
-    if b is None:
-        contrast = compare_with(claim.kind, first, float(claim.value or 0.0), claim.margin, generator)
+    if claim.c:
+        a, told = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
+    reason = claim.untestable or runs.hindrance(claim, world, outcome, names)
+    if reason:
+        return Comparison(
+            a, told, outcome, undecided(claim.kind, reason), runs.known_ids(claim, world, names)
+        )
+    arms = {name: runs.arm(claim, world, outcome, name) for name in names}
+    values = [arm.values for arm in arms.values()]
+    run_ids = tuple(run_id for arm in arms.values() for run_id in arm.run_ids)
+    reason = next((arm.reason for arm in arms.values() if arm.reason), "") or _gate(claim, outcome, arms)
+    margin = claim.of("margin", outcome)
+    if reason:
+        seeds = values[0].size, values[1].size if len(values) > 1 else 0
+        contrast = undecided(claim.kind, reason, seeds)
+    elif claim.c:
+        contrast = compare_effects(values, margin, level)
+    elif b is None:
+        contrast = compare_with(claim.kind, values[0], claim.value or 0.0, margin, generator, level)
     else:
-        second = _counted(claim, arms[1].values)
-        contrast = compare(claim.kind, first, second, claim.margin, generator)
-    return Pair(a, told, contrast, run_ids)
+        contrast = compare(claim.kind, values[0], values[1], margin, generator, level)
+    return Comparison(a, told, outcome, contrast, run_ids)
 
 
-def _counted(claim: Claim, values: np.ndarray) -> np.ndarray:
-    """Return (runs,) values, or 1 and 0 for runs with and without the event."""
-    if claim.event is None:
-        return values
-    over = values > claim.event.threshold if claim.event.above else values < claim.event.threshold
-    return over.astype(float)
+def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
+    """Say why arms cannot be compared by what they play like; empty where they can.
+
+    An arm is at the floor if it is not shown to play better than the random player, whatever the number of
+    its runs is. Outcomes that tell only of runs that learned need every arm above it; what says how well an
+    arm plays, and any claim of no difference, needs one.
+    """
+    measure = measure_of(outcome)
+    idle = [name for name, arm in arms.items() if arm.learned is False]
+    if idle and measure.supposes_rise:
+        return f"arm at floor: {idle[0]} is not shown to play better than the random player"
+    of_play = measure.of_play and claim.event is None
+    if len(idle) == len(arms) > 1 and (of_play or claim.direction in MARGINAL):
+        return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
+    return _at_an_end(claim, outcome, list(arms.values()))
 
 
-def _first(reasons: Iterable[str]) -> str:
-    return next(filter(None, reasons), "")
-
-
-def _at_an_end(claim: Claim, arms: Sequence[Arm]) -> str:
+def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     """Say so where every run of both arms lies at the outcome's least or greatest value.
 
-    As near as the margin counts as there: arms that kill nothing are alike for a reason of their own. The
-    margin of a spread is a ratio; what is near an end is then the outcome's to say.
+    As near as the margin counts as there. The margin of a spread is a ratio; what is near an end is then the
+    outcome's to say. Of an outcome of play, arms at the least value are the gate's.
     """
     if len(arms) < 2 or claim.event is not None:
         return ""
-    outcome = find_outcome(claim.outcome)
-    near = claim.margin if claim.kind == "mean" and claim.margin else outcome.alike
+    measure = measure_of(outcome)
+    near = (claim.of("margin", outcome) if claim.kind == "mean" else None) or measure.near
+    known = measure.of_play and all(arm.learned is not None for arm in arms)
     values = np.concatenate([arm.values for arm in arms])
-    for end, bound in zip(("floor", "ceiling"), outcome.bounds, strict=True):
-        if np.isfinite(bound) and (np.abs(values - bound) <= near).all():
-            return (
-                f"both arms are at the {end}: every run has a {claim.outcome} within {near:.2g} of {bound:g}"
-            )
+    for end, bound in zip(("floor", "ceiling"), measure.bounds, strict=True):
+        if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
+            return f"both arms are at the {end}: every run has a {outcome} within {near:.2g} of {bound:g}"
     return ""
+
+
+def run_to_run_deviation(logs: PublishedLogs, figure: str) -> tuple[float, int]:
+    """Return the standard deviation of a figure between runs of one configuration, and from how many pairs.
+
+    Some pairs of the published runs stand for one configuration by accident; their differences tell it. NaN
+    without pairs.
+    """
+    known = [(logs.runs[a], logs.runs[b]) for a, b in logs.same]
+    differences = np.array([a[figure] - b[figure] for a, b in known if figure in a and figure in b])
+    pairs = differences.size
+    return (float(np.sqrt((differences**2).mean() / 2)) if pairs else float("nan")), pairs
+
+
+def _of_logs(logs: PublishedLogs, claim: Claim, own: LogContrast, level: float) -> Comparison:
+    """Compare two published runs by Student's t with the deviation that equal pairs have.
+
+    Where those runs are in the pairs themselves, a great difference makes the deviation great as well: the
+    test errs on the strict side.
+    """
+    single = (1, 1)
+    deviation, pairs = run_to_run_deviation(logs, own.figure)
+    if (own.a, own.b) in logs.same or (own.b, own.a) in logs.same:
+        contrast = undecided(claim.kind, "A/A: both published runs stand for one configuration", single)
+    elif claim.kind != "mean":
+        contrast = undecided(
+            claim.kind, f"one published run each: they have no {claim.kind} to compare", single
+        )
+    elif not deviation > 0:
+        contrast = undecided(claim.kind, "no published runs tell how far apart equal ones lie", single)
+    else:
+        effect = logs.runs[own.a][own.figure] - logs.runs[own.b][own.figure]
+        error = deviation * np.sqrt(2)
+        first, simultaneous = (
+            around(effect, error, pairs, each, "Student, deviation of equal pairs") for each in (LEVEL, level)
+        )
+        greater, less = (float(p) for p in student_tails(np.array(effect), np.array(error), pairs))
+        contrast = Contrast(claim.kind, effect, first, greater, less, 1.0, single, simultaneous=simultaneous)
+    return Comparison(own.a, own.b, own.figure, contrast)
 
 
 # --- Verdicts ------------------------------------------------------------------------------------
 
 
-def _decided(pair: Pair, verdict: Verdict, claim: Claim, family: int) -> Pair:
-    """Give a contrast its verdict: untestable for a reason, or where so few runs could not support it.
-
-    Args:
-        pair: without a verdict.
-        verdict: the list's on it.
-        claim: whose it is.
-        family: contrasts of the list, by whose number each p-value is multiplied.
-    """
-    pair = replace(pair, verdict=verdict.word, p=verdict.p)
-    smallest = smallest_p(pair.contrast, claim.direction)
-    if pair.verdict == INCONCLUSIVE and not pair.contrast.reason and smallest * family > ALPHA:
-        told = (
+def _decided(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> Comparison:
+    """Return a contrast with its verdict: untestable for a reason, or where so few runs cannot support it."""
+    factor, alpha = claims.factor(claim, place), claims.head.alpha
+    verdict, p = decide(own.contrast, claim.direction, factor, alpha)
+    own = replace(own, verdict=verdict, p=p)
+    if verdict != INCONCLUSIVE:
+        return own  # equivalence may be shown by fewer runs than a difference takes
+    reason, smallest = own.contrast.reason, smallest_p(own.contrast, claim.direction)
+    if not reason and smallest * factor > alpha:
+        reason = (
             f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}, "
-            f"and the list has {counted(family, 'contrast')}"
+            f"and the list has {counted(claims.contrasts, 'contrast')}"
         )
-        return replace(pair, verdict=UNTESTABLE, contrast=replace(pair.contrast, reason=told))
-    if not pair.contrast.reason or pair.verdict != INCONCLUSIVE:
-        return pair  # equivalence may be shown by fewer runs than a difference takes
-    return replace(pair, verdict=UNTESTABLE)
+    if reason:
+        return replace(own, verdict=UNTESTABLE, contrast=replace(own.contrast, reason=reason))
+    return replace(own, seeds_needed=_seeds_needed(own, claim, place, runs, alpha / factor))
 
 
-def _planned(
-    claim: Claim, place: str, runs: ClaimRuns, pairs: tuple[Pair, ...], family: int
-) -> tuple[Pair, ...]:
-    """Add how many seeds each contrast needs that is still open, at the error rate of so long a list."""
-
-    def needed(pair: Pair) -> int | None:
-        if pair.verdict != INCONCLUSIVE or place == LOGS or claim.value is not None or claim.only:
-            return None  # of runs that count alone, nobody knows beforehand how many there are
-        a, b = (_counted(claim, runs.arm(claim, place, name).values) for name in (pair.a, pair.b))
-        count = seeds_needed(claim.kind, a, b, claim.margin, ALPHA / family, claim.direction)
-        return count if count is not None and count > min(a.size, b.size) else None  # as many decided nothing
-
-    return tuple(replace(pair, seeds_needed=needed(pair)) for pair in pairs)
+def _seeds_needed(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, alpha: float) -> int | None:
+    """Return how many seeds an open contrast needs, where that can be told."""
+    if place == LOGS or claim.value is not None or claim.only or claim.c:
+        return None  # nobody knows beforehand how many runs will count
+    a, b = (runs.arm(claim, place, own.outcome, name).values for name in (own.a, own.b))
+    count = seeds_needed(claim.kind, a, b, claim.of("margin", own.outcome), alpha, claim.direction)
+    return count if count is not None and count > min(a.size, b.size) else None  # as many decided nothing
 
 
-def _judged(claim: Claim, place: str, pairs: tuple[Pair, ...]) -> Judged:
-    """Return a claim's verdict by those on its contrasts; without one, untestable if a contrast is."""
-    verdicts = [pair.verdict for pair in pairs]
-    verdict = together(verdicts, claim.need) or (UNTESTABLE if UNTESTABLE in verdicts else INCONCLUSIVE)
-    reason = _together(pair.contrast.reason for pair in pairs) if verdict == UNTESTABLE else ""
-    judged = Judged(claim, place, verdict, reason, pairs)
-    return replace(judged, reason=AS_CLAIMED_BUT_SMALL) if _is_as_claimed_but_small(judged) else judged
-
-
-def _is_as_claimed_but_small(judged: Judged) -> bool:
+def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
-    refuted = [pair.contrast for pair in judged.pairs if pair.verdict == REFUTED]
-    return judged.verdict == REFUTED and all(
-        found(own) == "equal" and _bears_out(own, judged.claim.direction) for own in refuted
+    none, interval = contrast.none, contrast.interval
+    as_claimed = (direction == "greater" and interval.low > none) or (
+        direction == "less" and interval.high < none
     )
+    return found(contrast) == "equal" and as_claimed
 
 
-def _bears_out(contrast: Contrast, direction: str) -> bool:
-    """Tell whether the interval lies wholly where the direction has it."""
-    none, interval = 1.0 if contrast.kind == "spread" else 0.0, contrast.interval
-    return interval.low > none if direction == "greater" else direction == "less" and interval.high < none
-
-
-def _together(reasons: Iterable[str]) -> str:
+def _joined(reasons: Iterable[str]) -> str:
     """Return the parts of several reasons, each once, the command that mends them last."""
     parts = dict.fromkeys(part for reason in reasons if reason for part in reason.split("; "))
-    return "; ".join(sorted(parts, key=lambda part: part.startswith(MEND)))
+    return "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))

@@ -1,8 +1,10 @@
-"""Power: how many seeds a contrast needs before it is decided."""
+"""Power: how many seeds decide a contrast, and what difference so many seeds find.
+
+Both take the normal approximation with Student's quantiles, and the exact chances where shares are compared.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import comb
 
 import numpy as np
@@ -14,16 +16,12 @@ from pneuma.analysis.estimates import finite
 
 MOST_SEEDS = 10_000
 """More than this is answered with None: no number of seeds that anyone trains decides it."""
+POWER = 0.8
+"""The chance with which a contrast is to be decided."""
 
 
 def seeds_needed(
-    kind: str,
-    a: ArrayLike,
-    b: ArrayLike,
-    margin: float | None,
-    alpha: float,
-    direction: str = "different",
-    power: float = 0.8,
+    kind: str, a: ArrayLike, b: ArrayLike, margin: float | None, alpha: float, direction: str = "different"
 ) -> int | None:
     """Return how many seeds each arm needs, in all, for a contrast to be decided either way.
 
@@ -35,59 +33,33 @@ def seeds_needed(
         alpha: the error rate that the two-sided test must reach, after any correction.
         direction: what is claimed, of `pneuma.analysis.verdicts.DIRECTIONS`: a claim of no difference is
             not decided by any difference, but by one beyond the margin.
-        power: the chance with which it is to be decided.
 
     Returns:
-        The least number of runs per arm, counting those there are, by a normal approximation and not
-        below what a permutation test of that alpha takes; None where that is above `MOST_SEEDS`, where
-        what was seen has no spread to plan with, and for "spread", whose three tests at once take far more
-        runs than a normal approximation says.
+        The least number of runs per arm, counting those there are, and not below what a permutation test of
+        that alpha takes; None where that is above `MOST_SEEDS`, where what was seen has no spread to plan
+        with, and for "spread", whose tests take far more runs than a normal approximation says.
     """
     if kind not in CONTRAST_KINDS:
         raise ValueError(f"contrast of kind {kind!r}; there are " + ", ".join(CONTRAST_KINDS))
-    plan = _SCALES[kind](finite(a), finite(b), margin) if kind in _SCALES else None
-    if plan is None:
+    first, second = finite(a), finite(b)
+    if kind == "spread" or min(first.size, second.size) < (1 if kind == "incidence" else 2):
         return None
-    effect, error, width = plan
+    error = _error(kind, first, second)
+    if error <= 0:
+        return None
     counts = np.arange(2, MOST_SEEDS + 1)
-    degrees = (counts - 1) * (1.0 if kind == "paired" else 2.0)
-    enough = _power(effect, error / np.sqrt(counts), width, alpha, degrees, direction) >= power
-    fewest = _fewest(kind, alpha)
-    decided = counts[enough & (counts >= fewest)]
+    effect = float(first.mean() - second.mean())
+    enough = _power(effect, error / np.sqrt(counts), margin or 0.0, alpha, 2.0 * (counts - 1), direction)
+    decided = counts[(enough >= POWER) & (counts >= _fewest(alpha))]
     return int(decided[0]) if decided.size else None
 
 
-_Plan = tuple[float, float, float] | None
-"""Effect, its standard error at one seed per arm, and the margin, all on one scale; None: no spread."""
-
-
-def _means(a: np.ndarray, b: np.ndarray, margin: float | None) -> _Plan:
-    if min(a.size, b.size) < 2:
-        return None
-    error = np.sqrt(a.var(ddof=1) + b.var(ddof=1))
-    return (a.mean() - b.mean(), error, margin or 0.0) if error > 0 else None
-
-
-def _pairs(a: np.ndarray, b: np.ndarray, margin: float | None) -> _Plan:
-    difference = a - b
-    if difference.size < 2 or np.ptp(difference) == 0:
-        return None
-    return difference.mean(), difference.std(ddof=1), margin or 0.0
-
-
-def _shares(a: np.ndarray, b: np.ndarray, margin: float | None) -> _Plan:
-    if not a.size or not b.size:
-        return None
+def _error(kind: str, a: np.ndarray, b: np.ndarray) -> float:
+    """Return the standard error of the difference with one seed an arm."""
+    if kind == "mean":
+        return float(np.sqrt(a.var(ddof=1) + b.var(ddof=1)))
     share_a, share_b = ((arm.sum() + 0.5) / (arm.size + 1) for arm in (a, b))
-    error = np.sqrt(share_a * (1 - share_a) + share_b * (1 - share_b))
-    return a.mean() - b.mean(), error, margin or 0.0
-
-
-_SCALES: dict[str, Callable[[np.ndarray, np.ndarray, float | None], _Plan]] = {
-    "mean": _means,
-    "incidence": _shares,
-    "paired": _pairs,
-}
+    return float(np.sqrt(share_a * (1 - share_a) + share_b * (1 - share_b)))
 
 
 def _power(
@@ -107,10 +79,6 @@ def _power(
     return np.maximum(different, inside)
 
 
-def _fewest(kind: str, alpha: float) -> int:
+def _fewest(alpha: float) -> int:
     """Return the least number of runs per arm whose smallest two-sided p-value is at most alpha."""
-    for count in range(2, MOST_SEEDS):
-        ways = 2**count if kind == "paired" else comb(2 * count, count)
-        if 2 / ways <= alpha:
-            return count
-    return MOST_SEEDS
+    return next((n for n in range(2, MOST_SEEDS) if 2 / comb(2 * n, n) <= alpha), MOST_SEEDS)

@@ -141,7 +141,8 @@ class PublishedRecords(Records):
     def __init__(self, table: PublishedTable, run_id: str, place: int) -> None:
         self._table = table
         self._place = place
-        super().__init__(run_id, Status(self.cell("status"), self.cell("end") or 0))
+        self.run_id = run_id
+        self.status = Status(self.cell("status"), self.cell("end") or 0)
         self.tables = tuple(table.head["tables"])
         self.windows = tuple(table.head["windows"])
         self.averaged_over = table.head["averaged_over"]

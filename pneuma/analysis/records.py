@@ -7,6 +7,7 @@ A run in a published table is the third kind (`pneuma.analysis.published`). All 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,94 +65,6 @@ Series = tuple[np.ndarray, np.ndarray]
 """Steps and values, (points,) each, steps rising."""
 
 
-class Records:
-    """What is held of one run.
-
-    Attributes:
-        run_id: its id.
-        status: how it stands; one of which nothing is held is planned.
-        what: where this is, for people.
-        published: whether it is in a published table.
-        tables: those of `RECORD_TABLES` that are held.
-        quantities: what it has curves of.
-        windows: those of `WINDOWS` that curves can be had with, the usual one first.
-        averaged_over: episodes that every return was already averaged over when it was recorded; None
-            where each is one episode's.
-    """
-
-    what: str = "the results folder"
-    published = False
-    tables: tuple[str, ...] = RECORD_TABLES
-    windows: tuple[str, ...] = WINDOWS
-    averaged_over: int | None = None
-
-    def __init__(self, run_id: str, status: Status) -> None:
-        self.run_id = run_id
-        self.status = status
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """What it has curves of, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
-        return QUANTITIES
-
-    def table(self, name: str) -> pd.DataFrame:
-        """Return one of the run's `tables`, which is not to be written on."""
-        raise NotImplementedError
-
-    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return one of its `quantities` on the grid, (points,), NaN where it has no value.
-
-        Args:
-            quantity: one of them.
-            window: one of its `windows`.
-            grid: (points,).
-            slots: how many there are; a curve of episodes begins where each has finished one.
-        """
-        raise NotImplementedError
-
-    def final(self, quantity: str) -> float:
-        """Return the mean of the last 100 episodes (of the last update, for what updates have)."""
-        raise NotImplementedError
-
-    def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
-        """Return the extreme of one of `PEAKED_QUANTITIES` since the point before, (points,)."""
-        raise NotImplementedError
-
-    def signs(self) -> dict[str, list[Stretch]]:
-        """Return where each sign of collapse holds that can be told of (`pneuma.analysis.signs`)."""
-        raise NotImplementedError
-
-    def kept_outcome(self, name: str) -> float | None:
-        """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
-        return None
-
-    def provenance(self) -> dict[str, Any]:
-        """Return what produced the run."""
-        raise NotImplementedError
-
-    @property
-    def times(self) -> Mapping[str, Any]:
-        """What is known of the time that it took, as provenance tells it."""
-        return self.provenance()
-
-    @property
-    def wall_seconds(self) -> float | None:
-        """How long it trained, without loading and compiling where that is told apart; None: not known."""
-        return told_seconds(self.times)
-
-    @property
-    def processor_share(self) -> float | None:
-        """How much of a core its training had; 1: nothing else ran, None: not known."""
-        share = self.times.get("processor_share")
-        return float(share) if isinstance(share, int | float) else None
-
-
-def told_seconds(times: Mapping[str, Any]) -> float | None:
-    """Return how long a run trained, as its provenance tells."""
-    seconds = times.get("training_seconds", times.get("wall_seconds"))
-    return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
-
-
 class Memory:
     """Tables that were read, while there is room; beyond that, those of the run that is looked at.
 
@@ -178,16 +91,39 @@ class Memory:
         return self._last[name]
 
 
-class StoredRecords(Records):
-    """A run of a results folder: every episode and update of it."""
+class Records:
+    """What is held of one run: here of one in a results folder, every episode and update of it.
+
+    Attributes:
+        run_id: its id.
+        status: how it stands; one of which nothing is held is planned.
+        what: where this is, for people.
+        published: whether it is in a published table.
+        tables: those of `RECORD_TABLES` that are held.
+        windows: those of `WINDOWS` that curves can be had with, the usual one first.
+        averaged_over: episodes that every return was already averaged over when it was recorded; None
+            where each is one episode's.
+    """
+
+    what: str = "the results folder"
+    published = False
+    tables: tuple[str, ...] = RECORD_TABLES
+    windows: tuple[str, ...] = WINDOWS
+    averaged_over: int | None = None
 
     def __init__(self, store: Store, run_id: str, status: Status, memory: Memory) -> None:
-        super().__init__(run_id, status)
+        self.run_id = run_id
+        self.status = status
         self._store = store
         self._memory = memory
 
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What it has curves of, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
+        return QUANTITIES
+
     def table(self, name: str) -> pd.DataFrame:
-        """Return one of the run's tables.
+        """Return one of the run's `tables`, which is not to be written on.
 
         Raises:
             UserError: when its file is missing, damaged, or no such table.
@@ -195,7 +131,14 @@ class StoredRecords(Records):
         return self._memory.get(self.run_id, name, lambda: self._read(f"{name}.parquet"))
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return a windowed mean on the grid, (points,), blank until every slot has finished one."""
+        """Return one of its `quantities` on the grid, (points,), NaN where it has no value.
+
+        Args:
+            quantity: one of them.
+            window: one of its `windows`.
+            grid: (points,).
+            slots: how many there are; a curve of episodes begins where each has finished one.
+        """
         step, values = self._series(quantity)
         if quantity in UPDATE_QUANTITIES:
             return update_curve(step, values, grid, self.status.step)
@@ -210,21 +153,25 @@ class StoredRecords(Records):
         )
 
     def final(self, quantity: str) -> float:
-        """Return the mean of the last 100 episodes that ended, or the last update's value."""
+        """Return the mean of the last 100 episodes (the last update's value, for what updates have)."""
         _, values = self._series(quantity)
         last = values[-1 if quantity in UPDATE_QUANTITIES else -TRAILING_EPISODES :]
         return float(last.mean()) if len(last) else float("nan")
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
-        """Return the extreme update since each point before, (points,)."""
+        """Return the extreme of one of `PEAKED_QUANTITIES` since the point before on the grid, (points,)."""
         return peak_curve(*self._series(quantity), grid, EXTREMES[quantity])
 
     def signs(self) -> dict[str, list[Stretch]]:
-        """Return where every sign that updates tell of holds."""
+        """Return where each sign of collapse holds that can be told of (`pneuma.analysis.signs`)."""
         columns = {name: self._series(name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
         blank = any(np.isnan(columns[name][1]).all() for name in ACTION_QUANTITIES)
         told = {name: own for name, (_, own) in columns.items() if not blank or name not in ACTION_QUANTITIES}
         return update_signs(columns["entropy"][0], told, len(ACTION_QUANTITIES))
+
+    def kept_outcome(self, name: str) -> float | None:
+        """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
+        return None
 
     def provenance(self) -> dict[str, Any]:
         """Return what produced the run.
@@ -235,16 +182,30 @@ class StoredRecords(Records):
         try:
             return parse_json(self._store.read_file(self.run_id, "provenance.json"))
         except ValueError as error:
-            path = self._store.run_folder(self.run_id) / "provenance.json"
-            raise UserError(f"{path}: cannot be read ({error})") from None
+            raise UserError(f"{self._path('provenance.json')}: cannot be read ({error})") from None
+
+    @property
+    def times(self) -> Mapping[str, Any]:
+        """What is known of the time that it took, as provenance tells it."""
+        return self.provenance()
+
+    @property
+    def wall_seconds(self) -> float | None:
+        """How long it trained, without loading and compiling where that is told apart; None: not known."""
+        return told_seconds(self.times)
+
+    @property
+    def processor_share(self) -> float | None:
+        """How much of a core its training had; 1: nothing else ran, None: not known."""
+        share = self.times.get("processor_share")
+        return float(share) if isinstance(share, int | float) else None
 
     def _series(self, quantity: str) -> Series:
         """Return what episodes or updates have of a quantity, in the order of their steps."""
         name = "metrics" if quantity in UPDATE_QUANTITIES else "episodes"
         table = self.table(name)
         if quantity not in table:
-            path = self._store.run_folder(self.run_id) / f"{name}.parquet"
-            raise UserError(f"{path}: has no column {quantity}")
+            raise UserError(f"{self._path(f'{name}.parquet')}: has no column {quantity}")
         step, values = table["step"].to_numpy(float), table[quantity].to_numpy(float)
         order = np.argsort(step, kind="stable")
         return step[order], values[order]
@@ -254,10 +215,13 @@ class StoredRecords(Records):
         try:
             return record_table(data, file.removesuffix(".parquet")).to_pandas()
         except ValueError as error:
-            raise UserError(f"{self._store.run_folder(self.run_id) / file}: {error}") from None
+            raise UserError(f"{self._path(file)}: {error}") from None
+
+    def _path(self, file: str) -> Path:
+        return self._store.run_folder(self.run_id) / file
 
 
-class LoggedRecords(StoredRecords):
+class LoggedRecords(Records):
     """An imported run of a results folder.
 
     What logs hold of returns and lengths are means of the last 100 episodes, as Stable-Baselines3 logs them.
@@ -329,3 +293,9 @@ class LoggedRecords(StoredRecords):
             scalars.loc[own, "value"] = scalars["value"][own].rolling(TRAILING_EPISODES, 1).mean()
         plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
         return scalars.assign(name=scalars["tag"].map(QUANTITY_OF_TAG).fillna(plain))
+
+
+def told_seconds(times: Mapping[str, Any]) -> float | None:
+    """Return how long a run trained, as its provenance tells."""
+    seconds = times.get("training_seconds", times.get("wall_seconds"))
+    return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.published import PublishedTable, published_path, published_studies, read_published
-from pneuma.analysis.records import LoggedRecords, Memory, Records, StoredRecords
+from pneuma.analysis.records import LoggedRecords, Memory, Records
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import SCALARS_FILE, Status, Store
@@ -43,13 +43,11 @@ class RunIndex:
     def __call__(self, run_id: str) -> Records:
         """Return what the folder itself holds of a run; of one that is not there, that it is planned."""
         if run_id not in self._runs:
-            self._runs[run_id] = self._find(run_id) if self._stored else Records(run_id, Status("planned"))
+            status = self.store.status(run_id) if self._stored else Status("planned")
+            logged = self._stored and SCALARS_FILE in self.store.file_names(run_id)
+            kind = LoggedRecords if logged else Records
+            self._runs[run_id] = kind(self.store, run_id, status, self._memory)
         return self._runs[run_id]
-
-    def _find(self, run_id: str) -> Records:
-        logged = SCALARS_FILE in self.store.file_names(run_id)
-        kind = LoggedRecords if logged else StoredRecords
-        return kind(self.store, run_id, self.store.status(run_id), self._memory)
 
     def record(self, study: str) -> dict[str, Any] | None:
         """Return what a study's name stands for: its latest selection, or else what is published of it.

@@ -9,8 +9,9 @@ distribution is supposed, as the usual boundaries do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -49,3 +50,17 @@ def make_stages(most_seeds: int = MOST_SEEDS, first: int = FIRST_SEEDS, alpha: f
 def decide(stage: Stage, p_values: Sequence[float]) -> list[bool]:
     """Return which contrasts of a list are decided at a look, by Bonferroni's correction over all of them."""
     return (bonferroni(p_values) <= stage.alpha).tolist()
+
+
+def looked_at(record: Mapping[str, Any]) -> set[str]:
+    """Return the ids of the runs by which a study's seeds were added (`study run --until-decided`)."""
+    return {*record.get("adaptive", {}).get("runs", [run["run_id"] for run in record["runs"]])}
+
+
+def looks_that_count(record: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return at how many seeds a record's runs were looked at; none at a seed that it lacks."""
+    looks = tuple(look["seeds"] for look in record.get("adaptive", {}).get("looks", ()))
+    seeds = {run["seed"] for run in record["runs"]}
+    if not looked_at(record) & {run["run_id"] for run in record["runs"]}:
+        return ()
+    return tuple(look for look in looks if {*range(look)} <= seeds)

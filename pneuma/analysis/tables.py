@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import LEARNERS_TABLE, RECORD_TABLES, WINDOWS
-from pneuma.analysis.adaptive import looks_that_count
 from pneuma.analysis.records import Records
+from pneuma.analysis.sequential import looks_that_count
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import list_studies, run_command

@@ -1,22 +1,15 @@
 """Verdicts over a list of claims, so that the chance of any false one among them stays at most alpha.
 
-Each claim enters with one p-value, the lesser of what can decide it, times the number of claims: by
-Bonferroni's correction and not by Holm's, whose steps do not hold here (`bonferroni` says why). For one of a
-direction, or of any difference, these are the two-sided p-value of a difference and the p-value of
-equivalence. That bounds the chance of any false verdict on the claim, whatever the truth. With no difference
-only the two-sided test can err. With one inside the margin only the wrong direction can, at half that
-rate. At the margin or beyond it, equivalence errs, and so does the wrong direction, but where that one is
-significant the test against the near margin is too: both errors lie within that one test's.
+Each contrast enters with one p-value, the lesser of what can decide it, corrected by Bonferroni (not by Holm:
+`corrections` says why). For a claim of a direction, or of any difference, these are the two-sided p-value of
+a difference and the p-value of equivalence. Why the lesser of them bounds the chance of any false verdict,
+whatever the truth, is in docs/evidence.md.
 
 A claim that there is no difference, or none downwards, is not refuted by one inside the margin, which counts
-as none: it takes a difference beyond the margin, tested two-sided there. Inside the margin only that
-test can err; at the margin or beyond, only equivalence, or the direction that would support the claim.
+as none: it takes a difference beyond the margin, tested two-sided there.
 
-A claim on several contrasts speaks of all of them, or of any. With all, it is supported where every
-contrast is, and refuted where one is; with any, the other way round. A claim's verdict is false only where
-that on one of its contrasts is: in a true claim on all, none can be refuted truly; in a false one, some
-contrast is not as claimed, and can be supported only falsely. For any, the same with both words exchanged.
-Every contrast keeps its own place in the list, so the bound on false verdicts holds for claims too.
+A claim on several contrasts speaks of all of them, or of any. Its verdict is false only where that on one of
+its contrasts is, so the bound on false verdicts holds for claims too.
 """
 
 from __future__ import annotations
@@ -25,45 +18,44 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from pneuma.analysis.contrasts import Contrast
-from pneuma.analysis.corrections import bonferroni
 
-SUPPORTED, REFUTED, INCONCLUSIVE = "supported", "refuted", "inconclusive"
+SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
+INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 DIRECTIONS = ("greater", "less", "different", "equal", "not-less")
 _SUPPORTED_BY = {"different": ("greater", "less"), "not-less": ("greater", "equal")}
 """What a contrast must show, where that is not the direction itself."""
 
-_MARGINAL = ("equal", "not-less")
+MARGINAL = ("equal", "not-less")
 """What a difference inside the margin does not refute."""
 
 NEEDS = ("all", "any")
 """Of how many of its contrasts a claim speaks."""
 
 
-class Verdict(NamedTuple):
-    """What a list comes to on one of its contrasts.
+class Decision(NamedTuple):
+    """What is concluded on one contrast.
 
     Attributes:
-        word: supported, refuted or inconclusive.
+        verdict: supported, refuted or inconclusive.
         p: the p-value after the list's correction.
     """
 
-    word: str
+    verdict: str
     p: float
 
 
-def judge_list(contrasts: Sequence[tuple[Contrast, str]], alpha: float = 0.05) -> list[Verdict]:
-    """Return the verdict on each claim of a list, judged together.
+def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float = 0.05) -> Decision:
+    """Return the decision on one contrast of a list.
 
     Args:
-        contrasts: each claim's contrast and the direction of `DIRECTIONS` that it claims.
+        contrast: the contrast.
+        claimed: the direction of `DIRECTIONS` that is claimed of it.
+        factor: what its p-value is multiplied by: the number of contrasts in the list.
         alpha: the chance of any false verdict in the list.
     """
-    read = [_read(contrast, direction) for contrast, direction in contrasts]
-    adjusted = bonferroni([own.p for own in read])
-    return [
-        Verdict(own.word if p <= alpha else INCONCLUSIVE, float(p))
-        for own, p in zip(read, adjusted, strict=True)
-    ]
+    verdict, p = _read(contrast, claimed)
+    corrected = min(p * factor, 1.0)
+    return Decision(verdict if corrected <= alpha else INCONCLUSIVE, corrected)
 
 
 def found(contrast: Contrast) -> str:
@@ -90,6 +82,16 @@ def together(verdicts: Sequence[str], need: str) -> str:
     return by_all if all(own == by_all for own in verdicts) else ""
 
 
+def of_outcomes(verdicts: Sequence[str]) -> str:
+    """Return the verdict on a claim by those on its outcomes, each supported, refuted or something else.
+
+    Supported where one outcome supports it and none refutes it, refuted the other way round, mixed where they
+    contradict each other; empty where none decides. Such a verdict is false only where that on an outcome is.
+    """
+    decided = {own for own in verdicts if own in (SUPPORTED, REFUTED)}
+    return MIXED if len(decided) == 2 else "".join(decided)
+
+
 def smallest_p(contrast: Contrast, claimed: str) -> float:
     """Return the smallest p-value by which so many runs can support a claimed direction.
 
@@ -106,15 +108,14 @@ def _supporting(claimed: str) -> tuple[str, ...]:
     return _SUPPORTED_BY.get(claimed, (claimed,))
 
 
-def _read(contrast: Contrast, claimed: str) -> Verdict:
+def _read(contrast: Contrast, claimed: str) -> tuple[str, float]:
     """Return what a contrast comes to if its p-value, uncorrected here, is small enough."""
     supporting = _supporting(claimed)
-    if claimed not in _MARGINAL:
-        word = SUPPORTED if found(contrast) in supporting else REFUTED
-        return Verdict(word, contrast.p_any)
+    if claimed not in MARGINAL:
+        return SUPPORTED if found(contrast) in supporting else REFUTED, contrast.p_any
     if claimed == "equal":
         p_supported, p_beyond = contrast.p_equivalent, min(contrast.p_far_less, contrast.p_far_greater)
     else:
         p_supported, p_beyond = min(contrast.p_equivalent, 2 * contrast.p_greater), contrast.p_far_less
     p_refuted = min(2 * p_beyond, 1.0)
-    return Verdict(SUPPORTED, p_supported) if p_supported <= p_refuted else Verdict(REFUTED, p_refuted)
+    return (SUPPORTED, p_supported) if p_supported <= p_refuted else (REFUTED, p_refuted)

@@ -1,16 +1,116 @@
-"""Calibration of the statistics, shown: how often a verdict is false, and how often an interval covers."""
+"""Calibration: how often a list of claims holds a false verdict, and how often an interval covers.
+
+Lists of claims whose truth is known are simulated and judged by the code that judges claims. The arms of a
+claim are alike, or they differ by half the margin, which counts as no difference, or by exactly the margin,
+where a verdict of equivalence is hardest to hold back, or they lie far apart. Results: docs/evidence.md.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy import special
 
-from pneuma.bench import claim_lists, coverage
+from pneuma.analysis import intervals, pvalues
+from pneuma.analysis.bands import BANDS
+from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.estimates import mean
+from pneuma.analysis.pvalues import PValues
+from pneuma.analysis.sequential import decide as decide_stage
+from pneuma.analysis.sequential import make_stages
+from pneuma.analysis.verdicts import INCONCLUSIVE, decide, found
 
 LISTS = 2_000
-COVERED_PER_LIST = 10
+SEEDS = (3, 5, 10, 20, 50)
+CLAIMS = {"mean": 36, "spread": 14, "incidence": 10}
+"""How many of each kind a list has."""
+MEANS = {"mean": 60}
+ONE_ARM = {"one mean": 30, "one share": 30}
+STAGED_CLAIMS = {"mean": 4}
+"""How many a list has that is judged in stages, as a study's conditions against its baseline are."""
+MARGINS = {"mean": 0.5, "spread": 1.5, "incidence": 0.2, "one mean": 0.5, "one share": 0.2}
+"""Of means, in standard deviations."""
+FAR = {"mean": 2.0, "spread": 6.0, "incidence": 0.7, "one mean": 2.0, "one share": 0.7}
+"""What lies far apart: the effect itself."""
+FOUND_EQUAL = 4.5
+"""Standard errors to the margin at which most of 60 claims are found equivalent, and the others look large:
+where a correction that steps down over what was found is furthest off."""
+EVENT_SHARE = 0.2
+FEWER = 4
+"""Lists whose arms are not all alike are simulated so many times more rarely."""
+
+ROUNDS = ((400, 60, 1.0), (3_000, 10, 0.1), (20_000, 10, 0.01))
+"""Relabelings drawn, samples that share them, and the greatest p-value of the round before by which a sample
+is tested again by more: no greater one can come to a verdict, and the least that counts is 4e-4. So few share
+one set of many that lists are as good as independent."""
+TRUE_FINDINGS = {"alike": ("equal",), "edge": ("greater",), "far": ("greater",)}
+"""What may be found of each truth without being false."""
+TRUE_OF_EQUAL = {"alike": "supported", "half": "supported", "edge": "refuted", "far": "refuted"}
+"""What may be said of a claim of equivalence."""
+
+Draw = Callable[[np.random.Generator, tuple[int, int]], np.ndarray]
+
+
+def _bimodal(generator: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Draw four fifths of runs around 10 and a fifth, which failed, around 2, and set them off."""
+    values = np.where(generator.random(shape) < 0.8, 10.0, 2.0) + generator.normal(size=shape)
+    return (values - 8.4) / np.sqrt(1 + 0.16 * 64)
+
+
+DISTRIBUTIONS: dict[str, Draw] = {
+    "normal": lambda generator, shape: generator.normal(size=shape),
+    "80/20 bimodal": _bimodal,
+    "t, 3 degrees": lambda generator, shape: generator.standard_t(3, size=shape) / np.sqrt(3),
+}
+"""Of mean 0 and standard deviation 1."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How the claims of a list are made.
+
+    Attributes:
+        truths: what is true of them, in turn: alike, half, edge or far.
+        claimed: the direction that all claim.
+        sizes: how many of each kind.
+        errors: the margin of means in standard errors of the difference; None: that of `MARGINS`.
+        spread: how many times as far as arm b's the runs of arm a lie apart, of means.
+    """
+
+    truths: tuple[str, ...]
+    claimed: str = "greater"
+    sizes: Mapping[str, int] = field(default_factory=lambda: CLAIMS)
+    errors: float | None = None
+    spread: float = 1.0
+
+    def margin(self, kind: str, seeds: int) -> float:
+        """Return the margin of a kind of claim."""
+        return MARGINS[kind] if self.errors is None else self.errors * float(np.sqrt(2 / seeds))
+
+    def truths_of(self, size: int) -> list[str]:
+        """Return what is true of so many claims."""
+        return [self.truths[i % len(self.truths)] for i in range(size)]
+
+
+MIXED = ("alike", "edge", "far")
+SETTINGS = {
+    "alike": Setting(("alike",)),
+    "at the margin": Setting(("edge",)),
+    "mixed": Setting(MIXED),
+    "no difference, alike": Setting(("alike",), "equal"),
+    "no difference, half": Setting(("half",), "equal"),
+    "no difference, mixed": Setting(("half", "edge", "far"), "equal"),
+    "one arm, alike": Setting(("alike",), sizes=ONE_ARM),
+    "one arm, at the margin": Setting(("edge",), sizes=ONE_ARM),
+    "one arm, mixed": Setting(MIXED, sizes=ONE_ARM),
+    "alike, of 4.5 errors": Setting(("alike",), sizes=MEANS, errors=FOUND_EQUAL),
+    "at the margin, of 4.5 errors": Setting(("edge",), sizes=MEANS, errors=FOUND_EQUAL),
+    "alike, spread x 3": Setting(("alike",), sizes=MEANS, spread=3.0),
+    "alike, spread x 10": Setting(("alike",), sizes=MEANS, spread=10.0),
+}
 
 
 def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -18,17 +118,179 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
 
     Args:
         lists: how many lists of claims to simulate in each setting.
-        seed: of the generators of everything that is drawn; equivalence, means and stages have their own.
+        seed: of the generators of everything that is drawn; each setting has its own.
     """
-    generator = np.random.default_rng(seed)
-    for row in coverage.coverages(lists * COVERED_PER_LIST, generator):
+    for row in coverages(lists * 10, np.random.default_rng(seed)):
         yield "coverage", row
-    for row in claim_lists.false_verdicts(lists, generator):
-        yield "false_verdicts", row
-    equal = np.random.default_rng([seed, 2])
-    for row in claim_lists.false_verdicts_on_equivalence(lists, equal):
-        yield "false_verdicts", row
-    for row in claim_lists.false_verdicts_on_means(lists, np.random.default_rng([seed, 3])):
-        yield "false_verdicts", row
-    for row in claim_lists.staged_verdicts(lists, np.random.default_rng([seed, 1])):
-        yield "false_verdicts", row
+    for i, (truth, setting) in enumerate(SETTINGS.items()):
+        generator = np.random.default_rng([seed, i])
+        count = lists if truth == "alike" else max(1, lists // FEWER)
+        for name, draw in DISTRIBUTIONS.items():
+            for seeds in SEEDS:
+                wrong = wrong_lists(count, draw, seeds, setting, generator)
+                yield "false_verdicts", _rate(truth, name, str(seeds), wrong, count)
+    generator = np.random.default_rng([seed, len(SETTINGS)])
+    stages = "/".join(str(stage.seeds) for stage in make_stages())
+    for name, draw in DISTRIBUTIONS.items():
+        yield "false_verdicts", _rate("alike", name, stages, _wrong_staged(lists, draw, generator), lists)
+
+
+def _rate(truth: str, distribution: str, seeds: str, wrong: int, lists: int) -> dict[str, Any]:
+    return {
+        "truth": truth,
+        "distribution": distribution,
+        "seeds": seeds,
+        "lists": lists,
+        "false_rate": wrong / lists,
+        "upper_bound": intervals.incidence_interval(wrong, lists, level=0.9).high,  # one-sided, 95 %
+    }
+
+
+# --- Lists of claims ---------------------------------------------------------------------------------
+
+Arms = dict[str, tuple[np.ndarray, np.ndarray]]
+"""Both arms of every claim of many lists, by kind, (lists * claims, seeds)."""
+
+
+def wrong_lists(lists: int, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator) -> int:
+    """Return how many of so many lists hold a false verdict."""
+    arms = _make_arms(lists, draw, seeds, setting, generator)
+    wrong = np.zeros(lists, dtype=bool)
+    size = sum(setting.sizes.values())
+    for kind, truth, row, contrast in _contrasts(arms, seeds, setting, generator):
+        verdict = decide(contrast, setting.claimed, size).verdict
+        wrong[row // setting.sizes[kind]] |= is_false(verdict, contrast, truth, setting.claimed)
+    return int(wrong.sum())
+
+
+def is_false(verdict: str, contrast: Contrast, truth: str, claimed: str) -> bool:
+    """Tell whether a verdict, or what it speaks of, is not so."""
+    if verdict == INCONCLUSIVE:
+        return False
+    if claimed == "equal":
+        return verdict != TRUE_OF_EQUAL[truth]
+    return found(contrast) not in TRUE_FINDINGS[truth]
+
+
+def _wrong_staged(lists: int, draw: Draw, generator: np.random.Generator) -> int:
+    """Return how many lists of arms alike, judged in stages, have a difference found at any."""
+    stages, setting = make_stages(), Setting(("alike",), sizes=STAGED_CLAIMS)
+    arms = _make_arms(lists, draw, stages[-1].seeds, setting, generator)
+    undecided = np.ones((lists, STAGED_CLAIMS["mean"]), dtype=bool)
+    wrong = np.zeros(lists, dtype=bool)
+    for stage in stages:
+        contrasts = [own for *_, own in _contrasts(arms, stage.seeds, setting, generator)]
+        for row in range(lists):
+            judged = contrasts[row * undecided.shape[1] : (row + 1) * undecided.shape[1]]
+            decided = np.array(decide_stage(stage, [own.p_any for own in judged])) & undecided[row]
+            wrong[row] |= any(found(judged[i]) != "equal" for i in np.flatnonzero(decided))
+            undecided[row] &= ~decided
+    return int(wrong.sum())
+
+
+def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator) -> Arms:
+    arms: Arms = {}
+    for kind, size in setting.sizes.items():
+        margin = setting.margin(kind, seeds)
+        none, half = (1.0, margin**0.5) if kind == "spread" else (0.0, margin / 2)
+        effects = {"alike": none, "half": half, "edge": margin, "far": FAR[kind]}
+        each = np.tile([effects[truth] for truth in setting.truths_of(size)], lists)[:, None]
+        shape = (lists * size, seeds)
+        narrow = np.sqrt(2 / (1 + setting.spread**2))  # what the difference of means varies by stays
+        if kind in ("incidence", "one share"):
+            arms[kind] = generator.random(shape) < EVENT_SHARE + each, generator.random(shape) < EVENT_SHARE
+        elif kind == "spread":
+            arms[kind] = draw(generator, shape) * each, draw(generator, shape)
+        else:
+            wide = setting.spread * narrow * draw(generator, shape) + each
+            arms[kind] = wide, narrow * draw(generator, shape)
+    return arms
+
+
+def _contrasts(
+    arms: Arms, seeds: int, setting: Setting, generator: np.random.Generator
+) -> Iterator[tuple[str, str, int, Contrast]]:
+    """Yield kind, truth, row and contrast of every claim of every list, of the first so many seeds."""
+    nowhere = intervals.no_interval()
+    for kind, (a, b) in arms.items():
+        truths = setting.truths_of(setting.sizes[kind])
+        p = p_of_kind(kind, a[:, :seeds], b[:, :seeds], setting.margin(kind, seeds), generator)
+        for row, (greater, less, equal, far_greater, far_less) in enumerate(zip(*p, strict=True)):
+            contrast = Contrast(
+                kind, 0.0, nowhere, greater, less, equal, (seeds, seeds),
+                p_far_greater=far_greater, p_far_less=far_less,
+            )  # fmt: skip
+            yield kind, truths[row % len(truths)], row, contrast
+
+
+def p_of_kind(
+    kind: str, a: np.ndarray, b: np.ndarray, margin: float, generator: np.random.Generator
+) -> PValues:
+    """Return p-values of claims of one kind, each (samples,); those on one arm do not read b."""
+    seeds = a.shape[1]
+    if kind == "incidence":
+        return pvalues.incidence_p_values(a.sum(axis=1), seeds, b.sum(axis=1), seeds, margin)
+    if kind == "one share":
+        return pvalues.one_share_p_values(a.sum(axis=1), seeds, EVENT_SHARE, margin)
+    p = np.zeros((len(PValues._fields), len(a)))
+    for draws, together, close in ROUNDS:
+        again = np.flatnonzero(np.minimum(2 * np.minimum(p[0], p[1]), p[2]) <= close)
+        for rows in np.split(again, range(together, len(again), together)):
+            if kind == "one mean":
+                flips = pvalues.sign_flips(seeds, generator, draws)
+                p[:, rows] = pvalues.one_mean_p_values(a[rows], margin, flips)
+                exact = len(flips) == 2**seeds
+            else:
+                test = pvalues.mean_p_values if kind == "mean" else pvalues.spread_p_values
+                labels = pvalues.relabel(seeds, seeds, generator, draws)
+                p[:, rows] = test(a[rows], b[rows], margin, labels)
+                exact = labels.exact
+        if exact:
+            break
+    return PValues(*p)
+
+
+# --- Intervals and bands ---------------------------------------------------------------------------
+
+
+def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield how often each interval, or band of a figure, covers the truth.
+
+    Args:
+        samples: how many times a band is drawn; a twentieth as often where each takes a while.
+        generator: draws the runs.
+    """
+    fewer = max(1, samples // 20)
+    bands = [name for name, band in BANDS.items() if band.edges and name != "variance"]
+    one_by_one = [
+        ("BCa bootstrap", lambda runs: intervals.bootstrap_interval(runs, mean, generator), 0.0),
+        ("deviation", intervals.deviation_interval, 1.0),
+    ]
+    for name, draw in DISTRIBUTIONS.items():
+        for seeds in SEEDS:
+            runs = draw(generator, (samples, seeds))
+            for band in bands:
+                drawn = runs[:fewer] if band == "bootstrap" else runs
+                yield _covered(band, name, seeds, band_coverage(band, drawn))
+            for method, interval, truth in one_by_one:
+                made = [own for own in map(interval, runs[:fewer]) if own.exists]
+                share = np.mean([own.low <= truth <= own.high for own in made]) if made else np.nan
+                yield _covered(method, name, seeds, float(share))
+    for seeds in SEEDS:
+        count = np.arange(seeds + 1)
+        chance = special.comb(seeds, count) * EVENT_SHARE**count * (1 - EVENT_SHARE) ** (seeds - count)
+        made = [intervals.incidence_interval(int(k), seeds) for k in count]
+        held = [own.low <= EVENT_SHARE <= own.high for own in made]
+        yield _covered("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, float(chance @ held))
+
+
+def _covered(method: str, distribution: str, seeds: int, share: float) -> dict[str, Any]:
+    return {"method": method, "distribution": distribution, "seeds": seeds, "coverage": share}
+
+
+def band_coverage(band: str, runs: np.ndarray) -> float:
+    """Return how often a figure's band covers the mean 0 of what (samples, runs) were drawn from."""
+    edges = BANDS[band].edges
+    assert edges
+    low, high = edges(runs.T)
+    return float(((low <= 0) & (high >= 0)).mean())

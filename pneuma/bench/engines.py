@@ -1,7 +1,6 @@
-"""Speed of the engines: the compiled one over Stable-Baselines3, in one process on one thread.
+"""Speed of the engines: the compiled one over Stable-Baselines3, and two workers over one.
 
-Both train the same runs on the same worlds, without evaluation, in rounds that alternate; compiling is
-done before. Beside it: how near the update comes to the core's own matrix product, and the memory.
+All train runs without evaluation on one thread each, in rounds that alternate; compiling is done before.
 """
 
 from __future__ import annotations
@@ -12,10 +11,11 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any
 
-from pneuma.bench.workers import CASE, bench_workers
 from pneuma.config import BASES, Run, make_run
 from pneuma.study.executors.local import one_thread_environment
 
@@ -30,19 +30,16 @@ CASES: tuple[tuple[str, int, int, int, int], ...] = (
 )
 """Size, runs of the compiled engine, its steps for each, steps of Stable-Baselines3's one run, rounds."""
 
-MATRIX_SIDE = 1024
-UPDATES = {"small": 25, "mid": 3}
-"""How many updates of each size are timed."""
+WORKERS = "two workers over one"
+WORKER_STEPS = 25_600
+WORKER_ROUNDS = 5
 
 
 def bench_engines() -> dict[str, Any]:
-    """Return what `measure` does, from a process of its own that is pinned to one thread, and two workers."""
+    """Return what `measure` does, from a process of its own that is pinned to one thread."""
     command = [sys.executable, "-m", "pneuma.bench.engines"]
     done = subprocess.run(command, env=one_thread_environment(), stdout=subprocess.PIPE, check=True)
     report: dict[str, Any] = json.loads(done.stdout)
-    workers = bench_workers()
-    report["cases"] += workers["cases"]
-    report["ratios"][CASE] = workers["ratio"]
     return report
 
 
@@ -51,29 +48,23 @@ def measure() -> dict[str, Any]:
     cases: list[dict[str, Any]] = []
     ratios = {}
     for size, runs, steps, reference_steps, rounds in CASES:
-        own = [_run(size, "batched", seed, steps) for seed in range(runs)]
-        reference = [_run(size, "sb3", 0, reference_steps)]
-        ours, theirs = _alternate(own, reference, rounds)
+        own = [engine_run(size, "batched", seed, steps) for seed in range(runs)]
+        ours, theirs = engine_rates(own, engine_run(size, "sb3", 0, reference_steps), rounds)
         name = f"{size} network, {runs} {'run' if runs == 1 else 'runs'}"
         cases += [_case(name, "batched", runs, ours), _case(name, "sb3", 1, theirs)]
-        ratios[name] = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
-        if runs == 10:
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    shares, product = _update_shares()
-    return {
-        "cases": cases,
-        "ratios": ratios,
-        "update_over_matrix_product": shares,
-        "matrix_product_gflops": product,
-        "peak_megabytes_ten_small": peak,
-    }
+        ratios[name] = _ratio(ours, theirs)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    one, two = worker_rates()
+    cases += [_case(WORKERS, "batched", 1, one), _case(WORKERS, "batched", 2, two)]
+    return {"cases": cases, "ratios": {**ratios, WORKERS: _ratio(two, one)}, "peak_megabytes": peak}
 
 
-def _run(size: str, engine: str, seed: int, steps: int) -> Run:
+def engine_run(size: str, engine: str, seed: int, steps: int) -> Run:
+    """Return a run of one of `SIZES`."""
     return make_run({**BASES["table-6-2"], **SIZES[size], "engine": engine, "seed": seed, "steps": steps})
 
 
-def _alternate(own: Sequence[Run], reference: Sequence[Run], rounds: int) -> tuple[list[float], list[float]]:
+def engine_rates(own: Sequence[Run], reference: Run, rounds: int) -> tuple[list[float], list[float]]:
     """Return the steps a second of both engines, round by round."""
     from pneuma.engines import batched, sb3
 
@@ -83,73 +74,42 @@ def _alternate(own: Sequence[Run], reference: Sequence[Run], rounds: int) -> tup
     def theirs(run: Run) -> None:
         sb3.train_one(run, lambda progress: True, env=sb3.make_env(run))
 
-    ours(make_run({"engine": "batched", **_shape(own[0]), "steps": 512}))  # compiles
+    ours(own[0])  # compiles
     rates: tuple[list[float], list[float]] = ([], [])
     for _ in range(rounds):
-        rates[0].append(_rate(ours, own))
-        rates[1].append(_rate(theirs, reference))
+        for rate, train, runs in zip(rates, (ours, theirs), (own, [reference]), strict=True):
+            begun = time.perf_counter()
+            for run in runs:
+                train(run)
+            rate.append(sum(run.steps for run in runs) / (time.perf_counter() - begun))
     return rates
 
 
-def _shape(run: Run) -> dict[str, object]:
-    return {name: getattr(run, name) for name in ("actor", "critic", "activation", "optimizer", "betas")}
+def worker_rates() -> tuple[list[float], list[float]]:
+    """Return the steps a second of one worker process and of two, round by round."""
+    one, two = list[float](), list[float]()
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        list(pool.map(_train, [512] * 4))  # both compile
+        for _ in range(WORKER_ROUNDS):
+            for count, rates in ((1, one), (2, two)):
+                begun = time.perf_counter()
+                list(pool.map(_train, [WORKER_STEPS] * count))
+                rates.append(count * WORKER_STEPS / (time.perf_counter() - begun))
+    return one, two
 
 
-def _rate(train: Callable[[Run], None], runs: Sequence[Run]) -> float:
-    begun = time.perf_counter()
-    for run in runs:
-        train(run)
-    return sum(run.steps for run in runs) / (time.perf_counter() - begun)
+def _train(steps: int) -> None:
+    from pneuma.engines import batched
+
+    batched.train_one(engine_run("small", "batched", 0, steps), lambda progress: True, evaluated=False)
+
+
+def _ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
+    return statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
 
 
 def _case(name: str, engine: str, runs: int, rates: Sequence[float]) -> dict[str, Any]:
     return {"case": name, "engine": engine, "runs": runs, "steps_per_second": statistics.median(rates)}
-
-
-def _update_shares() -> tuple[dict[str, float], float]:
-    """Return the update's rate of operations over that of a large float32 product, and the latter in GFLOP/s.
-
-    By size of the networks; the median over pairs of measurements.
-    """
-    import jax
-    import numpy as np
-
-    square = np.ones((MATRIX_SIDE, MATRIX_SIDE), np.float32)
-    product = jax.jit(lambda a: a @ a)
-    product_rate, shares = [], {}
-    for size in SIZES:
-        update, operations = _update(size)
-        update_rate = []
-        for _ in range(UPDATES[size]):
-            update_rate.append(operations / _seconds(update))
-            product_rate.append(2 * MATRIX_SIDE**3 / _seconds(lambda: product(square).block_until_ready()))
-        own = zip(update_rate, product_rate[-len(update_rate) :], strict=True)
-        shares[size] = statistics.median(a / b for a, b in own)
-    return shares, statistics.median(product_rate) / 1e9
-
-
-def _update(size: str) -> tuple[Callable[[], object], int]:
-    """Return a function that takes an update of one rollout, and its operations.
-
-    A gradient step takes 6 for each weight and sample: 2 forward, 2 for the weight's gradient, 2 for that
-    of the layer's input. The last are not needed where the input is the observation.
-    """
-    from pneuma.engines.batched.training import Training
-
-    run = _run(size, "batched", 0, 512)
-    training = Training(run)
-    training.update(0)
-    (learner,) = training.learners
-    rollout = training.collector.collect([learner.networks["actor"]])
-    weights = [[weight.size for weight, _ in part] for part in learner.networks.values()]
-    operations = sum(4 * first + 6 * sum(others) for first, *others in weights)
-    return lambda: learner.learn_from(rollout), operations * run.steps_per_update * run.epochs
-
-
-def _seconds(call: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    call()
-    return time.perf_counter() - begun
 
 
 if __name__ == "__main__":

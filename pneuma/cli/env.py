@@ -17,18 +17,13 @@ from pneuma.study.stored_runs import find_run
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
 RESULTS = Path("results")
-PLAYERS = ("random", "hunter")
-
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
     "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
     "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost, the facing observed",
-    "pneuma/mo-Pneuma-v0": "Pneuma-v0 with its reward as a vector of six parts",
-    "pneuma/mo-PneumaGodot-v0": "PneumaGodot-v0 with its reward as a vector of six parts",
-    "pneuma/mo-PneumaArena-v0": "PneumaArena-v0 with its reward as a vector of six parts",
     "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
 }
-"""What each environment is, in a line."""
+"""What each environment is, in a line; those of vector rewards are as their namesakes."""
 
 EnvName = Annotated[str, typer.Argument(metavar="ID", help="An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
@@ -49,15 +44,12 @@ def list_(json: Json = False) -> None:
 
     rows = []
     for name in pneuma.env.REGISTERED:
+        scalar = name.replace("/mo-", "/")
+        about = ABOUT[name] if name in ABOUT else f"{scalar[7:]} with its reward as a vector of six parts"
         with closing(gymnasium.make(name).unwrapped) as env:
-            rows.append(
-                {
-                    "id": name,
-                    "about": ABOUT[name],
-                    "observation": str(env.observation_space.shape or env.observation_space),
-                    "actions": int(env.action_space.n),  # type: ignore[attr-defined]
-                }
-            )
+            seen = str(env.observation_space.shape or env.observation_space)
+            actions = int(env.action_space.n)  # type: ignore[attr-defined]
+        rows.append({"id": name, "about": about, "observation": seen, "actions": actions})
     if json:
         return print_json({"schema": 1, "environments": rows})
     for row in rows:
@@ -82,14 +74,11 @@ def check(
 
     if all_ and name is not None:
         raise UserError(f"--all {name}: give one or the other")
-    names = REGISTERED if all_ or name is None and not set_ else (name or ENVIRONMENTS[0],)
-    if names[0] not in REGISTERED:
-        raise unknown_name("environment", names[0], REGISTERED)
     settings = read_settings_options(set_)
     left: tuple[str, ...] = ()
+    names = REGISTERED if all_ or name is None and not settings else (name or ENVIRONMENTS[0],)
     if len(names) > 1 and settings:
-        vectors = MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()
-        left = tuple(each for each in names if each in (MAILMAN, *vectors))
+        left = (MAILMAN, *(MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()))
         names = tuple(each for each in names if each not in left)
     failed, rows = 0, []
     for each in names:
@@ -114,15 +103,10 @@ def render(
             "--out", metavar="FILE", parser=read_path, help="A .png, or a .gif or .mp4 of an episode."
         ),
     ],
-    episode: Annotated[
-        bool, typer.Option("--episode", help="Play a whole episode, as .gif and .mp4 imply.")
-    ] = False,
     player: Annotated[
-        str | None,
-        typer.Option(
-            "--player", metavar="random|hunter|RUN_ID", help="Who plays the episode (default: random)."
-        ),
-    ] = None,
+        str,
+        typer.Option("--player", metavar="random|hunter|RUN_ID", help="Who plays the episode."),
+    ] = "random",
     camera: Annotated[
         str | None,
         typer.Option(
@@ -158,15 +142,15 @@ def render(
     from pneuma.env.video import check_video, write_video
     from pneuma.env.watch import FRAMES_PER_SECOND, episode_frames
 
-    check_video(out, FRAMES_PER_SECOND)
-    moving = _is_moving(out, episode, player)
-    settings, make_act = _player(player or "random", name, seed, results)
+    check_video(out)
+    moving = out.suffix.lower() != ".png"
+    if player != "random" and not moving:
+        raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
     chosen = read_settings_options(set_)
-    if not trust:
-        _refuse_strangers(player, {key: value for key, value in settings.items() if key not in chosen})
+    settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     with _blaming_rewards(worlds):
-        renderer = Renderer(worlds, camera or ("follow" if moving else "map"), None, not no_hud, scale)
+        renderer = Renderer(worlds, camera or ("follow" if moving else "map"), not no_hud, scale)
         frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
         write_video(out, frames, FRAMES_PER_SECOND)
     print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))
@@ -193,42 +177,18 @@ def play(
         print(f"killed {kills} monsters in {steps} steps")
 
 
-# --- What is shown -------------------------------------------------------------------------------
-
-
-def _is_moving(out: Path, episode: bool, player: str | None) -> bool:
-    """Tell whether an episode is asked for; a picture has room for none.
-
-    Raises:
-        UserError: when the options contradict the file's kind.
-    """
-    if out.suffix.lower() != ".png":
-        return True
-    for given, option in ((episode, "--episode"), (player is not None, f"--player {player}")):
-        if given:
-            raise UserError(f"{option} is for videos, and {out} is a picture: name a .gif or .mp4")
-    return False
-
-
-def _base(name: str) -> str:
-    """Return the environment whose world an id shows: vector rewards look like any others."""
+def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
+    """Return one world at the beginning of an episode; vector rewards look like any others."""
     from pneuma.algorithms import MAILMAN
-    from pneuma.config import ENVIRONMENTS
-    from pneuma.env import MO_ENVIRONMENTS, REGISTERED
+    from pneuma.config import make_env_config
+    from pneuma.env import REGISTERED
+    from pneuma.env.worlds import Worlds
 
     if name not in REGISTERED:
         raise unknown_name("environment", name, REGISTERED)
     if name == MAILMAN:
         raise UserError(f"{name} has no picture: it is three states and two actions")
-    return ENVIRONMENTS[MO_ENVIRONMENTS.index(name)] if name in MO_ENVIRONMENTS else name
-
-
-def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
-    """Return one world at the beginning of an episode."""
-    from pneuma.config import make_env_config
-    from pneuma.env.worlds import Worlds
-
-    worlds = Worlds(1, make_env_config(settings, _base(name)))
+    worlds = Worlds(1, make_env_config(settings, name.replace("/mo-", "/")))
     worlds.seed([seed])
     worlds.reset()
     return worlds
@@ -257,74 +217,45 @@ def _blaming_rewards(worlds: Any) -> Iterator[None]:
         raise blame_reward(error, worlds.config.reward) or error from None
 
 
-# --- Who plays -----------------------------------------------------------------------------------
-
-
 def _player(
-    player: str, name: str, seed: int, results: Path
+    player: str, name: str, seed: int, results: Path, own: set[str] | None
 ) -> tuple[dict[str, Any], Callable[[Any], Callable[[Any], Any]]]:
-    """Return the settings that a player brings along, and what makes it choose actions in worlds."""
+    """Return the settings that a player brings along, and what makes it choose actions in worlds.
+
+    A stored run, which may be anybody's, may name files only in settings that are the user's `own`; None
+    where it is trusted. Its reward, if it is code, is left out: no picture shows it.
+    """
     import numpy as np
 
+    from pneuma.config import REWARDS, EnvConfig
+    from pneuma.engines.team import drawing, policy_names, read_policies
     from pneuma.env.players import Hunter, RandomPlayer
+    from pneuma.study.stored_runs import stored_run
+    from pneuma.study.trust import own_things
 
     if player == "random":
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
     if player == "hunter":
         return {}, lambda worlds: Hunter(worlds).act
-    from pneuma.engines.team import policy_names, read_policies
-    from pneuma.study.stored_runs import stored_run
-
     store = Store(results)
-    player = _named_run(store, player)
-    run = stored_run(store, player).settings
-    if run.get("env") != _base(name):
-        raise UserError(f"--player {player}: was trained in {run.get('env')}, not in {name}")
-    names = policy_names(store.file_names(player))
-    if not names:
-        raise UserError(f"--player {player}: the run left no policy")
-    policy = read_policies([store.read_file(player, name) for name in names])
-    return _stored_settings(run), lambda worlds: _acting(policy, worlds, seed, player)
-
-
-def _stored_settings(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the environment's part of a stored run, without code of a stranger's: no picture shows it."""
-    from dataclasses import fields
-
-    from pneuma.config import REWARDS, EnvConfig
-
-    settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
-    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in run["reward"]]
-    return settings
-
-
-def _refuse_strangers(player: str | None, settings: Mapping[str, Any]) -> None:
-    """Refuse settings of a stored run, which may be a stranger's, that would open files of its owner's."""
-    from pneuma.study.trust import own_things
-
-    if own := own_things(settings):
-        told = " and ".join(own.values())
-        raise UserError(f"--player {player}: would {told}; if you trust where it is from, give --trust")
-
-
-def _named_run(store: Store, player: str) -> str:
-    """Return the id of the finished run that plays."""
     try:
         run_id = find_run(store, player)
-    except UserError as error:
-        raise UserError(f"--player {player}: neither {' nor '.join(PLAYERS)}: {error}") from None
-    if not store.status(run_id).finished:
-        raise UserError(f"--player {player}: run {run_id} is not finished")
-    return run_id
-
-
-def _acting(policy: Any, worlds: Any, seed: int, player: str) -> Callable[[Any], Any]:
-    """Return what draws actions from a stored policy, which must fit the worlds."""
-    import numpy as np
-
-    from pneuma.engines.team import drawing
-
-    try:
-        return drawing(policy, worlds, np.random.default_rng(seed))
+        if not store.status(run_id).finished:
+            raise UserError(f"run {run_id} is not finished")
+        run = stored_run(store, run_id).settings
+        if run.get("env") != name.replace("/mo-", "/"):
+            raise UserError(f"was trained in {run.get('env')}, not in {name}")
+        settings = {key: run[key] for key in EnvConfig.__dataclass_fields__ if key in run}
+        settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in run["reward"]]
+        opened = {key: value for key, value in settings.items() if own is not None and key not in own}
+        if files := own_things(opened):
+            raise UserError(
+                f"would {' and '.join(files.values())}; if you trust where it is from, give --trust"
+            )
+        names = policy_names(store.file_names(run_id))
+        if not names:
+            raise UserError("the run left no policy")
+        policy = read_policies([store.read_file(run_id, each) for each in names])
     except UserError as error:
         raise UserError(f"--player {player}: {error}") from None
+    return settings, lambda worlds: drawing(policy, worlds, np.random.default_rng(seed))

@@ -25,7 +25,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS
 from pneuma.study.executors.base import Supervision
-from pneuma.study.fork import plan_fork
+from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
 
@@ -57,7 +57,7 @@ def fork(
     settings = read_settings_options(set_)
     parent = find_run(store, name)
     step = read_count("--at", at)
-    plan = plan_fork(store, parent, step, settings, reset, read_seeds_option(seeds), trust)
+    plan = plan_fork(store, parent, step, Change(settings, reset), read_seeds_option(seeds), trust)
     plan = replace(plan, notes=tuple(plain(note) for note in plan.notes))
     how = Supervision(workers=read_workers(workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

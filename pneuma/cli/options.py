@@ -10,6 +10,7 @@ import os
 import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -19,7 +20,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study.claimed import CLAIMS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
 from pneuma.study.plan import Selection
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.study.spec import MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.worlds import TEXT, WORLDS
 
 
@@ -27,6 +28,15 @@ def read_path(text: str) -> Path:
     """Read a path as a shell does: a `~` that somebody's home folder can stand for is that folder."""
     return Path(os.path.expanduser(text))
 
+
+def _option(name: str, metavar: str, told: str) -> Any:
+    return typer.Option(name, metavar=metavar, help=told)
+
+
+Text = str | None
+"""An option that may be left out; its text becomes a value by the functions below."""
+Several = list[str] | None
+"""An option that may be repeated."""
 
 StudyName = Annotated[
     str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
@@ -39,149 +49,106 @@ Results = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but results and mistakes.")]
-Preset = Annotated[
-    str | None,
-    typer.Option(
-        "--preset",
-        metavar="|".join(PRESETS),
-        help="How much to run: quick for plan and run, else as last run.",
-    ),
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Use the reward, level and characters files that the run names.")
 ]
+_AMOUNT = "How much to run: quick for plan and run, else as last run"
+Preset = Annotated[Text, _option("--preset", "|".join(PRESETS), f"{_AMOUNT}.")]
 StudyPreset = Annotated[
-    str | None,
-    typer.Option(
-        "--preset",
-        metavar="|".join((*PRESETS, CLAIMS)),
-        help="How much to run, also joined (paper+claims): quick for plan and run, else as last run.",
-    ),
+    Text, _option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}; also joined: paper+claims.")
 ]
-_SEEDS = typer.Option(
-    "--seeds", metavar="N|LIST", help="A count N (seeds 0 to N-1) or a list: 3,5,8; '7,' is seed 7."
+_SEEDS = _option(
+    "--seeds", "N|LIST", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
 )
-Seeds = Annotated[str | None, _SEEDS]
+Seeds = Annotated[Text, _SEEDS]
 OwnSeeds = Annotated[str, _SEEDS]
 """The same of commands with seeds of their own where none are given."""
-Steps = Annotated[
-    str | None,
-    typer.Option("--steps", metavar="N", help="Steps of each run, rounded up to whole horizons."),
-]
+Steps = Annotated[Text, _option("--steps", "N", "Steps of each run, rounded up to whole horizons.")]
 EngineName = Annotated[
-    str | None,
-    typer.Option(
-        "--engine",
-        metavar="NAME",
-        help="What trains the runs: batched or sb3 (default: batched where it can).",
-    ),
+    Text, _option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
 ]
-Workers = Annotated[
-    str | None, typer.Option("--workers", metavar="N", help="Runs trained at once (default: one a core)")
-]
-ExecutorName = Annotated[
-    str,
-    typer.Option(
-        "--executor",
-        metavar="|".join(EXECUTORS),
-        help="Where runs are trained: in processes of this machine, or on a cluster (docs/scaling.md).",
-    ),
-]
-Address = Annotated[
-    str | None,
-    typer.Option(
-        "--address", metavar="HOST:PORT", help="With --executor ray: its cluster (default: one of its own)."
-    ),
-]
-SlurmOptions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--slurm",
-        metavar="KEY=VALUE",
-        help="With --executor slurm: what jobs ask for: partition, time, account, mem … (may be repeated).",
-    ),
-]
-Detach = Annotated[
-    bool, typer.Option("--detach", help="With --executor slurm: leave once jobs are submitted.")
-]
-Trust = Annotated[
-    bool,
-    typer.Option(
-        "--trust", help="Run the reward and read the level and characters files that the run names."
-    ),
-]
-Conditions = Annotated[
-    list[str] | None,
-    typer.Option("--condition", metavar="NAME", help="Only this condition (may be repeated)."),
-]
+Workers = Annotated[Text, _option("--workers", "N", "Runs trained at once (default: one a core).")]
+Conditions = Annotated[Several, _option("--condition", "NAME", "Only this condition (may be repeated).")]
 Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set a field of the run in every condition (may be repeated)."
-    ),
+    Several, _option("--set", "KEY=VALUE", "Set a field of the run in every condition (may be repeated).")
 ]
-
-
-def _world_option(told: str) -> Any:
-    return typer.Option("--world", metavar="|".join(WORLDS), help=told)
-
-
+_WORLDS = "|".join(WORLDS)
 WorldName = Annotated[
-    str | None,
-    _world_option(f"Where: {', '.join(world.title for world in WORLDS.values())} (default: {TEXT})."),
+    Text,
+    _option("--world", _WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT})."),
 ]
 NamedWorld = Annotated[
-    str | None,
-    _world_option(f"One world alone (default with NAME: {TEXT}; without: all)."),
+    Text, _option("--world", _WORLDS, f"One world alone (default with NAME: {TEXT}; without: all).")
 ]
 """Of commands that take all studies where none is named."""
-OnlyWorld = Annotated[
-    str | None,
-    _world_option("One world alone (default: all, and the logs)."),
-]
+OnlyWorld = Annotated[Text, _option("--world", _WORLDS, "One world alone (default: all, and the logs).")]
 """Of a command that judges all there is, the logs among it."""
 
-Selected = Selection | None
-"""What `selects` hands to a command; None when no selecting option was given."""
 Answer = TypeVar("Answer")
-Options = tuple[inspect.Parameter, ...]
 
 
-def read_selection(
-    preset: str | None,
-    seeds: str | None,
-    steps: str | None,
-    engine: str | None,
-    conditions: Sequence[str] | None,
-    settings: Sequence[str] | None,
-) -> Selection | None:
-    """Turn the selecting options into a `Selection`; None when none of them was given.
+@dataclass(frozen=True)
+class Selecting:
+    """The options that select runs; None or empty where one is not given."""
 
-    Raises:
-        UserError: naming the option, the value and what is allowed.
-    """
-    if all(given in (None, []) for given in (preset, seeds, steps, engine, conditions, settings)):
-        return None
-    return Selection(
-        preset=preset,
-        seeds=None if seeds is None else read_seeds_option(seeds),
-        steps=None if steps is None else read_count("--steps", steps),
-        engine=engine,
-        conditions=tuple(conditions or ()),
-        settings=read_settings_options(settings),
-    )
+    preset: StudyPreset = None
+    seeds: Seeds = None
+    steps: Steps = None
+    engine: EngineName = None
+    condition: Conditions = None
+    set_: Settings = None
+
+    def read(self) -> Selection | None:
+        """Return what they select; None when none of them was given.
+
+        Raises:
+            UserError: naming the option, the value and what is allowed.
+        """
+        if not any(value is not None and value != [] for value in vars(self).values()):
+            return None
+        return Selection(
+            preset=self.preset,
+            seeds=None if self.seeds is None else read_seeds_option(self.seeds),
+            steps=None if self.steps is None else read_count("--steps", self.steps),
+            engine=self.engine,
+            conditions=tuple(self.condition or ()),
+            settings=read_settings_options(self.set_),
+        )
 
 
-def read_place(executor: str, address: str | None, slurm: Sequence[str] | None, detach: bool) -> Place:
-    """Turn the options that say where runs are trained into a `Place`.
+@dataclass(frozen=True)
+class Placing:
+    """The options that say where runs are trained."""
 
-    Raises:
-        UserError: naming the option, the value and what is allowed.
-    """
-    if executor not in EXECUTORS:
-        raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
-    if address is not None and executor != RAY:
-        raise UserError(f"--address {address}: goes with --executor {RAY}")
-    if (slurm or detach) and executor != SLURM:
-        raise UserError(f"{'--slurm ' + slurm[0] if slurm else '--detach'}: goes with --executor {SLURM}")
-    return Place(executor, address, slurm=tuple(_read_slurm(text) for text in slurm or ()), detach=detach)
+    executor: Annotated[
+        str,
+        _option("--executor", "|".join(EXECUTORS), "Where runs are trained, as docs/scaling.md says."),
+    ] = LOCAL
+    address: Annotated[
+        Text, _option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
+    ] = None
+    slurm: Annotated[
+        Several,
+        _option("--slurm", "KEY=VALUE", "What jobs of --executor slurm ask for: partition, time, mem, …"),
+    ] = None
+    detach: Annotated[
+        bool, typer.Option("--detach", help="Leave once jobs of --executor slurm are submitted.")
+    ] = False
+
+    def read(self) -> Place:
+        """Return the place.
+
+        Raises:
+            UserError: naming the option, the value and what is allowed.
+        """
+        executor, address, slurm = self.executor, self.address, self.slurm or []
+        if executor not in EXECUTORS:
+            raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
+        if address is not None and executor != RAY:
+            raise UserError(f"--address {address}: goes with --executor {RAY}")
+        if (slurm or self.detach) and executor != SLURM:
+            raise UserError(f"{'--slurm ' + slurm[0] if slurm else '--detach'}: goes with --executor {SLURM}")
+        return Place(executor, address, slurm=tuple(map(_read_slurm, slurm)), detach=self.detach)
 
 
 def _read_slurm(text: str) -> tuple[str, str]:
@@ -189,6 +156,50 @@ def _read_slurm(text: str) -> tuple[str, str]:
     if not equals or not key.strip() or not value.strip():
         raise UserError(f"--slurm {text}: must be KEY=VALUE, as in --slurm partition=short")
     return key.strip().replace("-", "_"), value.strip()
+
+
+def read_selection(*options: Any) -> Selection | None:
+    """Return what the selecting options select; None when none of them was given."""
+    return Selecting(*options).read()
+
+
+Selected = Selection | None
+"""What `selects` hands to a command; None when no selecting option was given."""
+
+
+def selects(command: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Give a command the options that select runs; it gets what they come to as its `selection`."""
+    return _with_options(command, "selection", Selecting)
+
+
+def places(command: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Give a command the options that say where runs are trained; it gets that as its `place`."""
+    return _with_options(command, "place", Placing)
+
+
+def _with_options(
+    command: Callable[..., Answer], name: str, options: type[Selecting | Placing]
+) -> Callable[..., Answer]:
+    """Put options in the place of a command's parameter, which then is what they read as.
+
+    Typer makes a command's options from its signature, so they are put there.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    added = inspect.signature(options, eval_str=True).parameters
+
+    @functools.wraps(command)
+    def run(**given: Any) -> Answer:
+        told = options(**{key: given.pop(key) for key in added}).read()
+        return command(**{name: told}, **given)
+
+    parameters = [
+        own
+        for parameter in signature.parameters.values()
+        for own in (added.values() if parameter.name == name else (parameter,))
+    ]
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {own.name: own.annotation for own in parameters}
+    return run
 
 
 def read_workers(workers: str | None, place: Place = HERE) -> int:
@@ -202,71 +213,15 @@ def read_workers(workers: str | None, place: Place = HERE) -> int:
     return load_executor(place).most_workers(place)
 
 
-def selects(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that select runs; it gets what they come to as its `selection`."""
-    return _with_options(command, "selection", _SELECTING, read_selection)
-
-
-def places(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that say where runs are trained; it gets that as its `place`."""
-    return _with_options(command, "place", _PLACING, read_place)
-
-
-def _with_options(
-    command: Callable[..., Answer], name: str, options: Options, read: Callable[..., object]
-) -> Callable[..., Answer]:
-    """Put options in the place of a command's parameter, which then is what `read` makes of them.
-
-    Typer makes a command's options from its signature, so they are put there.
-    """
-    signature = inspect.signature(command, eval_str=True)
-
-    @functools.wraps(command)
-    def run(**given: Any) -> Answer:
-        told = read(*(given.pop(option.name) for option in options))
-        return command(**{name: told}, **given)
-
-    parameters = [
-        own
-        for parameter in signature.parameters.values()
-        for own in (options if parameter.name == name else (parameter,))
-    ]
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {own.name: own.annotation for own in parameters}
-    return run
-
-
-def _option(name: str, kind: object, default: object = None) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=kind)
-
-
-_SELECTING = (
-    _option("preset", StudyPreset),
-    _option("seeds", Seeds),
-    _option("steps", Steps),
-    _option("engine", EngineName),
-    _option("condition", Conditions),
-    _option("set_", Settings),
-)
-"""The parameters of `read_selection`, as options."""
-_PLACING = (
-    _option("executor", ExecutorName, LOCAL),
-    _option("address", Address),
-    _option("slurm", SlurmOptions),
-    _option("detach", Detach, False),
-)
-"""The parameters of `read_place`, as options."""
-
-
 def read_count(option: str, text: str) -> int:
-    """Read a whole number of at least 1; underscores may group its digits."""
+    """Read a whole number of at least 1: 100000, 100_000 or 1e5."""
     try:
-        count = int(text)
+        number = float(text)
     except ValueError:
-        count = 0
-    if count < 1:
-        raise UserError(f"{option} {text}: must be a whole number of at least 1")
-    return count
+        number = 0.0
+    if not (1 <= number < 2**53 and number.is_integer()):
+        raise UserError(f"{option} {text}: must be a whole number of at least 1, as in 1e5")
+    return int(number)
 
 
 def read_seconds(option: str, text: str) -> float:
@@ -281,12 +236,21 @@ def read_seconds(option: str, text: str) -> float:
 
 
 def read_seeds_option(text: str) -> tuple[int, ...]:
-    """Read `--seeds`: a count, or a list."""
+    """Read `--seeds`: a count, a list, or ranges with both ends among them: 3,5,8 or 1..5."""
     try:
-        parts = [int(part) for part in text.split(",") if part.strip()]
-        return read_seeds(parts if "," in text else parts[0])
+        parts = [seed for part in text.split(",") if part.strip() for seed in _span(part)]
+        return read_seeds(parts if "," in text or ".." in text else parts[0])
     except (ValueError, IndexError, UserError):
-        raise UserError(f"--seeds {text}: must be {SEEDS_ALLOWED}, as in 3,5,8") from None
+        raise UserError(f"--seeds {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
+
+
+def _span(text: str) -> range:
+    """Read a seed, or a first and a last one."""
+    first, dots, last = text.partition("..")
+    seeds = range(int(first), int(last if dots else first) + 1)
+    if len(seeds) > MOST_SEEDS:
+        raise ValueError
+    return seeds
 
 
 def selecting_words(selection: Selection) -> list[str]:

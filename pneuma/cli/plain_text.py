@@ -1,13 +1,12 @@
-"""Texts of a stranger's, made safe to print, and commands to be typed."""
+"""Commands to be typed, and untrusted texts made safe to print."""
 
 from __future__ import annotations
 
 import shlex
 
+from pneuma.errors import plain
 
-def plain(text: str) -> str:
-    """Return a text without control characters, which could drive a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+__all__ = ["command", "plain"]
 
 
 def command(*words: object) -> str:

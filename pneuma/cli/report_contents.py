@@ -27,7 +27,6 @@ from pneuma.cli.plain_text import command
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
 from pneuma.config import BASES, as_settings, make_run
 from pneuma.errors import UserError, counted
-from pneuma.figures.judged import judged_claims
 from pneuma.figures.report import (
     Conditions,
     Part,
@@ -39,6 +38,7 @@ from pneuma.figures.report import (
     statistics_table,
 )
 from pneuma.figures.report_pictures import study_pictures
+from pneuma.figures.verdict_words import judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
@@ -70,13 +70,13 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     try:
         claims, note = judged_claims(store, studies)
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
-        claims, note, unjudged = [], "", _without_folder(store, error)
+        claims, note, unjudged = {}, "", _without_folder(store, error)
         tell(f"Note: {error}; no claim is judged.")
     sections = []
     for place, study in enumerate(studies, 1):
         tell(f"{place}/{len(studies)} {study}")
         sections.append(_section(store, study))
-    return Report(claims, sections, note, __version__, unjudged)
+    return Report([*claims.values()], sections, note, __version__, unjudged)
 
 
 # --- Which studies ---------------------------------------------------------------------------------

@@ -1,28 +1,26 @@
-"""`pneuma search …`: find hyperparameters, and see what was found."""
+"""`pneuma search …`: what searches there are, and what they found."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pneuma.cli import search_promote, search_run
+from pneuma.cli import search_run
 from pneuma.cli.figure_files import Formats, draw_files, read_formats
 from pneuma.cli.options import Json, Results, WorldName, print_json, read_path
 from pneuma.cli.plain_text import command, plain
+from pneuma.cli.search_run import SearchName, search_document, told_value
 from pneuma.cli.study_output import check_choice
 from pneuma.errors import counted
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, world_option
 
 if TYPE_CHECKING:
-    from pneuma.search.spec import Search
-    from pneuma.search.storage import Searched
-    from pneuma.search.trials import Told
+    from pneuma.search.space import Parameter
 
 app = typer.Typer(
     help="Find hyperparameters over several seeds, and confirm them on fresh ones.",
@@ -34,7 +32,7 @@ RESULTS = Path("results")
 PLOTS = ("history", "importances", "slices", "parallel", "front")
 
 app.command(short_help="Search for hyperparameters, or go on with a search.")(search_run.run)
-app.command(short_help="Train winners of searches on fresh seeds.")(search_promote.promote)
+app.command(short_help="Train winners of searches on fresh seeds.")(search_run.promote)
 
 
 @app.command("list")
@@ -53,28 +51,26 @@ def list_(json: Json = False) -> None:
 
 
 @app.command()
-def show(name: search_run.SearchName, world: WorldName = None, json: Json = False) -> None:
+def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
     """Show what a search varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
     search = load_search(name, world)
-    document = _as_document(search)
     if json:
-        return print_json({"schema": 1, **document})
-    print(search.title + (f" (thesis section {search.section})" if search.section else ""))
+        document = {key: value for key, value in asdict(search).items() if key != "name"}
+        return print_json({"schema": 1, "search": search.name, **document})
+    print(plain(search.title) + (f" (thesis section {plain(search.section)})" if search.section else ""))
     if search.about:
-        print(f"\n{search.about}")
+        print(f"\n{plain(search.about)}")
     print("\nSpace:")
-    for parameter in document["space"]:
-        print(f"  {parameter['name']:<22} {_told_domain(parameter)}")
+    for parameter in search.space.parameters:
+        print(f"  {plain(parameter.name):<22} {plain(_domain(parameter))}")
     print("\nObjectives:")
     for own in search.objectives:
         print(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
-    for kind in ("sampler", "pruner"):
-        options = dict(document[kind])
-        if name := options.pop("name"):
-            told = ", ".join(f"{key} {value}" for key, value in options.items())
-            print(f"{kind.capitalize()}: {name}" + (f" ({told})" if told else ""))
+    for kind, chosen in (("Sampler", search.sampler), ("Pruner", search.pruner)):
+        if chosen["name"]:
+            print(f"{kind}: {', '.join(f'{key} {value}' for key, value in chosen.items())}")
     print(f"Trials are asked for {search.generation} at a time.")
     for preset, budget in search.presets.items():
         seeds = counted(len(budget.seeds), "seed")
@@ -83,48 +79,50 @@ def show(name: search_run.SearchName, world: WorldName = None, json: Json = Fals
 
 
 @app.command()
-def status(
-    name: search_run.SearchName, world: WorldName = None, results: Results = RESULTS, json: Json = False
-) -> None:
+def status(name: SearchName, world: WorldName = None, results: Results = RESULTS, json: Json = False) -> None:
     """Show how far a search is, and the best that it has found."""
-    from pneuma.search.storage import trial_document
+    from pneuma.search.storage import journal_path, read_record
 
     store = Store(results)
-    searched = search_promote.recorded(store, name, world)
+    searched = read_record(store, name, world)
     search, budget, best = searched.task.search, searched.task.budget, searched.best
     if json:
-        document = {
-            "schema": 1,
-            "search": search.name,
-            "trials": [trial_document(trial, search) for trial in searched.trials],
-            "best": best,
-            "storage": searched.storage,
-            "optuna_study": searched.optuna_study,
-            "seeds": list(budget.seeds),
-            "steps": budget.steps,
-            "trials_asked": budget.trials,
-        }
-        return print_json(document)
+        document = search_document(searched.task, searched.trials, store)
+        seeds, steps = list(budget.seeds), budget.steps
+        return print_json({**document, "seeds": seeds, "steps": steps, "trials_asked": budget.trials})
     print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
     for own in search.objectives:
         print(plain(f"Value: {own.direction} the {own.over_seeds} over seeds of {own.outcome}"))
     among = best if isinstance(best, list) else [best]
     for trial in searched.trials:
-        print(_told_trial(trial, trial.number in among))
-    _tell_best(searched, name, world, store.root)
-    runs = command("study", "status", f"search-{search.name}", "--results", store.root)
-    print(f"Its runs: {runs}")
-    print(f"Look closer with: optuna-dashboard {plain(searched.storage)}")
+        mark, note = "*" if trial.number in among else " ", f"  ({trial.note})" if trial.note else ""
+        params = ", ".join(
+            f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
+            for key, value in trial.params.items()
+        )
+        print(plain(f"  {mark} {trial.number:>4}  {trial.state:<9} {told_value(trial):<16} {params}{note}"))
+    if isinstance(best, int):
+        told = command("search", "promote", name, *world_option(world or TEXT), "--results", store.root)
+        print(f"Best (*): trial {best}. Confirm it with: {told}")
+    else:
+        print(
+            f"Pareto front (*): trials {', '.join(map(str, best))}." if best else "No trial is complete yet."
+        )
+    print(f"Its runs: {command('study', 'status', f'search-{search.name}', '--results', store.root)}")
+    print(f"Look closer with: optuna-dashboard {plain(str(journal_path(store, search.name)))}")
     return None
 
 
 @app.command(short_help="Draw a search.")
 def plot(
-    name: search_run.SearchName,
+    name: SearchName,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="DIR", parser=read_path, help="Where to write (default: RESULTS/figures)."
+            "--out",
+            metavar="DIR",
+            parser=read_path,
+            help="Where to write (default: RESULTS/figures).",
         ),
     ] = None,
     what: Annotated[
@@ -142,10 +140,11 @@ def plot(
     formats = read_formats(format)
     for value in what or ():
         check_choice("--what", value, PLOTS)
-    store, wanted = Store(results), tuple(what or PLOTS)
-    searched = search_promote.recorded(store, name, world)
     from pneuma.figures.search import NEEDS, draw_search
+    from pneuma.search.storage import read_record
 
+    store, wanted = Store(results), tuple(what or PLOTS)
+    searched = read_record(store, name, world)
     paths = draw_files(store, out, lambda folder: draw_search(searched, folder, wanted, formats))
     drawn = {path.stem.rpartition("-")[2] for path in paths}
     lacking = [own for own in wanted if own not in drawn] if what or not paths else []
@@ -159,57 +158,13 @@ def plot(
     return None
 
 
-def _as_document(search: Search) -> dict[str, Any]:
+def _domain(parameter: Parameter) -> str:
     from pneuma.search.space import Range
 
-    space = []
-    for parameter in search.space.parameters:
-        domain = parameter.domain
-        own = asdict(domain) if isinstance(domain, Range) else {"choices": dict(domain.settings_of)}
-        space.append({"name": parameter.name, **own, "when": dict(parameter.when)})
-    return {
-        "search": search.name,
-        "title": search.title,
-        "section": search.section,
-        "about": search.about,
-        "base": search.space.base,
-        "fixed": dict(search.space.fixed),
-        "space": space,
-        "objectives": [asdict(objective) for objective in search.objectives],
-        "start": list(search.start_names),
-        "generation": search.generation,
-        "sampler": dict(search.sampler),
-        "pruner": dict(search.pruner),
-        "presets": {name: asdict(budget) for name, budget in search.presets.items()},
-    }
-
-
-def _told_domain(parameter: Mapping[str, Any]) -> str:
-    if "choices" in parameter:
-        told = "one of " + ", ".join(parameter["choices"])
+    domain = parameter.domain
+    if isinstance(domain, Range):
+        told = f"{domain.low:g} to {domain.high:g}{', logarithmic' if domain.log else ''}"
     else:
-        log = ", logarithmic" if parameter["log"] else ""
-        told = f"{parameter['low']:g} to {parameter['high']:g}{log}"
-    when = " and ".join(f"{k} is {' or '.join(map(str, v))}" for k, v in parameter["when"].items())
+        told = "one of " + ", ".join(domain.settings_of)
+    when = " and ".join(f"{k} is {' or '.join(map(str, v))}" for k, v in parameter.when.items())
     return told + (f", where {when}" if when else "")
-
-
-def _told_trial(trial: Told, among: bool) -> str:
-    params = ", ".join(
-        f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
-        for key, value in trial.params.items()
-    )
-    note = f"  ({trial.note})" if trial.note else ""
-    mark, value = "*" if among else " ", search_run.told_value(trial)
-    return plain(f"  {mark} {trial.number:>4}  {trial.state:<9} {value:<16} {params}{note}")
-
-
-def _tell_best(searched: Searched, name: str, world: str | None, root: Path) -> None:
-    best = searched.best
-    if best in (None, []):
-        print("No trial is complete yet.")
-    elif isinstance(best, list):
-        print(f"Pareto front (*): trials {', '.join(map(str, best))}.")
-    else:
-        told = command("search", "promote", name, *world_option(world or TEXT), "--results", root)
-        print(f"Best (*): trial {best}. Confirm it with: {told}")

@@ -96,9 +96,9 @@ class RunState(NamedTuple):
     Attributes:
         run: its entry in the record.
         status: the name of its status.
-        published: whether that is told by a published table, as the run is not here, or damaged here.
+        published: whether that is told by the published table, as the run is not here, or damaged.
         step: agent steps of its records, or of its latest checkpoint.
-        damaged: whether what is here is damaged.
+        damaged: whether the run that lies here is.
     """
 
     run: dict[str, Any]
@@ -110,8 +110,8 @@ class RunState(NamedTuple):
     @property
     def told(self) -> str:
         """How it stands, for people."""
-        told = f"{self.status} as published" if self.published else self.status
-        return f"{told}, damaged here" if self.damaged and self.published else told
+        here = ", damaged here" if self.damaged else ""
+        return f"{self.status} as published{here}" if self.published else self.status
 
     @property
     def reached(self) -> str:
@@ -120,7 +120,7 @@ class RunState(NamedTuple):
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
-    """Return how every run of a record stands where `open_study` has it from.
+    """Return how every run of a record stands, here or in the published table of its study.
 
     Raises:
         UserError: when the published table is damaged.
@@ -130,7 +130,7 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
         from pneuma.analysis.run_index import RunIndex
 
         index = RunIndex(store)
-        found, _ = index.of_record(record)
+        found, _ = index.of_record(record, others=False)
         here = {run_id: index(run_id).status for run_id in found}
         taken = {run_id: own.status for run_id, own in found.items() if own.published}
     else:

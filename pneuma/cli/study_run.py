@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -27,15 +27,11 @@ from pneuma.cli.options import (
 )
 from pneuma.cli.plain_text import command, plain
 from pneuma.cli.progress import ProgressDisplay, duration
-from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_setting
-
-if TYPE_CHECKING:
-    from pneuma.study import foresight
 
 RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
@@ -49,7 +45,11 @@ Unpublished = Annotated[
 STOPPED = 130
 """The exit code after Ctrl-C; 1 is of runs that went wrong, 0 of a plan that is done."""
 
-_STATES = {"done": "stored", "diverged": "stored", "partial": "partial", "killed": "partial"}
+_TOLD = {
+    "stored": "stored", "published": "published", "partial": "begun", "failed": "failed before",
+    "to-train": "to train",
+}  # fmt: skip
+"""The states of a plan's runs, for people."""
 
 
 @selects
@@ -62,17 +62,19 @@ def plan_(
     place: Place = HERE,
     calibrate: Annotated[
         bool,
-        typer.Option(help="Train for a few seconds where no stored run tells how long such runs take."),
-    ] = True,
+        typer.Option(
+            "--calibrate",
+            help="Train for a few seconds what no stored run tells the pace of (else a table does).",
+        ),
+    ] = False,
     unpublished: Unpublished = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
-    """Say which runs are stored and which would be trained, and how long that takes; none is trained."""
-    from pneuma.study import foresight
+    """Say what is stored and what would be trained, and about how long that takes; none is trained."""
+    from pneuma.study import estimate
 
-    selection = selection or plan.Selection()
-    planned = plan.make_plan(spec.load_study(name, world), selection)
+    planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
     at_once = read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
@@ -80,59 +82,49 @@ def plan_(
         planned = replace(planned, published=_published(store, planned))
     todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
-    measured = foresight.measured_runs(planned, statuses, store)
-    paces = foresight.known_paces(measured, store)
-    if calibrate and any(foresight.kind(run) not in paces for run in todo.values()):
-        paces = _calibrated(todo.values(), store, paces)
-    seconds = _expected_seconds(planned, statuses, paces)
+    paces = estimate.stored_paces(store, statuses)
+    if calibrate:
+        estimate.calibrate(todo.values(), paces, lambda text: say(text, aside=True))
+    seconds = {
+        key: paces.seconds(run, run.steps - execute.kept_step(run, statuses[key]))
+        for key, run in todo.items()
+    }
+    states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
     if json:
         cells = [
-            {
-                **_cell(cell),
-                "state": _state(statuses[cell.run_id], cell.run_id in planned.published),
-                "expected_seconds": seconds[cell.run_id],
-            }
+            {**_cell(cell), "state": states[cell.run_id], "expected_seconds": seconds.get(cell.run_id)}
             for cell in planned.cells
         ]
         return print_json({"schema": 1, "study": planned.study.name, "runs": cells})
-    _print_plan(planned, statuses, seconds)
-    for condition, speeds in foresight.processor_speeds(planned, measured).items():
-        each = (f"{speed:,.0f} steps/s on {plain(on)} ({n} runs)" for on, (speed, n) in speeds.items())
-        print(f"Measured of runs like {condition}: {', '.join(each)}.")
+    _print_plan(planned, states, seconds)
     if todo:
-        _tell_cost(planned, todo, [own for name in todo if (own := seconds[name]) is not None], at_once)
+        room = sum(estimate.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
+        told = duration(estimate.total_seconds(seconds.values(), at_once))
+        sure = all(paces.knows(run) for run in todo.values())
+        rough = "" if sure else " (a rough estimate: --calibrate measures)"
+        print(f"To train: about {told} with {at_once} at once{rough}, {max(room / 1e6, 1):,.0f} MB of disk.")
     return None
 
 
-def _expected_seconds(
-    planned: plan.Plan, statuses: Mapping[str, Status], paces: Mapping[str, foresight.Pace]
-) -> dict[str, float | None]:
-    """Return how long each run would still train, by id; None where nothing tells, or it is published."""
-    from pneuma.study import foresight
+def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[str, float]) -> None:
+    """Print a line for each condition, and the sums of all."""
+    for note in planned.notes:
+        print(f"Note: {note}.")
+    for key, values in plan.differing_settings(planned).items():
+        print(f"Conditions differ in {key}: {by_value(values)}")
+    width = max(len(condition) for condition in planned.conditions)
+    for condition in planned.conditions:
+        own = [cell for cell in planned.cells if cell.condition == condition]
+        expected = sum(seconds.get(cell.run_id, 0.0) for cell in own)
+        time = f", {duration(expected)} of one core" if expected else ""
+        size = f"{len(own):>3} x {own[0].run.steps:>11,} steps"
+        print(f"{condition:<{width}} {size}  {_counts(states[cell.run_id] for cell in own)}{time}")
+    print(f"{_counts(states.values())}.")
 
-    seconds: dict[str, float | None] = {}
-    for cell in planned.cells:
-        pace = paces.get(foresight.kind(cell.run))
-        if pace is None or cell.run_id in planned.published:
-            seconds[cell.run_id] = None
-        else:
-            left = cell.run.steps - execute.kept_step(cell.run, statuses[cell.run_id])
-            seconds[cell.run_id] = pace.seconds(left)
-    return seconds
 
-
-def _tell_cost(planned: plan.Plan, todo: Mapping[str, Run], known: Sequence[float], at_once: int) -> None:
-    """Print how long the missing runs take, as far as that is known, and how much disk."""
-    from pneuma.study import foresight
-
-    room = sum(foresight.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
-    disk = f"{max(room / 1e6, 1):,.0f} MB of disk"
-    if not known:
-        print(f"To train: {disk}; how long it takes is not known, as no run like these was timed.")
-        return
-    about = "about" if len(known) == len(todo) else "at least"
-    told = duration(foresight.wall_seconds(known, at_once))
-    print(f"To train: {about} {told} with {at_once} at once, {disk}.")
+def _counts(states: Iterable[str]) -> str:
+    counts = Counter(states)
+    return ", ".join(f"{counts[state]} {told}" for state, told in _TOLD.items() if counts[state])
 
 
 @selects
@@ -147,12 +139,8 @@ def run(
         str,
         typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
     ] = "15",
-    timeout: Annotated[
-        str | None,
-        typer.Option("--timeout", metavar="S", help="The longest that one run may train, in seconds."),
-    ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try runs again that crashed or timed out before.")
+        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
     until_decided: Annotated[
         bool,
@@ -183,7 +171,6 @@ def run(
     supervision = Supervision(
         workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
-        timeout_seconds=None if timeout is None else read_seconds("--timeout", timeout),
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )
@@ -200,35 +187,19 @@ def train(
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
     try:
-        outcomes, code = train_cells(planned, store, how, retry_failed, json, quiet)
+        results, code = train_cells(planned, store, how, retry_failed, json, quiet)
     except Detached:  # as was asked
-        outcomes, code = _as_stored(planned, store), 0
+        results, code = _as_stored(planned, store), 0
     if json:
-        print_json({"schema": 1, "study": planned.study.name, "runs": outcome_rows(outcomes)})
+        print_json({"schema": 1, "study": planned.study.name, "runs": result_rows(results)})
     return code
 
 
-def _calibrated(
-    runs: Iterable[Run], store: Store, paces: Mapping[str, foresight.Pace]
-) -> dict[str, foresight.Pace]:
-    """Measure what paces are missing.
-
-    Raises:
-        UserError: where they could not be kept.
-    """
-    from pneuma.study import calibration
-
-    try:
-        return calibration.calibrate(runs, store, paces, lambda text: say(text, aside=True))
-    except UserError as error:
-        raise UserError(f"{error}; or plan without measuring: --no-calibrate") from None
-
-
-def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> list[execute.Outcome]:
+def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> list[execute.CellResult]:
     """Return how cells of a plan that was left stand; of what was `todo`, what is done was trained."""
     states = [(cell, store.status(cell.run_id)) for cell in planned.cells]
     return [
-        execute.Outcome(cell, status, status.finished and cell.run_id in todo)
+        execute.CellResult(cell, status, status.finished and cell.run_id in todo)
         for cell, status in states
         if status.finished or cell.run_id not in planned.published
     ]
@@ -236,8 +207,8 @@ def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> l
 
 def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
-) -> tuple[list[execute.Outcome], int]:
-    """Train what a plan lacks and tell how it went; return the cells' outcomes and the exit code.
+) -> tuple[list[execute.CellResult], int]:
+    """Train what a plan lacks and tell how it went; return the cells' results and the exit code.
 
     Raises:
         Detached: where the runs were left to go on, as --detach asks.
@@ -246,8 +217,8 @@ def train_cells(
     for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     try:
-        with ProgressDisplay(planned, todo.runs, how.workers, quiet, todo.kept) as display:
-            outcomes = execute.execute(planned, todo.runs, store, how, display.update)
+        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
+            results = execute.execute(planned, todo.runs, store, how, display.update)
     except Detached as left:
         say(str(left), aside=True)
         if left.asked:
@@ -256,8 +227,8 @@ def train_cells(
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
         return _as_stored(planned, store, todo.runs), STOPPED
-    _tell_outcomes(planned, outcomes, store, json, quiet)
-    return outcomes, int(any(outcome.status.name in UNWELL for outcome in outcomes))
+    _tell_results(planned, results, store, json, quiet)
+    return results, int(any(result.status.name in UNWELL for result in results))
 
 
 def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
@@ -282,9 +253,9 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
     return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
 
 
-def outcome_rows(outcomes: list[execute.Outcome]) -> list[dict[str, Any]]:
+def result_rows(results: list[execute.CellResult]) -> list[dict[str, Any]]:
     """Return the runs of a JSON document."""
-    return [{**_cell(o.cell), "status": o.status.name, "trained": o.trained} for o in outcomes]
+    return [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:
@@ -294,9 +265,11 @@ def _cell(cell: plan.Cell) -> dict[str, Any]:
 def _state(status: Status, published: bool = False) -> str:
     if published and not status.finished:
         return "published"
+    if status.finished:
+        return "stored"
     if status.failed:
         return "failed"
-    return _STATES.get(status.name, "partial" if status.step else "to-train")
+    return "partial" if status.step else "to-train"
 
 
 def by_value(values: Mapping[str, Any]) -> str:
@@ -307,63 +280,26 @@ def by_value(values: Mapping[str, Any]) -> str:
     return "; ".join(f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
 
 
-def _print_plan(
-    planned: plan.Plan, statuses: Mapping[str, Status], seconds: Mapping[str, float | None]
+def _tell_results(
+    planned: plan.Plan, results: list[execute.CellResult], store: Store, as_json: bool, quiet: bool
 ) -> None:
-    for note in planned.notes:
-        print(f"Note: {note}.")
-    for key, values in plan.differing_settings(planned).items():
-        print(f"Conditions differ in {key}: {by_value(values)}")
-    width = max(18, *(len(cell.condition) for cell in planned.cells))
-    states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
-    for cell in planned.cells:
-        status, expected = statuses[cell.run_id], seconds[cell.run_id]
-        state = states[cell.run_id]
-        if state == "published":
-            expected = None
-        elif state == "failed":
-            state = f"{status.name}: --retry-failed trains it again"
-        elif state == "partial":
-            state = f"partial, {status.step:,} steps"
-        time = duration(expected) if expected is not None and not status.finished else ""
-        budget = f"{cell.run.steps:>12,} steps"
-        print(f"{cell.condition:<{width}} seed {cell.seed:<6} {budget}  {cell.run_id}  {time:>8}  {state}")
-    kinds = {"stored": "stored", "published": "published", "partial": "partial", "failed": "failed"}
-    kinds["to-train"] = "to train"
-    counts = Counter(states.values())
-    print(", ".join(f"{counts[state]} {words}" for state, words in kinds.items() if counts[state]) + ".")
-
-
-def _tell_outcomes(
-    planned: plan.Plan, outcomes: list[execute.Outcome], store: Store, as_json: bool, quiet: bool
-) -> None:
-    for outcome in outcomes:
-        told, state = f"{outcome.cell.condition} seed {outcome.cell.seed}", outcome.status
-        trace = store.run_folder(outcome.cell.run_id) / "error.txt"
+    for result in results:
+        told, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
         if state.name == "diverged":
             say(f"{told} diverged at step {state.step:,}; its records count", as_json)
-        elif state.name in UNWELL and outcome.reason:  # what an error.txt has may be older
-            say(f"{told} {state.name}: {plain(outcome.reason)}{_traced(trace)}", as_json)
-        elif state.name in ("crashed", "killed") and trace.is_file():
-            say(f"{told} {state.name}: {plain(_cause(trace))}{_traced(trace)}", as_json)
         elif state.name in UNWELL:
-            say(f"{told} {state.name} at step {state.step:,}", as_json)
-    trained = sum(outcome.trained for outcome in outcomes)
-    counts = Counter(outcome.status.name for outcome in outcomes)
+            trace = store.run_folder(result.cell.run_id) / "error.txt"
+            kept = trace.is_file()
+            why = result.reason  # else what is kept, which may be of an earlier try
+            if not why and kept and state.name in ("crashed", "killed"):
+                why = trace.read_text(errors="replace").strip().rpartition("\n")[2]
+            at = f" at step {state.step:,}" if not why else f": {plain(why)}{f' ({trace})' if kept else ''}"
+            say(f"{told} {state.name}{at}", as_json)
+    trained = sum(result.trained for result in results)
+    counts = Counter(result.status.name for result in results)
     states = ", ".join(f"{n} {state}" for state, n in counts.items()) or "nothing to train"
-    kept = len(outcomes) - trained
-    say(f"{planned.study.name}: {states}; {trained} trained now, {kept} were stored.", as_json, quiet)
-    if outcomes and not any(counts[name] for name in UNWELL):
+    stored = f"{trained} trained now, {len(results) - trained} were stored"
+    say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
+    if results and not any(counts[name] for name in UNWELL):
         drawn = command("study", "plot", planned.study.name, "--results", store.root)
         say(f"Draw it with: {drawn}", as_json, quiet)
-
-
-def _cause(trace: Path) -> str:
-    """Return the last line of a traceback."""
-    lines = trace.read_text(errors="replace").strip().splitlines()
-    return lines[-1] if lines else ""
-
-
-def _traced(trace: Path) -> str:
-    """Return where the whole of a traceback is, if it was kept."""
-    return f" ({trace})" if trace.is_file() else ""

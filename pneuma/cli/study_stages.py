@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pneuma.cli.options import print_json, read_count, say
-from pneuma.cli.study_run import outcome_rows, train_cells
+from pneuma.cli.study_run import result_rows, train_cells
 from pneuma.errors import UserError
 from pneuma.study import execute, plan
 from pneuma.study.executors.base import Supervision
@@ -48,33 +48,26 @@ def run_stages(
     """Train a study in stages, telling after each what is decided; return the exit code."""
     from pneuma.until_decided import look_document, run_until_decided
 
-    outcomes: list[execute.Outcome] = []
+    results: list[execute.CellResult] = []
     trained: set[str] = set()
     code = 0
 
     def train(stage: plan.Plan) -> bool:
-        nonlocal outcomes, code
+        nonlocal results, code
         found, code = train_cells(stage, store, how, retry_failed, json, quiet)
         trained.update(own.cell.run_id for own in found if own.trained)
-        outcomes = [replace(own, trained=own.cell.run_id in trained) for own in found]
+        results = [replace(own, trained=own.cell.run_id in trained) for own in found]
         return code == 0
 
-    selection = replace(planned.selection, seeds=None)
     looks = []
+    selection = replace(planned.selection, seeds=None)
     for look in run_until_decided(planned.study, selection, most_seeds, store, train):
-        looks.append(look)
+        looks.append(look_document(look))
         for line in _told(look, most_seeds, planned.study.baseline):
             say(line, json)
     if json:
-        documents = [look_document(look) for look in looks]
-        print_json(
-            {
-                "schema": 1,
-                "study": planned.study.name,
-                "runs": outcome_rows(outcomes),
-                "looks": documents,
-            }
-        )
+        rows = result_rows(results)
+        print_json({"schema": 1, "study": planned.study.name, "runs": rows, "looks": looks})
     return code
 
 

@@ -110,7 +110,7 @@ def status(
 
 
 def _tell_looks(record: Mapping[str, Any]) -> None:
-    from pneuma.analysis.adaptive import looks_that_count
+    from pneuma.analysis.sequential import looks_that_count
 
     at = ", ".join(map(str, looks_that_count(record)))
     if at:

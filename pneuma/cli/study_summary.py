@@ -31,8 +31,8 @@ from pneuma.cli.study_output import tell_left_out
 from pneuma.cli.study_records import study_record
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
-from pneuma.study.cause_forks import plan_cause_forks
 from pneuma.study.executors.base import Supervision
+from pneuma.study.fork import plan_cause_forks
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:

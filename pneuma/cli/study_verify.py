@@ -18,7 +18,8 @@ from pneuma.study.store import Store
 from pneuma.worlds import WORLDS, check_world
 
 if TYPE_CHECKING:
-    from pneuma.analysis.judgement import Judged, Pair
+    from pneuma.analysis.intervals import Interval
+    from pneuma.analysis.judgement import Comparison, Verdict
 
 RESULTS = Path("results")
 
@@ -40,7 +41,7 @@ def verify(
     """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
     check_world(world)
     from pneuma.analysis.claims import load_claims
-    from pneuma.analysis.judgement import ALPHA, judge
+    from pneuma.analysis.judgement import judge
 
     known = load_claims(file)
     for name in claims or ():
@@ -49,8 +50,8 @@ def verify(
     every = judge(known, Store(results))
     shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
     if json:
-        contrasts = sum(len(one.pairs) for one in every)
-        head = {"schema": 1, "claims_hash": known.digest, "alpha": ALPHA, "contrasts": contrasts}
+        alpha, contrasts = known.head.alpha, known.contrasts
+        head = {"schema": 1, "claims_hash": known.digest, "alpha": alpha, "contrasts": contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
     if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
@@ -58,64 +59,65 @@ def verify(
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(f"At most {ALPHA:.0%} chance of any false verdict among all, by Bonferroni's correction.")
+    print(
+        f"At most {known.head.alpha:.0%} chance of any false verdict among all, by Bonferroni's correction."
+    )
     return None
 
 
 # --- JSON ----------------------------------------------------------------------------------------
 
 
-def _document(one: Judged) -> dict[str, Any]:
-    pair, claim = one.told, one.claim
-    contrast = pair.contrast if pair else None
+def _document(one: Verdict) -> dict[str, Any]:
+    claim, decisive = one.claim, one.decisive
+    contrast = decisive.contrast if decisive else None
     return {
         "claim": claim.name,
         "section": claim.section,
         "world": one.place,
         "verdict": one.verdict,
         "effect": contrast.effect if contrast else None,
-        "interval": _interval(pair) if pair else None,
+        "interval": _ends(contrast.interval) if contrast else None,
         "seeds": list(contrast.seeds) if contrast else [],
         "seeds_needed": one.seeds_needed,
         "reason": one.reason,
-        "p": pair.p if pair else None,
+        "p": decisive.p if decisive else None,
         "quote": claim.quote,
         "study": claim.study,
-        "outcome": claim.outcome,
+        "outcome": claim.outcomes[0],
         "kind": claim.kind,
         "direction": claim.direction,
-        "margin": claim.margin,
+        "margin": claim.of("margin", claim.outcomes[0]),
         "need": claim.need,
-        "contrasts": [_contrast(own) for own in one.pairs],
+        "contrasts": [_contrast(own) for own in one.comparisons],
         "run_ids": one.run_ids,
     }
 
 
-def _contrast(pair: Pair) -> dict[str, Any]:
+def _contrast(own: Comparison) -> dict[str, Any]:
     return {
-        "a": pair.a,
-        "b": pair.b,
-        "verdict": pair.verdict,
-        "effect": pair.contrast.effect,
-        "interval": _interval(pair),
-        "p": pair.p,
-        "seeds": list(pair.contrast.seeds),
-        "seeds_needed": pair.seeds_needed,
-        "reason": pair.contrast.reason,
+        "a": own.a,
+        "b": own.b,
+        "verdict": own.verdict,
+        "effect": own.contrast.effect,
+        "interval": _ends(own.contrast.interval),
+        "p": own.p,
+        "seeds": list(own.contrast.seeds),
+        "seeds_needed": own.seeds_needed,
+        "reason": own.contrast.reason,
     }
 
 
-def _interval(pair: Pair) -> list[float] | None:
-    interval = pair.contrast.interval
+def _ends(interval: Interval) -> list[float] | None:
     return [interval.low, interval.high] if interval.exists else None
 
 
 # --- For people ----------------------------------------------------------------------------------
 
 
-def _print_table(shown: Sequence[Judged]) -> None:
+def _print_table(shown: Sequence[Verdict]) -> None:
     """Print a line for each claim: its verdicts side by side, and numbers of the first place with some."""
-    by_claim: dict[str, dict[str, Judged]] = {}
+    by_claim: dict[str, dict[str, Verdict]] = {}
     for one in shown:
         by_claim.setdefault(one.claim.name, {})[one.place] = one
     rows = [_HEAD, *(_row(places) for places in by_claim.values())]
@@ -124,9 +126,9 @@ def _print_table(shown: Sequence[Judged]) -> None:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
-def _print_reasons(shown: Sequence[Judged], named: bool) -> None:
+def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
     """Print why claims are untestable: of those that were named in full, of a long list how often."""
-    from pneuma.analysis.judgement import UNTESTABLE
+    from pneuma.analysis.verdicts import UNTESTABLE
 
     if named:
         for one in shown:
@@ -140,14 +142,14 @@ def _print_reasons(shown: Sequence[Judged], named: bool) -> None:
             print(f"  {count:>3}  {plain(reason)}")
 
 
-def _row(places: dict[str, Judged]) -> tuple[str, ...]:
-    from pneuma.analysis.judgement import LOGS
+def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
+    from pneuma.analysis.claims import LOGS
 
     some = next(iter(places.values()))
     numbers = [
-        (place, *_numbers(one.told))
+        (place, *_numbers(one.decisive))
         for place, one in places.items()
-        if one.told and not one.told.contrast.reason
+        if one.decisive and not one.decisive.contrast.reason
     ]
     verdicts = [_verdict(places.get(place)) for place in (*WORLDS, LOGS)]
     return (
@@ -158,15 +160,15 @@ def _row(places: dict[str, Judged]) -> tuple[str, ...]:
     )
 
 
-def _verdict(one: Judged | None) -> str:
+def _verdict(one: Verdict | None) -> str:
     """Return a verdict, with the seeds that it needs where that is known."""
     if one is None:
         return "-"
     return f"{one.verdict} ({one.seeds_needed:,} seeds)" if one.seeds_needed else one.verdict
 
 
-def _numbers(pair: Pair) -> tuple[str, str, str]:
-    contrast = pair.contrast
+def _numbers(own: Comparison) -> tuple[str, str, str]:
+    contrast = own.contrast
     interval = contrast.interval
     seeds = (
         f"{contrast.seeds[0]}" if not contrast.seeds[1] else f"{contrast.seeds[0]} and {contrast.seeds[1]}"

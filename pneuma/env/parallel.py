@@ -13,12 +13,12 @@ from pettingzoo import ParallelEnv
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.options import chosen_starts, read_options
-from pneuma.env.showing import ShowsWorld
-from pneuma.env.single import ending_info
+from pneuma.env.slots import ending_info
+from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
 
 
-class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
+class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
     """One world of 1 to 8 players, `player_0` and so on; `PneumaEnv` says what the world is.
 
     A player leaves `agents` when it dies; the episode ends for all when nobody lives, when the level is
@@ -51,12 +51,7 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         low, high = np.concatenate([each.low for each in own]), np.concatenate([each.high for each in own])
         self.state_space = spaces.Box(low, high, dtype=np.float32)  # of `state`
         self._keyed = False
-        self._set_up_rendering(render_mode, camera)
-
-    @property
-    def rendered(self) -> Worlds:
-        """The worlds that `render` shows."""
-        return self.worlds
+        self._set_up_rendering(self.worlds, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return what a player observes."""
@@ -102,23 +97,22 @@ class PneumaParallelEnv(ShowsWorld, ParallelEnv[str, np.ndarray, np.int64]):
         if not acting:
             raise ResetNeeded("no episode is under way: call reset first")
         for agent in acting:
-            if agent not in actions:
-                raise ValueError(f"no action for {agent}, who is alive")
-            if not self.action_space(agent).contains(actions[agent]):
-                raise ValueError(
-                    f"action {actions[agent]!r} of {agent} is outside {self.action_space(agent)}"
-                )
+            if agent not in actions or not self._action_spaces[agent].contains(actions[agent]):
+                told = f"action {actions.get(agent)!r} of {agent}, who is alive,"
+                raise ValueError(f"{told} is outside {self.action_space(agent)}")
             self._actions[0, self._index[agent]] = actions[agent]
         over = self.worlds.advance(self._actions) > 0
         cut = bool(self.worlds.truncated[0])
-        alive = {agent: bool(self.worlds.players["hp"][0, self._index[agent]] > 0) for agent in acting}
-        rewards = {a: float(self.worlds.events["reward"][0, self._index[a]]) for a in acting}
-        truncations = {agent: over and cut and alive[agent] for agent in acting}
-        terminations = {agent: (over or not alive[agent]) and not truncations[agent] for agent in acting}
+        rewards, terminations, truncations = {}, {}, {}
         infos = self._masks(acting)
         for agent in acting:
-            if terminations[agent] or truncations[agent]:
-                infos[agent] |= ending_info(self.worlds, 0, self._index[agent])
+            player = self._index[agent]
+            alive = bool(self.worlds.players["hp"][0, player] > 0)
+            rewards[agent] = float(self.worlds.events["reward"][0, player])
+            truncations[agent] = over and cut and alive
+            terminations[agent] = (over and not cut) or not alive
+            if over or not alive:
+                infos[agent] |= ending_info(self.worlds, 0, player)
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
         self._show()
         return self._observations(acting), rewards, terminations, truncations, infos

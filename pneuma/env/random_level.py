@@ -80,7 +80,7 @@ def random_level(
     generator = np.random.Generator(np.random.Philox(key=2 * number + SPLITS.index(split)))
     for _ in range(_ATTEMPTS):
         level = _attempt(generator.random, f"{RANDOM}{split}:{number}", kinds)
-        if level is not None and first_cut_off(level) is None:
+        if level is not None and first_cut_off(level, level.terrain == rules.OPEN, TILE, len(kinds)) is None:
             return level
     raise UserError(f"level {RANDOM}{split}:{number}: no room for {len(kinds)} monsters")
 

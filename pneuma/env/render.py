@@ -1,28 +1,27 @@
 """Frames of the world: the whole map, or a view that follows a player.
 
 A picture is drawn in art pixels, 16 a tile, over a background that is painted once, then enlarged by
-a whole factor; above it goes a strip of numbers (`panel.py`). It is NumPy throughout and follows
-from the state alone: the same state gives the same bytes.
+a whole factor; above it goes a strip of numbers: a player's HP and XP, and how far the world is. It
+follows from the state alone: the same state gives the same bytes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from math import ceil
+from typing import Any
 
 import numpy as np
 
 from pneuma.env import rules, sprites
+from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.level import Level
-from pneuma.env.panel import Panel, filled_part
-from pneuma.env.showing import CAMERAS
 from pneuma.env.tiled import GROUNDS
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, unknown_name
 
-if TYPE_CHECKING:
-    from pneuma.env.worlds import Worlds
-
+CAMERAS = ("map", "follow")
 SEA = "3d83c9"
 
 VIEW = (15 * sprites.TILE, 11 * sprites.TILE)
@@ -39,6 +38,11 @@ USUAL_TILE = 64.0
 
 MOST_TILES = 90_000
 BAR_WIDTH = 12
+PANEL_BAR = (48, 3)
+PANEL_GAP = 6  # art pixels between two things, and around all
+PANEL_LINE = 7
+PANEL_WIDTH = 360
+"""Of all things side by side, in art pixels; where there is less room they take several lines."""
 STRIDE = 40.0  # pixels that a body walks between two poses: a player's way in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 
@@ -62,26 +66,19 @@ class Renderer:
     """
 
     def __init__(
-        self,
-        worlds: Worlds,
-        camera: str = "map",
-        size: tuple[int, int] | None = None,
-        panel: bool = True,
-        scale: int | None = None,
+        self, worlds: Worlds, camera: str = "map", panel: bool = True, scale: int | None = None
     ) -> None:
         """Paint the background.
 
         Args:
             worlds: whose state to draw, now and later.
             camera: "map" for the whole level, "follow" for a view centred on a player.
-            size: width and height of the picture; it is enlarged by the greatest whole factor that
-                fits, and a map that is too large is reduced by the smallest.
             panel: whether a strip above the picture tells HP, XP, step and monsters left.
-            scale: instead of a size, how many pixels an art pixel gets; without either, 4 for a view,
-                and for a map what brings its longer side nearest to 900.
+            scale: how many pixels an art pixel gets; unless given, 4 for a view, and for a map what
+                brings its longer side nearest to 900.
 
         Raises:
-            UserError: for an unknown camera, a size without a single pixel, or one that is too large.
+            UserError: for an unknown camera, or a level or scale that is too large.
         """
         if camera not in CAMERAS:
             raise unknown_name("camera", camera, CAMERAS)
@@ -90,31 +87,21 @@ class Renderer:
         level = worlds.level
         self._split = max(round(level.tile / USUAL_TILE), 1)  # large tiles are drawn as several
         self._zoom = max(round(USUAL_TILE / level.tile), 1)  # among small ones, bodies are drawn larger
-        self._scale = sprites.TILE * self._split / level.tile
+        self._art_per_pixel = sprites.TILE * self._split / level.tile
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
-        self.background, _ = self._scene(0)
-        self._size = size or self._usual_size(scale)
-        if min(self._size) < 1 or self._size[0] * self._size[1] > MOST_PIXELS:
-            of = f" (of scale {scale})" if scale and not size else ""
-            raise UserError(
-                f"size = {self._size[0]} x {self._size[1]}{of} is not allowed: both of at least 1, and "
-                f"{MOST_PIXELS:,} pixels at most"
-            )
-        self._panel = Panel(worlds, self._size[0]) if panel else None
-        strip = self._panel.height if self._panel else 0
-        self.size = self._size[0], self._size[1] + strip
-
-    def _usual_size(self, scale: int | None) -> tuple[int, int]:
-        """Return width and height of the picture at a scale, or at the usual one."""
-        if self.camera == "follow":
-            factor = scale or FOLLOW_FACTOR
-            return VIEW[0] * factor, VIEW[1] * factor
+        self.background, self._obstacles = self._scene(0)
         height, width = self.background.shape[:2]
-        longer = max(height, width)
-        factor, divisor = scale or max(round(MAP_SIDE / longer), 1), 1
-        if not scale and longer > MAP_SIDE:
-            divisor = round(longer / MAP_SIDE)
-        return width * factor // divisor, height * factor // divisor
+        if camera == "follow":
+            width, height = VIEW
+            self._factor = scale or FOLLOW_FACTOR
+        else:
+            self._factor = scale or max(round(MAP_SIDE / max(height, width)), 1)
+        self._divisor = 1 if scale else max(round(max(height, width) / MAP_SIDE), 1)
+        self._size = width * self._factor // self._divisor, height * self._factor // self._divisor
+        if self._size[0] * self._size[1] > MOST_PIXELS:
+            raise UserError(f"scale = {scale} is not allowed: a picture has at most {MOST_PIXELS:,} pixels")
+        self._panel = _Panel(worlds, self._size[0]) if panel else None
+        self.size = self._size[0], self._size[1] + (self._panel.height if self._panel else 0)
 
     def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
@@ -138,24 +125,18 @@ class Renderer:
         """
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         frame = self._whole_map(world) if self.camera == "map" else self._follow(world, player)
-        if self._panel is None:
-            return frame
-        return np.concatenate([self._panel.strip(world, player), frame])
+        return np.concatenate([self._panel.strip(world, player), frame]) if self._panel else frame
 
     # --- Cameras ---------------------------------------------------------------------------------
 
     def _whole_map(self, world: int) -> np.ndarray:
         canvas = self.background.copy()
         self._draw(canvas, world, 0, 0)
-        width, height = self._size
-        factor = min(width // canvas.shape[1], height // canvas.shape[0])
-        if factor == 0:
-            canvas = sprites.reduce(canvas, max(-(-canvas.shape[1] // width), -(-canvas.shape[0] // height)))
-        return _centre(sprites.enlarge(canvas, max(factor, 1)), self._size)
+        return sprites.enlarge(sprites.reduce(canvas, self._divisor), self._factor)
 
     def _follow(self, world: int, player: int) -> np.ndarray:
         width, height = self._size
-        factor = max(min(width // VIEW[0], height // VIEW[1]) // self._zoom, 1)
+        factor = max(self._factor // self._zoom, 1)
         row = self.worlds.players[world, player]
         x, y = self._place(row["x"], row["y"])
         rows, columns = self.background.shape[:2]
@@ -167,8 +148,8 @@ class Renderer:
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
         """Return the art pixel of a place in the world."""
-        level = self.worlds.level
-        return int((x - level.left) * self._scale // 1), int((y - level.top) * self._scale // 1)
+        level, scale = self.worlds.level, self._art_per_pixel
+        return int((x - level.left) * scale // 1), int((y - level.top) * scale // 1)
 
     # --- What stands in the world ----------------------------------------------------------------
 
@@ -246,10 +227,83 @@ class Renderer:
         for bodies, all_stats, colour, height in groups:
             for body, stats in zip(bodies[world], all_stats, strict=True):
                 if 0 < body["hp"] < stats["hp"]:
-                    filled = filled_part(body["hp"], stats["hp"], BAR_WIDTH)
+                    filled = _filled_part(body["hp"], stats["hp"], BAR_WIDTH)
                     bar = sprites.enlarge(sprites.bar_picture(filled, BAR_WIDTH, colour), self._zoom)
                     x, y = self._place(body["x"], _foot(body, stats))
                     yield Item(0.0, bar, x - bar.shape[1] // 2, y - (height + 3) * self._zoom)
+
+
+class _Panel:
+    """Draws the strip above a picture, of one width, which has the same height at any moment.
+
+    Attributes:
+        height: in pixels.
+    """
+
+    def __init__(self, worlds: Worlds, width: int) -> None:
+        """Find out how many lines the most that there is to tell takes.
+
+        Args:
+            worlds: whose state to tell.
+            width: of the strip in pixels.
+        """
+        self.worlds = worlds
+        self._width = width
+        self._factor = min(max(width // PANEL_WIDTH, 1), 3)
+        digits = sprites.text_picture("00000")  # that step, XP and monsters may grow by
+        full = [[*self._pieces(0, p, "TIME LIMIT"), digits] for p in range(worlds.players.shape[1])]
+        self._lines = max(len(self._rows(pieces)) for pieces in full)
+        height = self._lines * (PANEL_LINE + PANEL_GAP) + PANEL_GAP
+        self.height = height * self._factor // 2 * 2  # videos want even sides
+
+    def strip(self, world: int, player: int) -> np.ndarray:
+        """Return the strip for a player of a world, (height, width, 3) uint8."""
+        strip = np.empty((self.height, self._width, 3), np.uint8)
+        strip[...] = sprites.rgb(sprites.PLATE)
+        ended = self.worlds.worlds["ending"][world] != rules.RUNNING
+        ending = self.worlds.ending(world).replace("-", " ") if ended else ""
+        for line, row in enumerate(self._rows(self._pieces(world, player, ending))):
+            left, top = PANEL_GAP, PANEL_GAP + line * (PANEL_LINE + PANEL_GAP)
+            for picture in row:
+                down = top + (PANEL_LINE - picture.shape[0]) // 2
+                large = sprites.enlarge(picture, self._factor)
+                sprites.blend(strip, large, left * self._factor, down * self._factor)
+                left += picture.shape[1] + PANEL_GAP
+        return strip
+
+    def _pieces(self, world: int, player: int, ending: str) -> list[np.ndarray]:
+        """Return the pictures of all that is told, one after the other."""
+        worlds = self.worlds
+        row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
+        ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
+        filled = _filled_part(row["hp"], stats["hp"], PANEL_BAR[0])
+        texts = [  # rounded up, so that only the dead have 0 HP
+            f"HP {ceil(row['hp'])}/{ceil(stats['hp'])}",
+            f"XP {ceil(row['xp'])}",
+            f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}",
+            f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
+        ]
+        texts = [f"P{player + 1}"] * (worlds.players.shape[1] > 1) + texts + [ending] * bool(ending)
+        bar = sprites.bar_picture(filled, PANEL_BAR[0], sprites.GOLD, height=PANEL_BAR[1])
+        return [bar, *(sprites.text_picture(text) for text in texts)]
+
+    def _rows(self, pieces: list[np.ndarray]) -> list[list[np.ndarray]]:
+        """Break what is told into lines that fit the width."""
+        room = self._width // self._factor - PANEL_GAP
+        rows: list[list[np.ndarray]] = [[]]
+        left = 0
+        for piece in pieces:
+            left += piece.shape[1] + PANEL_GAP
+            if left > room and rows[-1]:
+                rows.append([])
+                left = piece.shape[1] + PANEL_GAP
+            rows[-1].append(piece)
+        return rows
+
+
+def _filled_part(hp: float, full: float, width: int) -> int:
+    """Return how much of a bar is filled; somebody alive always has something."""
+    return min(max(round(width * float(hp) / float(full)), int(hp > 0)), width)
 
 
 def _foot(body: Any, stats: Any) -> float:

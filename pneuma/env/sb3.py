@@ -14,15 +14,14 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.env import rules
 from pneuma.env.options import chosen_starts, read_options
-from pneuma.env.showing import ShowsWorld
-from pneuma.env.single import ending_info
-from pneuma.env.slots import Slots
+from pneuma.env.slots import Slots, ending_info
 from pneuma.env.state import LAYOUT_DIGEST
+from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
-class PneumaVecEnv(ShowsWorld, VecEnv):
+class PneumaVecEnv(Rendering, VecEnv):
     """Slots as Stable-Baselines3 wants them: an ended world resets at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
@@ -62,9 +61,9 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
         self.state.seed(each)
         self.slots = Slots(self.state)
         self._begun = False
-        self._set_up_rendering(render_mode, camera)
+        self._set_up_rendering(self.state, render_mode, camera)
         VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
-        self.metadata = {**ShowsWorld.metadata, **self.metadata}  # type: ignore[misc]
+        self.metadata = {**Rendering.metadata, **self.metadata}  # type: ignore[misc]
         self.keep_finished = False
         self.finished: list[dict[str, Any]] = []
         """With `keep_finished`, every episode that has ended since someone last emptied the list."""
@@ -220,12 +219,6 @@ class PneumaVecEnv(ShowsWorld, VecEnv):
     def get_images(self) -> Sequence[np.ndarray]:
         """Return a picture for every slot, of its world as its player is shown."""
         return self._frames()
-
-    def close(self, **keywords: Any) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute, the same for every slot."""

@@ -14,12 +14,13 @@ from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP, most_hp
 from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
-from pneuma.env.showing import ShowsWorld
+from pneuma.env.slots import ending_info
+from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
-class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
+class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     """PneumaRL: one player against the monsters of a level.
 
     ## Description
@@ -75,7 +76,7 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
-        self._set_up_rendering(render_mode, camera)
+        self._set_up_rendering(self.state, render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
         self._action_count = int(self.state.action_space.n)
         self._keyed = False
@@ -84,7 +85,7 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; see `gymnasium.Env.reset`. The same seed begins the same world."""
-        start = chosen_starts(self.state, _one_place(read_options(options).get("start")))
+        start = chosen_starts(self.state, read_options(options).get("start"))
         super().reset(seed=seed)
         if seed is not None or not self._keyed:
             self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])
@@ -109,10 +110,7 @@ class PneumaEnv(ShowsWorld, gymnasium.Env[np.ndarray, np.int64]):
 
     def step(self, action: np.int64) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
-        try:
-            index = operator.index(action)
-        except TypeError:
-            raise TypeError(f"action {action!r} is outside {self.action_space}: no whole number") from None
+        index = operator.index(action)
         if not 0 <= index < self._action_count:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if not self._keyed:
@@ -182,25 +180,3 @@ def parts_space(state: Worlds) -> spaces.Box:
     lost = hp * TICKS_PER_STEP  # who is healed in between may lose all HP at every tick
     high = np.array([most, hp, worth, lost, circles, circles], np.float32)
     return spaces.Box(low, high, dtype=np.float32)
-
-
-def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
-    """Say how a world's episode ended for a player."""
-    row = state.players[world, player]
-    return {
-        "ending": state.ending(world) if row["hp"] > 0 else "killed",
-        "kills": int(row["kills"]),
-        "xp": float(row["xp"]),
-        "hp": float(row["hp"]),
-    }
-
-
-def _one_place(start: object) -> object:
-    """Return a start place for a single world; a list of one is for batches.
-
-    Raises:
-        TypeError: for a list.
-    """
-    if np.ndim(start) > 0:  # type: ignore[arg-type]
-        raise TypeError(f"start = {start!r} is not the index of a start place: a whole number")
-    return start

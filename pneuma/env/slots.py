@@ -7,6 +7,8 @@ When the world ends, all of its slots that were not idle end with it, and all be
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pneuma.env import rules
@@ -26,7 +28,6 @@ class Slots:
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
         self._action_count = int(worlds.action_space.n)
-        self._batch = f"{self.count} of {worlds.action_space}"
         self._none = np.zeros(self.count, np.bool_)
         self.terminated = self.truncated = self._none
         self.world_over = np.zeros(len(worlds), np.bool_)
@@ -38,14 +39,11 @@ class Slots:
             ValueError: for what is no action, or not one for each slot.
         """
         given = np.asarray(actions)
-        if given.dtype.kind not in "iu":
-            raise ValueError(f"actions {given} are outside {self._batch}: not whole numbers")
-        if given.size != self.count:
-            raise ValueError(f"actions {given} are outside {self._batch}: {given.size} of them")
-        whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
-        if whole.view(np.uint64).max() >= self._action_count:  # what is below zero is huge without its sign
-            raise ValueError(f"actions {given} are outside {self._batch}")
-        return whole
+        if given.dtype.kind in "iu" and given.size == self.count:
+            whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
+            if whole.view(np.uint64).max() < self._action_count:  # below zero is huge without its sign
+                return whole
+        raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
 
     def step(self, actions: np.ndarray) -> bool:
         """Advance all worlds by (slots,) actions; tell whether any slot's episode ended."""
@@ -93,3 +91,14 @@ class Slots:
     def of_worlds(self, flags: np.ndarray) -> np.ndarray:
         """Return per-world flags as per-slot flags, (slots,)."""
         return np.repeat(flags, self.players)
+
+
+def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
+    """Say how a world's episode ended for a player."""
+    row = state.players[world, player]
+    return {
+        "ending": state.ending(world) if row["hp"] > 0 else "killed",
+        "kills": int(row["kills"]),
+        "xp": float(row["xp"]),
+        "hp": float(row["hp"]),
+    }

@@ -1,4 +1,4 @@
-"""Pictures of everything in the world, made from the art in `sprite_art.py`.
+"""Pictures of everything in the world, from the pixel art in the folder `art`.
 
 A picture is a uint8 array of shape (height, width, 4): red, green, blue and opacity of art pixels,
 of which a tile is 16 wide. The ground is painted as a whole, because shores and the seams between
@@ -7,29 +7,35 @@ snow, grass and sand run across tiles. `render.py` puts it all together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from pneuma.env import sprite_art as art
-from pneuma.env.tiled import GROUNDS
-
+ART = Path(__file__).parent / "art"
 TILE = 16
 """Art pixels along a tile."""
 
 FACINGS = ("down", "left", "up", "right")
 """Names of `rules.DOWN`, `LEFT`, `UP` and `RIGHT`."""
-
+POSES = ("stand", "stride", "strike")
 SWINGS = ("begin", "strike", "follow")
 """Three moments of a sword's swing."""
+OBSTACLES = ("pine", "tree", "rock", "cactus", "grave")
+LETTERS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ/-:.+"
 
-WHITE, RED, GOLD, PLATE = "fffaf0", "e8503f", "ffcf3f", "2a1b33"
+WHITE, RED, GOLD, PLATE, OUTLINE = "fffaf0", "e8503f", "ffcf3f", "2a1b33", "33203a"
 
 _QUARTER_TURNS = {"up": 0, "left": 1, "down": 2, "right": 3}
 
 
 # --- Who and what stands in the world ------------------------------------------------------------
+
+
+def _read_art(name: str) -> np.ndarray:
+    """Return a sheet of pictures, (height, width, 4)."""
+    return np.asarray(Image.open(ART / name).convert("RGBA"))
 
 
 @cache
@@ -39,55 +45,43 @@ def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.nd
     Args:
         index: which player; from the ninth on, cloaks repeat.
         facing: one of `FACINGS`.
-        pose: "stand", "stride" or "strike".
+        pose: one of `POSES`.
         flash: a colour to flash in, or none.
     """
-    colours = art.COLOURS | art.TINTS[index % len(art.TINTS)]
-    drawn = _read_sheets((art.PLAYER_UP_AND_DOWN, art.PLAYER_ASIDE), colours)
-    if facing == "right":
-        return _kept(_flashed(np.fliplr(drawn[f"left-{pose}"]), flash))
-    return _kept(_flashed(drawn[f"{facing}-{pose}"], flash))
+    sheet = _read_art("players.png")
+    row = TILE * index % len(sheet)
+    column = TILE * (len(POSES) * FACINGS.index(facing) + POSES.index(pose))
+    return _flashed(sheet[row : row + TILE, column : column + TILE], flash)
 
 
 @cache
 def monster_picture(kind: str, pose: int, alert: bool = False, flash: str = "") -> np.ndarray:
-    """Return the picture of a monster, or of a stranger where the kind is unknown.
+    """Return the picture of a monster; a kind without pictures is drawn as a stranger.
 
     Args:
-        kind: as in `data/characters.toml`.
+        kind: as in `data/characters.toml`; `art/monsters/KIND.png` holds both poses, calm above alert.
         pose: 0 or 1, as it shifts its weight.
         alert: whether it has noticed somebody; its eyes show it.
         flash: a colour to flash in, or none.
     """
-    colours = art.COLOURS | (art.ALERT_EYES if alert else {})
-    drawn = _read_sheets((art.BAMBOO_AND_STRANGER, art.OTHER_MONSTERS), colours)
-    return _kept(_flashed(drawn.get(f"{kind}-{pose}", drawn[f"stranger-{pose}"]), flash))
+    known = {path.stem for path in (ART / "monsters").iterdir()}
+    sheet = _read_art(f"monsters/{kind if kind in known else 'stranger'}.png")
+    height, width = sheet.shape[0] // 2, sheet.shape[1] // 2
+    return _flashed(sheet[alert * height :][:height, pose * width :][:, :width], flash)
 
 
 @cache
 def obstacle_picture(name: str) -> np.ndarray:
-    """Return the picture of a pine, tree, rock, cactus or grave."""
-    return _kept(read_sheet(art.OBSTACLES, art.COLOURS)[name])
+    """Return the picture of one of the `OBSTACLES`."""
+    column = TILE * OBSTACLES.index(name)
+    return _read_art("obstacles.png")[:, column : column + TILE]
 
 
 @cache
 def sword_picture(facing: str, moment: str) -> np.ndarray:
     """Return a sword at one of the `SWINGS`; its centre is the weapon's place."""
-    drawn = _read_sheets((art.SWORD, art.SLASH), art.COLOURS)
-    picture = np.zeros((18, 24, 4), np.uint8)
-    trail = picture[3:10, 2:22]
-    trail[...] = drawn["slash"]
-    if moment == "begin":
-        trail[...] = 0
-        _lay(picture, np.fliplr(drawn["slanting"]), 0, 5)
-    elif moment == "strike":
-        trail[:, 12:] = 0
-        trail[..., 3] //= 2
-        _lay(picture, drawn["straight"], 9, 3)
-    else:
-        trail[..., 3] //= 4
-        _lay(picture, drawn["slanting"], 11, 5)
-    return _kept(np.rot90(picture, _QUARTER_TURNS[facing]))
+    upright = np.split(_read_art("sword.png"), len(SWINGS), axis=1)[SWINGS.index(moment)]
+    return np.rot90(upright, _QUARTER_TURNS[facing])
 
 
 @cache
@@ -97,8 +91,8 @@ def shadow_picture(width: int) -> np.ndarray:
     y = (2 * np.arange(height) + 1 - height)[:, None] * width
     x = (2 * np.arange(width) + 1 - width)[None] * height
     picture = np.zeros((height, width, 4), np.uint8)
-    picture[x * x + y * y <= (width * height) ** 2] = (*rgb(art.COLOURS["#"]), 80)
-    return _kept(picture)
+    picture[x * x + y * y <= (width * height) ** 2] = (*rgb(OUTLINE), 80)
+    return picture
 
 
 # --- Bars and text -------------------------------------------------------------------------------
@@ -108,22 +102,25 @@ def shadow_picture(width: int) -> np.ndarray:
 def bar_picture(filled: int, width: int, colour: str, height: int = 1) -> np.ndarray:
     """Return a framed bar, of whose `width` art pixels the first `filled` are coloured."""
     picture = np.empty((height + 2, width + 2, 4), np.uint8)
-    picture[...] = (*rgb(art.COLOURS["#"]), 255)
+    picture[...] = (*rgb(OUTLINE), 255)
     picture[1:-1, 1:-1] = (*rgb("7a6070"), 255)
     picture[1:-1, 1 : 1 + filled] = (*rgb(colour), 255)
-    return _kept(picture)
+    return picture
 
 
-def text_picture(text: str, colour: str = WHITE) -> np.ndarray:
+def text_picture(text: str) -> np.ndarray:
     """Return a line of text, 7 art pixels high, in capitals; what has no glyph is left blank."""
-    glyphs, gap = _glyphs(colour), np.zeros((7, 1, 4), np.uint8)
+    glyphs, gap = _glyphs(), np.zeros((7, 1, 4), np.uint8)
     pieces = [piece for letter in text.upper() for piece in (glyphs.get(letter, gap.repeat(3, 1)), gap)]
     return np.concatenate(pieces or [gap], axis=1)
 
 
 @cache
-def _glyphs(colour: str) -> dict[str, np.ndarray]:
-    return _read_sheets(art.FONT, {"#": colour})
+def _glyphs() -> dict[str, np.ndarray]:
+    """Return every letter's picture, as wide as the letter is."""
+    cells = np.split(_read_art("font.png"), len(LETTERS), axis=1)
+    widths = (int(np.flatnonzero(cell[..., 3].any(axis=0))[-1]) + 1 for cell in cells)
+    return {letter: cell[:, :width] for letter, cell, width in zip(LETTERS, cells, widths, strict=True)}
 
 
 # --- What can be done with pictures --------------------------------------------------------------
@@ -149,6 +146,8 @@ def enlarge(picture: np.ndarray, factor: int) -> np.ndarray:
 
 def reduce(picture: np.ndarray, factor: int) -> np.ndarray:
     """Return a frame with every square of `factor` averaged to a pixel."""
+    if factor == 1:
+        return picture
     height, width = picture.shape[0] // factor, picture.shape[1] // factor
     whole = picture[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
     return (whole.sum(axis=(1, 3), dtype=np.uint32) // factor**2).astype(np.uint8)
@@ -160,53 +159,31 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def read_sheet(sheet: str, colours: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """Return the pictures of a sheet of text by their names."""
-    names, *rows = [line.split() for line in sheet.strip().splitlines()]
-    columns = zip(*rows, strict=True)
-    return {name: _read_grid(column, colours) for name, column in zip(names, columns, strict=True)}
-
-
-def _read_sheets(sheets: Sequence[str], colours: Mapping[str, str]) -> dict[str, np.ndarray]:
-    return {name: picture for sheet in sheets for name, picture in read_sheet(sheet, colours).items()}
-
-
-def _read_grid(rows: Sequence[str], colours: Mapping[str, str]) -> np.ndarray:
-    picture = np.zeros((len(rows), len(rows[0]), 4), np.uint8)
-    for y, row in enumerate(rows):
-        for x, letter in enumerate(row):
-            if letter in colours:
-                picture[y, x] = (*rgb(colours[letter]), 255)
-    return picture
-
-
-def _lay(picture: np.ndarray, other: np.ndarray, left: int, top: int) -> None:
-    """Put the opaque part of another picture on top of a picture."""
-    place = picture[top : top + other.shape[0], left : left + other.shape[1]]
-    np.copyto(place, other, where=other[..., 3:] > 0)
-
-
 def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:
     """Return the picture with its inside two thirds of the way to a colour, or as it is."""
     if not colour:
         return picture
     flashed = picture.copy()
-    inside = (picture[..., 3] > 0) & (picture[..., :3] != rgb(art.COLOURS["#"])).any(axis=-1)
+    inside = (picture[..., 3] > 0) & (picture[..., :3] != rgb(OUTLINE)).any(axis=-1)
     flashed[inside, :3] = (picture[inside, :3].astype(np.uint16) + 2 * np.array(rgb(colour))) // 3
     return flashed
-
-
-def _kept(picture: np.ndarray) -> np.ndarray:
-    """Return a picture that is safe to share: contiguous, and nobody can paint on it."""
-    picture = np.ascontiguousarray(picture)
-    picture.flags.writeable = False
-    return picture
 
 
 # --- The ground ----------------------------------------------------------------------------------
 
 WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
 
+_PATCHES = ("3a7fc5", "e9f0f9", "7fbd66", "eed798")
+"""What water, snow, grass and sand look like in patches."""
+_FOAM, _SHALLOWS = "bfe8f2", "62b6dc"
+_EDGES = {
+    SNOW: ("c4d6ec", "9db8da", "7c98c4"),  # rim, then the bank down to the water: upper, lower
+    GRASS: ("66a556", "97714b", "6d4f3d"),
+    SAND: ("d9bb7d", "cfa76b", "a97f54"),
+}
+_RAIL_COLOURS = ("d09d68", "5b3a2e")
+_VARIANTS = (0, 0, 0, 0, 1, 1, 2, 3)
+"""Which variant of its ground a tile takes, by three bits of its hash."""
 _SOFT = (WATER, SNOW, GRASS, SAND)
 _ROUNDING = 6
 _RAIL = 4
@@ -247,25 +224,19 @@ def _texture(shape: tuple[int, ...], kind: int) -> np.ndarray:
     variants = np.concatenate([drawn, drawn[:, :, ::-1]])  # and each the other way round
     row, column = np.ogrid[:rows, :columns]
     mixed = tile_hash(row, column, kind)
-    chosen = np.array(art.GROUND_WEIGHTS)[mixed % 8] % len(drawn) + mixed // 8 % 2 * len(drawn)
+    chosen = np.array(_VARIANTS)[mixed % 8] + mixed // 8 % 2 * len(drawn)
     tiles = variants[chosen]  # (rows, columns, 16, 16, 3)
     image = tiles.swapaxes(1, 2).reshape(rows * TILE, columns * TILE, 3)
-    plain = (image == rgb(art.GROUND_COLOURS[GROUNDS[kind]]["."])).all(axis=-1)
-    image[plain & (_wobble(shape, 10 + kind, 32) > 8)] = rgb(art.PATCHES[GROUNDS[kind]])
+    plain = (image == drawn[0, 0, 0]).all(axis=-1)
+    image[plain & (_wobble(shape, 10 + kind, 32) > 8)] = rgb(_PATCHES[kind])
     return image
 
 
 @cache
 def _ground_pictures(kind: int) -> np.ndarray:
-    """Return the variants of one ground, shape (variants, 16, 16, 3)."""
-    sheet = {SNOW: art.SNOW, GRASS: art.GRASS, SAND: art.SAND}.get(kind, art.WATER_AND_BRIDGE)
-    colours = art.GROUND_COLOURS[GROUNDS[kind]]
-    drawn = {
-        name: picture
-        for name, picture in read_sheet(sheet, colours).items()
-        if name.startswith(GROUNDS[kind])
-    }
-    return np.stack(list(drawn.values()))[..., :3]
+    """Return the four variants of one ground, (4, 16, 16, 3); a bridge has two."""
+    row = _read_art("ground.png")[TILE * kind : TILE * (kind + 1), :, :3]
+    return np.stack(np.split(row, 4, axis=1)[: 2 if kind == BRIDGE else 4])
 
 
 def _soften(ground: np.ndarray) -> np.ndarray:
@@ -324,9 +295,9 @@ def _paint_water(image: np.ndarray, kinds: np.ndarray) -> None:
     shape = (kinds.shape[0] // TILE, kinds.shape[1] // TILE)
     noise = _wobble(shape, 7)
     shallow = water & (_sum_around(land, 9) + noise > 50)
-    image[shallow] = rgb(art.EDGES["water"][1])
+    image[shallow] = rgb(_SHALLOWS)
     near = [_sum_around(land, radius) > 0 for radius in (1, 4, 5)]
-    image[water & (near[0] | (near[2] & ~near[1] & (noise > 6)))] = rgb(art.EDGES["water"][0])
+    image[water & (near[0] | (near[2] & ~near[1] & (noise > 6)))] = rgb(_FOAM)
 
 
 def _paint_banks(image: np.ndarray, kinds: np.ndarray) -> None:
@@ -342,7 +313,7 @@ def _paint_banks(image: np.ndarray, kinds: np.ndarray) -> None:
     upper, lower = water_at(3) | water_at(4), water_at(1) | water_at(2)
     for kind in (SNOW, GRASS, SAND):
         here = kinds == kind
-        for where, colour in zip((rim, upper, lower), art.EDGES[GROUNDS[kind]], strict=True):
+        for where, colour in zip((rim, upper, lower), _EDGES[kind], strict=True):
             image[here & where] = rgb(colour)
 
 
@@ -359,8 +330,8 @@ def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) 
     image[first:last, left : left + TILE] = planks[np.arange(first - top, last - top) % TILE]
     for way, edge in ((-1, left), (1, left + TILE - 2)):
         if _ground_at(ground, row, column + way) == WATER:
-            for place, letter in ((edge, "-"), (edge + 1, "#")):
-                image[first:last, place] = rgb(art.GROUND_COLOURS["bridge"][letter])
+            for place, colour in enumerate(_RAIL_COLOURS, start=edge):
+                image[first:last, place] = rgb(colour)
 
 
 def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:

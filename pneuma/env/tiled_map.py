@@ -9,6 +9,7 @@ are properties of the map, and the origin is its centre.
 
 from __future__ import annotations
 
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Mapping
@@ -21,11 +22,9 @@ import numpy as np
 
 from pneuma.env.tiled import (
     CODE_BITS,
-    CODES,
     EMPTY,
     MAX_CODE,
     MAX_SIDE,
-    TILE_PIXELS,
     Entity,
     Grid,
     Header,
@@ -37,12 +36,12 @@ from pneuma.env.tiled import (
     place_of,
     read_grid,
     read_text,
+    refuse_many,
     refuse_other_size,
 )
 from pneuma.errors import UserError
-from pneuma.values import Number
+from pneuma.schema import TomlFile, read_model
 
-_PIXELS = Number(-1e9, 1e9)
 _STRAY = -2
 """In place of a tile's code: of no tileset."""
 
@@ -55,8 +54,7 @@ def read_tmx(path: Path, monster_codes: Mapping[int, str]) -> Layers:
     """
     root = _parse_map(path)
     header = _map_header(root, path)
-    sides = Number(1, MAX_SIDE, whole=True)
-    shape = tuple(int(_number(root, key, str(path), sides)) for key in ("height", "width"))
+    shape = tuple(int(_number(root, key, str(path), 1, MAX_SIDE)) for key in ("height", "width"))
     first_ids = _take_tilesets(root, path)
     grids: dict[str, Grid] = {}
     for layer in root.iter("layer"):
@@ -92,20 +90,20 @@ def _parse_map(path: Path) -> Element:
 
 def _map_header(root: Element, path: Path) -> Header:
     """Read the size of a map's tiles and its properties."""
-    tile, height = (_number(root, key, str(path), TILE_PIXELS) for key in ("tilewidth", "tileheight"))
+    tile, height = (_number(root, key, str(path)) for key in ("tilewidth", "tileheight"))
     if tile != height:
         raise UserError(f"{path}: tiles of {tile:g} x {height:g} px; they must be square")
     found = root.findall("properties/property")
-    properties = {each.get("name", ""): each.get("value", each.text or "") for each in found}
-    codes = {key: _property_codes(properties[key], key, path) for key in CODES if key in properties}
-    return Header(properties.get("title") or path.stem, tile, **codes)
-
-
-def _property_codes(text: str, key: str, path: Path) -> Any:
-    try:
-        return CODES[key].read([int(code) for code in text.split(",")] if text.strip() else [])
-    except ValueError:
-        raise UserError(f"{path}: {key} = {text!r} is not allowed: codes with commas between") from None
+    properties: dict[str, Any] = {each.get("name", ""): each.get("value", each.text or "") for each in found}
+    data = {"title": properties.get("title") or path.stem, "tile": tile}
+    for key in ("coast", "obstacles"):
+        try:
+            if key in properties:
+                data[key] = [int(code) for code in properties[key].split(",") if code.strip()]
+        except ValueError:
+            told = f"{key} = {properties[key]!r} is not allowed: codes with commas between"
+            raise UserError(f"{path}: {told}") from None
+    return read_model(Header, TomlFile(path, "", data))
 
 
 def _take_tilesets(root: Element, path: Path) -> list[int]:
@@ -113,8 +111,7 @@ def _take_tilesets(root: Element, path: Path) -> list[int]:
     tilesets = root.findall("tileset")
     for tileset in tilesets:
         root.remove(tileset)
-    whole = Number(1, MAX_CODE, whole=True)
-    return sorted(int(_number(tileset, "firstgid", f"{path}, tileset", whole)) for tileset in tilesets)
+    return sorted(int(_number(tileset, "firstgid", f"{path}, tileset", 1, MAX_CODE)) for tileset in tilesets)
 
 
 def _map_grid(layer: Element, shape: tuple[int, ...], first_ids: list[int], where: str) -> Grid:
@@ -154,6 +151,7 @@ def _map_objects(
             kind = _object_kind(item, where, first_ids, kinds)
             x, y = _object_middle(item, where)
             entities.append(Entity(kind, corner[0] + x, corner[1] + y, f"{where}: the {kind}"))
+            refuse_many(str(path), len(entities))
     return entities
 
 
@@ -161,7 +159,7 @@ def _object_kind(item: Element, where: str, first_ids: list[int], kinds: Mapping
     """Return what an object is by its class (`type` to most versions of Tiled), name or tile."""
     by_name = {kind.lower(): kind for kind in kinds.values()}
     words = [item.get(key, "").strip() for key in ("type", "class", "name")]
-    tile = int(_number(item, "gid", where, Number(0, 2**32, whole=True), "0")) & CODE_BITS
+    tile = int(_number(item, "gid", where, 0, 2**32, "0")) & CODE_BITS
     named = (by_name[word.lower()] for word in words if word.lower() in by_name)
     kind = next(named, None) or kinds.get(_local_code(tile, first_ids))
     if kind is None:
@@ -176,20 +174,25 @@ def _object_middle(item: Element, where: str) -> tuple[float, float]:
 
     Tiled places an object made of a tile by its lower left corner, any other by its upper left.
     """
-    x, y = (_number(item, key, where, _PIXELS) for key in ("x", "y"))
-    width, height = (_number(item, key, where, Number(0), "0") for key in ("width", "height"))
-    if (width or height) and _number(item, "rotation", where, _PIXELS, "0"):
+    x, y = (_number(item, key, where) for key in ("x", "y"))
+    width, height = (_number(item, key, where, 0, default="0") for key in ("width", "height"))
+    if (width or height) and _number(item, "rotation", where, default="0"):
         raise UserError(f"{where}: turned by an angle; turn it back")
     return x + width / 2, y + (height if item.get("gid") is None else -height) / 2
 
 
-def _number(element: Element, key: str, where: str, allowed: Number, default: str = "") -> float:
-    """Read an attribute as a number."""
+def _number(
+    element: Element, key: str, where: str, low: float = -1e9, high: float = 1e9, default: str = ""
+) -> float:
+    """Read an attribute as a number within bounds."""
     text = element.get(key, default)
     try:
-        return float(allowed.read(float(text)) or 0)
+        number = float(text)
     except ValueError:
-        raise UserError(f"{where}: {key} = {text!r} is not allowed: {allowed.allowed}") from None
+        number = math.nan
+    if not low <= number <= high:
+        raise UserError(f"{where}: {key} = {text!r} is not allowed: a number from {low:g} to {high:g}")
+    return number
 
 
 def _refuse_shift(element: Element, where: str) -> None:

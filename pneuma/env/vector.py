@@ -15,14 +15,14 @@ from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.options import chosen_starts, read_options
 from pneuma.env.reward import PARTS, reward_parts
-from pneuma.env.showing import ShowsWorld
-from pneuma.env.single import ending_info, parts_space, refuse_reward
-from pneuma.env.slots import Slots
+from pneuma.env.single import parts_space, refuse_reward
+from pneuma.env.slots import Slots, ending_info
+from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
-class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """N worlds as one environment; `PneumaEnv` says what each is.
 
     World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With
@@ -57,7 +57,7 @@ class PneumaVectorEnv(ShowsWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.state = Worlds(num_envs // config.players, config)
         self.slots = Slots(self.state)
-        self._set_up_rendering(render_mode, camera)
+        self._set_up_rendering(self.state, render_mode, camera)
         self.single_observation_space = self.state.slot_space
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

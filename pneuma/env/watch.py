@@ -1,30 +1,183 @@
-"""Play an environment for somebody to watch: frames of an episode, or a person at the keyboard.
+"""A world for somebody to watch: a window, what the faces render, smooth episodes, play at the keyboard.
 
-`showing.py` is what the faces render: one frame a step.
-
-A step of 8 ticks is shown in four frames of 2, so that motion is smooth.
+The faces give one frame a step. Episodes and play show a step of 8 ticks in four frames of 2, so that
+motion is smooth. A window needs pygame-ce.
 """
 
 from __future__ import annotations
 
 import copy
+import importlib
+import os
+import tempfile
 from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pneuma.config import ACTION_NAMES, SPELL_NAMES
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.players import Hunter
-from pneuma.env.render import Renderer
-from pneuma.env.window import Window
+from pneuma.env.render import CAMERAS, Renderer
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError, install_extra, unknown_name
+
+STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
+RENDER_MODES = ("rgb_array", "human")
 
 FRAMES_PER_STEP = 4
 FRAMES_PER_SECOND = TICKS_PER_SECOND * FRAMES_PER_STEP // TICKS_PER_STEP
 SECONDS_AFTER_LAST_KILL = 2
 
+KEYS = {
+    "up": ("UP", "w"), "left": ("LEFT", "a"), "down": ("DOWN", "s"), "right": ("RIGHT", "d"),
+    "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "leave": ("ESCAPE",),
+}  # fmt: skip
+"""What a window is asked for, and the keys that do it, by pygame's names."""
+
 Act = Callable[[Worlds], np.ndarray]
 """Chooses actions (N, P) for all worlds."""
+
+
+class Window:
+    """A window on the screen.
+
+    Attributes:
+        closed: whether somebody has closed it.
+    """
+
+    def __init__(self, size: tuple[int, int], title: str) -> None:
+        """Open a window for frames of this width and height.
+
+        Raises:
+            UserError: when pygame-ce is not installed, or there is no screen.
+        """
+        self._pygame = pygame = _load_pygame()
+        asked = os.environ.get("SDL_VIDEODRIVER") or os.environ.get("SDL_VIDEO_DRIVER")
+        try:
+            pygame.display.init()
+            # Where there is no display SDL falls back to one that nobody sees, or could close.
+            if pygame.display.get_driver() in ("offscreen", "dummy") and not asked:
+                pygame.display.quit()
+                raise UserError("no window can be opened: there is no display here")
+            self._screen = pygame.display.set_mode(size)
+        except pygame.error as error:
+            raise UserError(f"no window can be opened: {error}") from None
+        pygame.display.set_caption(title)
+        self._clock = pygame.time.Clock()
+        self._names = {getattr(pygame, f"K_{key}"): name for name, keys in KEYS.items() for key in keys}
+        self._tapped: set[int] = set()
+        self.closed = False
+
+    def show(self, frame: np.ndarray, frames_per_second: float) -> None:
+        """Show a frame, (height, width, 3) uint8, then wait for as long as the rate asks."""
+        self._tapped.clear()
+        if not self._listen():
+            return
+        height, width = frame.shape[:2]
+        image = self._pygame.image.frombuffer(np.ascontiguousarray(frame), (width, height), "RGB")
+        self._screen.blit(self._pygame.transform.scale(image, self._screen.get_size()), (0, 0))
+        self._pygame.display.flip()
+        self._clock.tick(frames_per_second)
+
+    def keys(self) -> set[str]:
+        """Return which of `KEYS` are held; one that was only tapped since the last frame counts."""
+        if not self._listen():
+            return set()
+        held = self._pygame.key.get_pressed()
+        return {name for code, name in self._names.items() if held[code] or code in self._tapped}
+
+    def close(self) -> None:
+        """Close the window; closing twice does no harm."""
+        if not self.closed:
+            self._pygame.display.quit()
+        self.closed = True
+
+    def _listen(self) -> bool:
+        """Note what happened to the window and its keys since the last time; tell whether it is open."""
+        for event in [] if self.closed else self._pygame.event.get():
+            if event.type == self._pygame.KEYDOWN:
+                self._tapped.add(event.key)
+            elif event.type == self._pygame.QUIT:
+                self.close()
+        return not self.closed
+
+
+def _load_pygame() -> Any:
+    """Import pygame-ce, without its greeting on standard output and without looking for a sound card."""
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland complains aloud
+    try:
+        return importlib.import_module("pygame")
+    except ImportError:
+        raise UserError(f"a window needs pygame-ce: {install_extra('play')}") from None
+
+
+class Rendering:
+    """What the faces share: a world to show, drawn only when somebody looks.
+
+    `rgb_array` gives the frame of the first world, or one a slot for a vector environment: that slot's
+    world, with its player followed and told of. `human` opens a window, which needs the extra `play`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "pneuma",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": round(STEPS_PER_SECOND),
+        "is_parallelizable": True,
+    }
+    render_mode: str | None = None
+    camera: str = "map"
+    """`CAMERAS`: the whole map, or a view that follows a player."""
+    closed = False
+    _drawn: Worlds
+    _renderer: Renderer | None = None
+    _window: Window | None = None
+
+    def _set_up_rendering(self, worlds: Worlds, render_mode: str | None, camera: str) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            allowed = ", ".join(RENDER_MODES)
+            raise UserError(f"render_mode = {render_mode!r} is not allowed: one of {allowed}, or none")
+        if camera not in CAMERAS:
+            raise unknown_name("camera", camera, CAMERAS)
+        self._drawn, self.render_mode, self.camera = worlds, render_mode, camera
+
+    def render(self) -> Any:
+        """Return the frame, (height, width, 3) uint8, for `rgb_array`; nothing for `human`."""
+        if self.render_mode == "human":
+            self._show()
+        if self.render_mode != "rgb_array":
+            return None
+        return tuple(self._frames()) if hasattr(self, "num_envs") else self._frame(0)
+
+    def _frames(self) -> list[np.ndarray]:
+        """Return a frame for every slot, as recorders of vector environments want them."""
+        return [self._frame(world, player) for world, player in np.ndindex(*self._drawn.players.shape)]
+
+    def _frame(self, world: int, player: int = 0) -> np.ndarray:
+        if self._renderer is None:
+            self._renderer = Renderer(self._drawn, self.camera)
+        return self._renderer.frame(world, player)
+
+    def _show(self) -> None:
+        """Bring the window up to date, if there is to be one."""
+        if self.render_mode != "human" or (self._window is not None and self._window.closed):
+            return
+        frame = self._frame(0)
+        if self._window is None:
+            self._window = Window((frame.shape[1], frame.shape[0]), "Pneuma")
+        self._window.show(frame, STEPS_PER_SECOND)
+
+    def close(self, **keywords: Any) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+        self.closed = True
+
+
+# --- Episodes to watch ---------------------------------------------------------------------------
 
 
 def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.ndarray]:

@@ -20,9 +20,8 @@ from gymnasium.utils import seeding
 from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
 from pneuma.env.given import checked, refuse_nowhere
-from pneuma.env.level import RANDOM, Level, load_level, room_for_bodies
+from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
-from pneuma.env.places import refuse_bad_places
 from pneuma.env.random_level import parse_name
 from pneuma.env.reward import custom_rewards, load_reward, present, reward_code
 from pneuma.errors import UserError
@@ -73,7 +72,7 @@ class Worlds:
         self.player_stats = characters.player_stats(
             cast, _one_each(config.classes, config), _one_each(config.weapons, config)
         )
-        self.levels = _load_levels(config, characters.monster_codes(cast), self.player_stats)
+        self.levels = _load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
         self.player_stats["reward"] = [reward_code(name) for name in rewards]
         self._custom = [
@@ -392,11 +391,9 @@ _SEEN_OR_PAID = (
 """Stats that no state depends on."""
 
 
-def _load_levels(config: EnvConfig, codes: dict[int, str], players: np.ndarray) -> list[Level]:
+def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:
     """Load the level, or as many random ones as asked for, numbered from the first on."""
-    body = 2 * float(players["half_width"].max()), 2 * float(players["half_height"].max())
     if config.random_levels == 1:
-        return [load_level(config.level, codes, body)]
+        return [load_level(config.level, codes)]
     split, first = parse_name(config.level)
-    names = (f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels))
-    return [load_level(name, codes, body) for name in names]
+    return [load_level(f"{RANDOM}{split}:{first + i}", codes) for i in range(config.random_levels)]

@@ -1,4 +1,4 @@
-"""Verdicts in pages that people write: what stands between two marks is written anew, all else is theirs.
+"""Verdicts in pages that people write: the text between two marks is generated, all else is theirs.
 
     pages and RESULTS/published → the same pages with the verdicts as they are
 
@@ -6,7 +6,7 @@
 
 `make figures` runs this over README.md and docs/findings.md. A mark is a comment, which Markdown does not
 show: `<!-- claim NAME -->` for a paragraph, `<!-- verdicts NAME... -->` for a table, `<!-- counts -->` for
-how many claims have each verdict; `<!-- end -->` closes each. Published tables alone are read, so that every
+how many claims have each verdict; `<!-- end -->` closes each. Only published tables are read, so that every
 clone writes the same words.
 """
 
@@ -17,29 +17,26 @@ import re
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from pneuma.analysis.claim_runs import MEND
+from pneuma.analysis.claim_runs import TRAIN_WITH
+from pneuma.analysis.judgement import Verdict
 from pneuma.analysis.published import PUBLISHED
 from pneuma.errors import UserError, unknown_name
-from pneuma.figures.judged import MEANINGS, PLACES, Claim, Effect, Verdict, judged_claims
+from pneuma.figures import verdict_words as words
+from pneuma.figures.verdict_words import MEANINGS, PLACES, JudgedClaim, judged_claims
 from pneuma.study.store import Store, write_whole
 
-Claims = Mapping[str, Claim]
-
-_PART = re.compile(
-    r"<!-- (claim|verdicts|counts)((?: [\w.-]+)*) -->\n((?:(?!<!--).)*)<!-- end -->", re.DOTALL
-)
-_MARK = re.compile(r"<!--\s*(?:claim|verdict|count|end)\w*\b[^>]*-->")
-
 _END = "<!-- end -->"
+_PART = re.compile(rf"<!-- (claim|verdicts|counts)((?: [\w.-]+)*) -->\n((?:(?!<!--).)*){_END}", re.DOTALL)
+_MARK = re.compile(r"<!--\s*(?:claim|verdict|count|end)\w*\b[^>]*-->")
 
 NOT_RUN = "not run yet"
 """What is said of a claim that lacks runs, and so is no more than untestable so far."""
 
 
-def published_claims(results: Path) -> dict[str, Claim]:
+def published_claims(results: Path) -> dict[str, JudgedClaim]:
     """Return every claim by its name, judged by the published tables alone.
 
     Raises:
@@ -47,11 +44,10 @@ def published_claims(results: Path) -> dict[str, Claim]:
     """
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / PUBLISHED).symlink_to((results / PUBLISHED).resolve(), target_is_directory=True)
-        claims, _ = judged_claims(Store(Path(folder)))
-    return {claim.claim: claim for claim in claims}
+        return judged_claims(Store(Path(folder)))[0]
 
 
-def with_verdicts(page: str, claims: Claims) -> str:
+def with_verdicts(page: str, claims: Mapping[str, JudgedClaim]) -> str:
     """Return a page with everything between its marks written anew.
 
     Raises:
@@ -76,93 +72,81 @@ def with_verdicts(page: str, claims: Claims) -> str:
     return _PART.sub(write, page)
 
 
-def claims_told(page: str) -> list[str]:
-    """Return the names of the claims that a page has a paragraph on."""
-    return [name for kind, names, _ in _PART.findall(page) if kind == "claim" for name in names.split()]
-
-
 # --- What is written -------------------------------------------------------------------------------
 
 
-def _paragraphs(claims: Sequence[Claim]) -> str:
-    return "".join(f"{_paragraph(claim)}\n" for claim in claims)
-
-
-def _paragraph(claim: Claim) -> str:
-    note = f" {claim.note}" if claim.note else ""
-    head = f"**{claim.claim}**: “{claim.quote}” ({claim.section}). "
-    head += f"Claimed: {claim.tested}, in {claim.measure}.{note}"
-    told = [f"- *{PLACES[place]}*: {_verdict(verdict)}" for place, verdict in claim.verdicts.items()]
-    return "\n".join([head, "", *told])
+def _paragraph(chosen: Sequence[JudgedClaim]) -> str:
+    (one,) = chosen
+    claim, note = one.claim, f" {one.claim.note}" if one.claim.note else ""
+    head = f"**{claim.name}**: “{claim.quote}” ({claim.section}). "
+    head += f"Claimed: {words.tested(claim)}, in {words.measure(claim)}.{note}"
+    return "\n".join(
+        [head, "", *(f"- *{PLACES[at]}*: {_verdict(own)}" for at, own in one.verdicts.items()), ""]
+    )
 
 
 def _verdict(verdict: Verdict) -> str:
     """Return a verdict as a sentence: the word, what decides it, what is lacking."""
-    if _is_not_run(verdict):
-        command = verdict.reason.partition(MEND)[2].strip()
+    if verdict.not_run:
+        command = verdict.reason.partition(TRAIN_WITH)[2].strip()
         few = "" if "no runs" in verdict.reason else ", not all"
         return f"{NOT_RUN}{few} (`{command}`)."
-    words = []
-    if verdict.effects and verdict.effects[0].value is not None:
-        words.append(_effect(verdict.effects[0]))
+    own = words.decisive(verdict)
+    told = []
+    if own:
+        who, comma, rest = words.arms(own).partition(", ")
+        told.append(f"{who} {words.effect(own)}{comma}{rest}")
     if verdict.reason:
-        words.append(verdict.reason)
+        told.append(verdict.reason)
     if verdict.seeds_needed:
-        words.append(f"{verdict.seeds_needed:,} seeds an arm would be needed")
-    return ": ".join(filter(None, [f"**{verdict.verdict}**", "; ".join(words)])) + "."
+        told.append(f"{verdict.seeds_needed:,} seeds an arm would be needed")
+    return ": ".join(filter(None, [f"**{verdict.verdict}**", "; ".join(told)])) + "."
 
 
-def _is_not_run(verdict: Verdict) -> bool:
-    return MEND in verdict.reason
-
-
-def _effect(effect: Effect) -> str:
-    seeds = f"n = {' and '.join(f'{count:,}' for count in effect.seeds)}" if effect.seeds else ""
-    return ", ".join(filter(None, [f"{effect.arms} {effect.told}", seeds, effect.p_told]))
-
-
-def _table(claims: Sequence[Claim]) -> str:
+def _table(claims: Sequence[JudgedClaim]) -> str:
     """Return a row for each claim, place beside place."""
-    rows = [["Claim", "Thesis", *PLACES.values()], ["---"] * (2 + len(PLACES))]
-    for claim in claims:
-        cells = [_cell(claim.verdicts.get(place)) for place in PLACES]
-        rows.append([f"{claim.tested}: {claim.compared}", f"{claim.section}: “{claim.quote}”", *cells])
+    rows = [["Claim", "Thesis", *PLACES.values()]]
+    for one in claims:
+        claim = one.claim
+        cells = [_cell(one.verdicts.get(place)) for place in PLACES]
+        said = f"{words.tested(claim)}: {words.compared(claim)}"
+        rows.append([said, f"{claim.section}: “{claim.quote}”", *cells])
     return _markdown(rows)
 
 
 def _cell(verdict: Verdict | None) -> str:
     if verdict is None:
         return "–"
-    if _is_not_run(verdict):
+    if verdict.not_run:
         return NOT_RUN
-    effect = verdict.effects[0] if verdict.effects else None
-    shown = "" if effect is None or verdict.verdict == "untestable" else effect.told
-    return f"**{verdict.verdict}** {shown}".strip()
+    own = None if verdict.verdict == "untestable" else words.decisive(verdict)
+    return f"**{verdict.verdict}** {words.effect(own) if own else ''}".strip()
 
 
-def _counts(claims: Sequence[Claim]) -> str:
+def _counts(claims: Sequence[JudgedClaim]) -> str:
     """Return how many claims have each verdict, place by place."""
-    rows = [["Judged in", *MEANINGS, NOT_RUN], ["---"] * (2 + len(MEANINGS))]
+    rows = [["Judged in", *MEANINGS, NOT_RUN]]
     for place, label in PLACES.items():
-        found = [claim.verdicts[place] for claim in claims if place in claim.verdicts]
-        counted = Counter(NOT_RUN if _is_not_run(one) else one.verdict for one in found)
+        found = [one.verdicts[place] for one in claims if place in one.verdicts]
+        counted = Counter(NOT_RUN if one.not_run else one.verdict for one in found)
         rows.append([label, *(str(counted[word]) for word in (*MEANINGS, NOT_RUN))])
     return _markdown(rows)
 
 
 def _markdown(rows: Sequence[Sequence[str]]) -> str:
-    return "".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |\n" for row in rows)
+    ruled = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
+    return "".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |\n" for row in ruled)
 
 
-_WRITERS: dict[str, Callable[[Sequence[Claim]], str]] = {
-    "claim": _paragraphs,
+_WRITERS: dict[str, Callable[[Sequence[JudgedClaim]], str]] = {
+    "claim": _paragraph,
     "verdicts": _table,
     "counts": _counts,
 }
 
 
-def main(pages: Sequence[Path], results: Path) -> None:
-    """Write every page anew, or none, and say so; leave all as they are where nothing is published.
+def main(pages: Iterable[Path], results: Path) -> None:
+    """Write every page anew, or none; leave all as they are where nothing is published.
 
     Raises:
         UserError: for a page that cannot be read, or has a wrong mark, or without a results folder.
@@ -173,17 +157,10 @@ def main(pages: Sequence[Path], results: Path) -> None:
         print(f"no study is published in {results / PUBLISHED} yet: the pages stay as they are")
         return
     claims = published_claims(results)
-    written = {page: with_verdicts(_read(page), claims) for page in pages}
+    written = {page: with_verdicts(page.read_text("utf-8"), claims) for page in pages}
     for page, text in written.items():
         write_whole(page, text.encode())
         print(f"wrote the verdicts of {page}")
-
-
-def _read(page: Path) -> str:
-    try:
-        return page.read_bytes().decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{page}: cannot be read ({error})") from None
 
 
 if __name__ == "__main__":
@@ -192,6 +169,6 @@ if __name__ == "__main__":
     parser.add_argument("--results", type=Path, default=Path("results"))
     try:
         main(**vars(parser.parse_args()))
-    except (UserError, OSError) as error:
+    except (UserError, OSError, UnicodeDecodeError) as error:
         print(f"pneuma: {error}", file=sys.stderr)
         sys.exit(2)

@@ -27,8 +27,8 @@ from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, read_entries
 from pneuma.figures.plates import BESIDE, COMMAND, TABLE_FORMATS, TABLES, draw_published
 from pneuma.figures.settings_table import settings_table
-from pneuma.study.cores import available_cores
 from pneuma.study.files import write_whole
+from pneuma.study.provenance import available_cores
 
 RESULTS = Path("results")
 FEW = 4

@@ -21,8 +21,9 @@ from markupsafe import Markup
 
 from pneuma.analysis.rounding import decimals, shown, shown_with_interval
 from pneuma.errors import counted
-from pneuma.figures.judged import MEANINGS, PLACES, Claim
+from pneuma.figures import verdict_words
 from pneuma.figures.report_pictures import Picture
+from pneuma.figures.verdict_words import MEANINGS, PLACES
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
@@ -114,7 +115,7 @@ class Report:
         unjudged: why no claim could be judged; empty where they were.
     """
 
-    claims: Sequence[Claim]
+    claims: Sequence[verdict_words.JudgedClaim]
     studies: Sequence[StudySection]
     claims_note: str = ""
     version: str = ""
@@ -133,6 +134,7 @@ def report_page(report: Report) -> bytes:
     )
     page = environment.get_template("report.html.j2").render(
         report=report,
+        words=verdict_words,
         meanings=MEANINGS,
         places={place: label for place, label in PLACES.items() if _judged_in(report, place)},
         counts={place: _judged_in(report, place) for place in PLACES},

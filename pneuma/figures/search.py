@@ -21,7 +21,7 @@ from optuna.visualization import matplotlib as plots
 
 from pneuma.errors import counted
 from pneuma.figures.style import house_style, put_caption, save_figure
-from pneuma.search.database import create_study, frozen_trial
+from pneuma.search.optuna_study import create_study, frozen_trials
 from pneuma.search.storage import Searched
 
 PAGE_INCHES = 7.0
@@ -106,8 +106,7 @@ def _study(searched: Searched, first_alone: bool = False) -> optuna.Study:
     count = 1 if first_alone else len(search.objectives)
     named = [replace(own, name=f"{own.outcome}, {own.over_seeds}") for own in search.objectives[:count]]
     study = create_study(named, optuna.storages.InMemoryStorage(), search.name)
-    for told in searched.trials:
-        study.add_trial(frozen_trial(told, search.space, told.values[:count]))
+    study.add_trials(frozen_trials(searched.trials, search.space, count))
     return study
 
 
@@ -139,5 +138,5 @@ def _caption(searched: Searched) -> str:
     )
     return (
         f"Search {search.name}: {told} trials, {counted(len(budget.seeds), 'seed')} × {budget.steps:,} "
-        f"steps; sampler {search.sampler['name']}; {searched.digest}"
+        f"steps; sampler {search.sampler['name']}; {searched.task.digest}"
     )

@@ -8,9 +8,8 @@ were tuned alike, so searches that stand side by side must have had the same tri
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os.path import commonprefix
 from typing import Any
 
@@ -18,18 +17,15 @@ import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
 from pneuma.config import Run, as_settings, env_config, make_run
-from pneuma.errors import UserError, counted
-from pneuma.search.spec import Budget
+from pneuma.errors import UserError
+from pneuma.search.spec import Budget, Objective
 from pneuma.search.storage import Outcomes, Searched
 from pneuma.search.trials import Task, Told, objective_value
 from pneuma.study.conditions import unread_settings
 from pneuma.study.definition import join_settings
-from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
-
-NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -48,26 +44,22 @@ class Winner:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a winner gained over its base in one objective, in the search and on fresh seeds.
+    """What a winner gained over its base in one objective.
 
     Attributes:
-        seen: winner's value in the search.
-        seen_baseline: the base's there; NaN where it was no trial.
-        fresh, fresh_baseline: the same over the fresh seeds.
+        seen: the winner's value in the search.
+        fresh, fresh_baseline: its value and the base's over the fresh seeds.
         difference: of the means over the fresh seeds; NaN where some run has no finite value.
         interval: of that difference, 95 %; NaN there, and where the seeds are too few.
         luck: by how much the search's seeds had flattered the winner; NaN where that cannot be told.
-        incomparable: why it cannot; empty where it can.
     """
 
     seen: float
-    seen_baseline: float
     fresh: float
     fresh_baseline: float
     difference: float
     interval: tuple[float, float]
     luck: float
-    incomparable: str
 
 
 def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequence[int]) -> list[Winner]:
@@ -98,15 +90,16 @@ def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequen
 def _trial(searched: Searched, number: int | None) -> Told:
     name, best = searched.task.search.name, searched.best
     complete = {trial.number: trial for trial in searched.trials if trial.state == "complete"}
-    if number is not None and number not in complete:
-        known = ", ".join(map(str, complete)) or "none"
-        raise UserError(f"--trial {number}: no complete trial of search {name}; these are: {known}")
     if not complete:
         raise UserError(f"search {name}: no trial is complete yet; run it with more --trials")
     if number is None and isinstance(best, list):
         front = ", ".join(map(str, best))
         raise UserError(f"search {name}: has a front, not one best trial; choose with --trial: {front}")
-    return complete[number if number is not None else best]  # type: ignore[index]
+    chosen = best if number is None else number
+    if chosen not in complete:
+        known = ", ".join(map(str, complete))
+        raise UserError(f"--trial {number}: no complete trial of search {name}; these are: {known}")
+    return complete[chosen]
 
 
 def _check_alike(searches: Sequence[Searched]) -> None:
@@ -137,6 +130,9 @@ def _conditions(searched: Searched) -> dict[str, Any]:
     }
 
 
+# --- The study -------------------------------------------------------------------------------------
+
+
 def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -> str:
     """Return a study file of winners, each beside its search's base, with their lineage as comments."""
     tables = {}
@@ -152,7 +148,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     lines = [
         "# Winners of searches, each beside what it was tuned from.",
         "#",
-        *(_comment(line) for own in winners for line in _lineage(own)),
+        *map(_lineage, winners),
         "",
         f"title = {_toml('Winners of ' + ', '.join(own.searched.task.search.name for own in winners))}",
         f"section = {_toml(search.section)}",
@@ -170,20 +166,14 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     return "\n".join(lines) + "\n"
 
 
-def _lineage(own: Winner) -> list[str]:
-    task, trial = own.searched.task, own.trial
-    values = ", ".join(map(str, trial.values))
-    return [
-        f"{own.tuned}: trial {trial.number} of search {task.search.name} ({own.searched.digest}),",
-        f"which came to {values} in runs {', '.join(trial.run_ids)};",
-        f"{len(own.searched.trials)} trials by {task.search.sampler['name']}, "
-        f"seeds {', '.join(map(str, task.budget.seeds))}, {task.budget.steps} steps a run.",
-    ]
-
-
-def _comment(line: str) -> str:
+def _lineage(own: Winner) -> str:
     """Return a comment of one line, whatever an untrusted record says."""
-    return "# " + " ".join(line.split())
+    task, trial = own.searched.task, own.trial
+    told = (
+        f"{own.tuned}: trial {trial.number} of {len(own.searched.trials)} of search {task.search.name} "
+        f"({task.digest}); runs {', '.join(trial.run_ids)}"
+    )
+    return "# " + " ".join(told.split())
 
 
 def _lines(settings: Mapping[str, Any]) -> list[str]:
@@ -217,66 +207,34 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
         planned: that study, all of whose runs have ended.
         store: the results folder.
     """
-    task, trials = winner.searched.task, winner.searched.trials
-    seeds, steps = task.budget.seeds, task.budget.steps
-    fresh = Task(task.search, Budget(1, planned.seeds, steps))
-    outcomes = Outcomes(fresh, store)  # so that a diverged run counts as it did in the search
+    task = winner.searched.task
     won, lost = (
         [cell for cell in planned.cells if cell.condition == name] for name in (winner.tuned, winner.name)
     )
-    base_run = make_run({**as_settings(lost[0].run), "steps": steps})
-    names = tuple(run_id(replace(base_run, seed=seed)) for seed in seeds)
-    complete = (trial for trial in trials if trial.state == "complete")
-    base = next((trial for trial in complete if trial.run_ids[-len(names) :] == names), None)
+    fresh = Task(task.search, Budget(1, planned.seeds, task.budget.steps))
+    outcomes = Outcomes(fresh, store)  # so that a diverged run counts as it did in the search
+    searched_steps = make_run({**as_settings(won[0].run), "steps": task.budget.steps}).steps
     found = {}
-    for place, objective in enumerate(task.search.objectives):
-        values = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
-        why = incomparable(objective.over_seeds, len(seeds), len(planned.seeds))
-        if lost[0].run.steps != base_run.steps:
-            why = f"runs of the search had {steps:,} steps"
-        found[objective.name] = gain(
-            seen=(winner.trial.values[place], base.values[place] if base else NAN),
-            fresh=tuple(
-                objective_value(objective, arm, outcomes.read, outcomes.diverged) for arm in (won, lost)
-            ),
-            won=values[0],
-            lost=values[1],
-            sign=1 if objective.direction == "maximize" else -1,
-            why=why,
+    for seen, objective in zip(winner.trial.values, task.search.objectives, strict=True):
+        value, base = (objective_value(objective, arm, outcomes) for arm in (won, lost))
+        arms = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
+        comparable = won[0].run.steps == searched_steps and same_kind(
+            objective, len(task.budget.seeds), len(planned.seeds)
         )
+        sign = 1 if objective.direction == "maximize" else -1
+        luck = sign * (seen - value) if comparable else float("nan")
+        found[objective.name] = Gain(seen, value, base, *mean_difference(*arms), luck)
     return found
 
 
-def incomparable(over_seeds: str, seen: int, fresh: int) -> str:
-    """Say why a value over some seeds is none over others: the least of many is less, without any luck."""
-    if seen == fresh or over_seeds not in ("least", "deviation"):
-        return ""
-    return f"a {over_seeds} over {counted(seen, 'seed')} and one over {fresh} differ by themselves"
+def same_kind(objective: Objective, seen: int, fresh: int) -> bool:
+    """Tell whether values over some seeds and others compare: the least of many is less without any luck."""
+    return seen == fresh or objective.over_seeds not in ("least", "deviation")
 
 
-def gain(
-    seen: tuple[float, float],
-    fresh: tuple[float, ...],
-    won: np.ndarray,
-    lost: np.ndarray,
-    sign: int = 1,
-    why: str = "",
-) -> Gain:
-    """Return what a winner gained.
-
-    Args:
-        seen: its value in the search and the base's, NaN where that was no trial.
-        fresh: their values over the fresh seeds.
-        won: its outcomes on these, (seeds,).
-        lost: the base's.
-        sign: 1 where more is sought, -1 where less is.
-        why: why the two values cannot be compared; empty where they can.
-    """
-    luck = NAN if why else sign * (seen[0] - fresh[0])
-    difference, interval = NAN, (NAN, NAN)
-    if np.isfinite(won).all() and np.isfinite(lost).all():  # not so of a threshold that is never reached
-        found = difference_interval(won, lost)
-        difference, interval = float(won.mean() - lost.mean()), (found.low, found.high)
-    if not why and not math.isfinite(luck):
-        why = "some run has no value"
-    return Gain(*seen, fresh[0], fresh[1], difference, interval, luck, why)
+def mean_difference(won: np.ndarray, lost: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Return the difference of means and its 95 % interval; NaN of a threshold that is never reached."""
+    if not (np.isfinite(won).all() and np.isfinite(lost).all()):
+        return float("nan"), (float("nan"), float("nan"))
+    interval = difference_interval(won, lost)
+    return float(won.mean() - lost.mean()), (interval.low, interval.high)

@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import optuna
@@ -27,15 +27,18 @@ from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study, join_settings
 
-ReadOutcome = Callable[[Cell, str], float]
-"""Returns an outcome of a finished run; NaN where it has none."""
-
 Train = Callable[[Plan], None]
 """Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
 
 
-Measure = Callable[[Sequence[Cell]], tuple[float, ...]]
-"""Returns the objectives of a trial's runs."""
+class Outcomes(Protocol):
+    """What finished runs came to."""
+
+    def read(self, cell: Cell, name: str) -> float:
+        """Return an outcome of a run; NaN where it has none."""
+
+    def diverged(self, cell: Cell) -> bool:
+        """Tell whether a run diverged."""
 
 
 class Unfinished(Exception):
@@ -49,10 +52,14 @@ class Task:
     Attributes:
         search: its file.
         budget: trials, seeds and steps.
+        file: its path, where it is not a shipped one.
+        over: fields of the run that are set over the file's.
     """
 
     search: Search
     budget: Budget
+    file: str = ""
+    over: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -129,16 +136,13 @@ class _Asked:
     rungs: dict[int, float] = field(default_factory=dict)
 
 
-def conduct(
-    task: Task, train: Train, read: ReadOutcome, diverged: Callable[[Cell], bool]
-) -> Iterator[list[Told]]:
+def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]]:
     """Search; yield every generation's trials when they have ended.
 
     Args:
         task: the search and its budget.
         train: trains the runs of a plan that are not stored.
-        read: reads an outcome of a run.
-        diverged: tells whether a finished run diverged.
+        outcomes: reads what the runs came to.
 
     Raises:
         Unfinished: where a run crashed.
@@ -149,15 +153,12 @@ def conduct(
     study = begin_study(search.name, directions, search.pruner)
     trained: list[Cell] = []
 
-    def measure(cells: Sequence[Cell]) -> tuple[float, ...]:
-        return tuple(objective_value(own, cells, read, diverged) for own in search.objectives)
-
     for first in range(0, budget.trials, search.generation):
         asked = [_ask(study, task) for _ in range(search.generation)][: budget.trials - first]
         for stage in rungs:
             _train_stage(task, stage, asked, trained, train)
-            _compare(measure, stage, rungs, asked)
-        yield [_tell(study, search.objectives, each, measure, diverged) for each in asked]
+            _compare(search.objectives[0], stage, rungs, asked, outcomes)
+        yield [_tell(study, search.objectives, each, outcomes) for each in asked]
 
 
 def stages(pruner: Mapping[str, Any], budget: Budget) -> tuple[Stage, ...]:
@@ -221,14 +222,16 @@ def _train_stage(task: Task, stage: Stage, asked: list[_Asked], trained: list[Ce
         train(make_trial_plan(task, trained))
 
 
-def _compare(measure: Measure, stage: Stage, rungs: Sequence[Stage], asked: list[_Asked]) -> None:
+def _compare(
+    sought: Objective, stage: Stage, rungs: Sequence[Stage], asked: list[_Asked], outcomes: Outcomes
+) -> None:
     """Report a stage of every trial, in order, and only then give up those that the pruner names."""
     if len(rungs) < 2:
         return
     racing = [each for each in asked if each.run is not None and not each.pruned]
     for each in racing:
         cells = [cell for cell in each.cells if cell.seed in stage.seeds][-len(stage.seeds) :]
-        value = measure(cells)[0]
+        value = objective_value(sought, cells, outcomes)
         each.rungs[stage.key] = value
         if np.isfinite(value):
             each.trial.report(value, stage.key)
@@ -237,14 +240,9 @@ def _compare(measure: Measure, stage: Stage, rungs: Sequence[Stage], asked: list
             each.pruned = each.trial.should_prune()
 
 
-def _tell(
-    study: optuna.Study,
-    objectives: Sequence[Objective],
-    asked: _Asked,
-    measure: Measure,
-    diverged: Callable[[Cell], bool],
-) -> Told:
-    values = measure(_last(asked)) if asked.run else ()
+def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, outcomes: Outcomes) -> Told:
+    cells = _last(asked) if asked.run else []
+    values = tuple(objective_value(own, cells, outcomes) for own in objectives if cells)
     state = (
         "failed" if not values or not np.isfinite(values).all() else "pruned" if asked.pruned else "complete"
     )
@@ -255,7 +253,7 @@ def _tell(
         study.tell(asked.trial, state=kind.PRUNED if state == "pruned" else kind.FAIL)
     lacking = [own for own, value in zip(objectives, values, strict=False) if not np.isfinite(value)]
     notes = [asked.note, *(f"a run has no {own.outcome}, or none that is finite" for own in lacking)]
-    if count := sum(diverged(cell) for cell in asked.cells):
+    if count := sum(map(outcomes.diverged, asked.cells)):
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
     return Told(
         asked.trial.number,
@@ -294,17 +292,16 @@ def _beats(other: Sequence[float], own: Sequence[float]) -> bool:
     return all(o >= v for o, v in pairs) and any(o > v for o, v in pairs)
 
 
-def objective_value(
-    objective: Objective, cells: Sequence[Cell], read: ReadOutcome, diverged: Callable[[Cell], bool]
-) -> float:
+def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outcomes) -> float:
     """Return what a trial's runs come to in one objective.
 
     Runs that diverge alike have no spread, which is no merit: theirs is the greatest that there can be.
     """
-    if objective.over_seeds == "deviation" and any(map(diverged, cells)):
+    if objective.over_seeds == "deviation" and any(map(outcomes.diverged, cells)):
         low, high = find_outcome(objective.outcome).bounds
         return (high - low) / 2 * math.sqrt(len(cells) / max(len(cells) - 1, 1))
-    return over_seeds(objective.over_seeds, np.array([read(cell, objective.outcome) for cell in cells]))
+    values = [outcomes.read(cell, objective.outcome) for cell in cells]
+    return over_seeds(objective.over_seeds, np.array(values))
 
 
 def over_seeds(name: str, values: np.ndarray) -> float:

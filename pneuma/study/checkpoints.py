@@ -1,4 +1,4 @@
-"""Checkpoints of a run in the store: where to go on from after a kill.
+"""Checkpoints of a run in the store: taken while it trains, and where it goes on from after a kill.
 
     results/runs/ID/checkpoints/STEP-CHECKSUM.safetensors
 
@@ -9,7 +9,9 @@ whole. The latest two are kept while a run trains, and those that a study asks t
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,8 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
+from pneuma.config import Run
+from pneuma.engines.base import Progress, checkpoint_steps
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
@@ -28,11 +32,15 @@ from pneuma.engines.records import (
     Row,
     columns_of,
 )
+from pneuma.errors import UserError
 from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name, read_whole
+from pneuma.study.provenance import Attempt, differences
+from pneuma.study.store import Store
 from pneuma.study.tables import from_parquet, to_parquet
 
-FOLDER = CHECKPOINTS
 LATEST_KEPT = 2
+WRITE_SHARE = 40
+"""Checkpoints are at least so many times apart as the last one took to write."""
 TABLES = {
     "episodes": EPISODE_COLUMNS,
     "metrics": METRIC_COLUMNS,
@@ -43,9 +51,128 @@ OPTIONAL_TABLES = ("learners",)
 """Those that are left out where they have no rows."""
 
 
+# --- While a run trains ----------------------------------------------------------------------------
+
+
+class RunCheckpoints:
+    """The checkpoints of one run while it trains; only for the holder of the run's lock.
+
+    Args:
+        store: where the run is.
+        name: its id.
+        run: its configuration.
+        seconds: between two checkpoints.
+        keep: how many to keep when the run has ended.
+        say: takes a sentence for people.
+
+    Attributes:
+        history: what earlier attempts left: a list `attempts`, and `resumes` where this one went on.
+    """
+
+    def __init__(
+        self, store: Store, name: str, run: Run, seconds: float, keep: int, say: Callable[[str], None]
+    ) -> None:
+        self._store, self._name, self._run, self._say = store, name, run, say
+        self._folder = store.run_folder(name)
+        self._seconds = seconds
+        self._next = time.monotonic() + seconds
+        self._steps_to_keep = checkpoint_steps(run, keep)
+        self._sweep()
+        self._files = checkpoint_files(self._folder)
+        self.history: dict[str, Any] = {"attempts": [], "resumes": []}
+
+    def latest(self) -> Checkpoint | None:
+        """Return the latest whole checkpoint, saying which were damaged; None to start anew."""
+        while self._files:
+            file = self._files[0]
+            if read := read_checkpoint(file):
+                checkpoint, self.history = read
+                self._note_resume(checkpoint.step)
+                return checkpoint
+            self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
+            self._remove([file])
+        return self._parents() if self._run.parent else None
+
+    def give_up(self, why: Exception) -> bool:
+        """Give up the latest checkpoint, from which the engine cannot go on; return whether there was one."""
+        self.history = {"attempts": [], "resumes": []}
+        if not self._files:
+            return False
+        self._say(f"the checkpoint at step {self._files[0].step:,} is given up: {why}")
+        self._remove(self._files[:1])
+        return True
+
+    def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
+        """Take a checkpoint after an update if it is time, or one is to be kept, or asked for `at_once`.
+
+        One that cannot be written is reported, and tried again later: training goes on without it.
+        """
+        now = time.monotonic()
+        if now < self._next and not at_once and progress.step not in self._steps_to_keep:
+            return
+        history = {**self.history, "attempts": [*self.history["attempts"], attempt.so_far(progress.step)]}
+        try:
+            data = encode(progress.checkpoint(), history, run_id=self._name)
+            self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
+        except UserError as error:
+            self._say(f"no checkpoint at step {progress.step:,}: {error}")
+        self._files = checkpoint_files(self._folder)
+        self._remove([file for file in self._files[LATEST_KEPT:] if file.step not in self._steps_to_keep])
+        took = time.monotonic() - now
+        self._next = now + took + max(self._seconds, WRITE_SHARE * took)
+
+    def finish(self) -> None:
+        """Remove the checkpoints that are not to be kept when the run has ended."""
+        self._remove([file for file in self._files if file.step not in self._steps_to_keep])
+        folder = self._folder / CHECKPOINTS
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+    def _parents(self) -> Checkpoint:
+        """Return the checkpoint that a fork begins with.
+
+        Raises:
+            UserError: when the parent keeps it no more.
+        """
+        parent, step = self._run.parent, self._run.fork_step
+        for file in checkpoint_files(self._store.run_folder(parent)):
+            if file.step == step and (read := read_checkpoint(file)):
+                return read[0]
+        raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
+
+    def _note_resume(self, step: int) -> None:
+        """Keep in the history where this attempt goes on, and what has changed since."""
+        changed = differences(self.history["attempts"][-1]["machine"]) if self.history["attempts"] else []
+        self.history["resumes"].append({"step": step, "at": Attempt.now(), "differences": changed})
+        self._say(f"goes on from step {step:,}")
+        if changed:
+            self._say(f"goes on with another {', '.join(changed)}: it may end with other bits")
+
+    def _sweep(self) -> None:
+        """Remove temporary files that a killed process left."""
+        for path in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
+            _remove_whatever(path)
+
+    def _remove(self, files: Sequence[CheckpointFile]) -> None:
+        for file in files:
+            _remove_whatever(file.path)
+        self._files = [file for file in self._files if file not in files]
+
+
+def _remove_whatever(path: Path) -> None:
+    """Remove a file, a link, or a folder that lies in the place of a file."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+# --- Files -----------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class CheckpointFile:
-    """A checkpoint as it lies in a run's folder, told by its name."""
+    """A checkpoint as it lies in a run's folder, with what its name tells."""
 
     path: Path
     step: int
@@ -54,13 +181,13 @@ class CheckpointFile:
 
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoints of a run's folder, the latest first, whole or not."""
-    found = ((path, read_checkpoint_name(path.name)) for path in (folder / FOLDER).glob("*.safetensors"))
+    found = ((path, read_checkpoint_name(path.name)) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
     files = [CheckpointFile(path, *told) for path, told in found if told]
     return sorted(files, key=lambda file: (file.step, file.digest), reverse=True)
 
 
 def file_name(step: int, data: bytes) -> str:
-    """Return what a checkpoint's file is called."""
+    """Return the name of a checkpoint's file."""
     return f"{step:013}-{checksum(data)[:16]}.safetensors"
 
 
@@ -71,24 +198,15 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] |
     """
     try:
         data = read_whole(file.path)
-    except OSError:
-        return None
-    if checksum(data)[:16] != file.digest:
-        return None
-    try:
+        if checksum(data)[:16] != file.digest:
+            return None
         about = _about(data)
         checkpoint, history = _decoded(about, data)
-    except Exception:  # whatever a stranger's bytes lead the readers of JSON, safetensors and Parquet to
+    except Exception:  # whatever untrusted bytes lead the readers of JSON, safetensors and Parquet to
         return None
     run = file.path.parent.parent.name
     whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and _is_history(history)
     return (checkpoint, {"attempts": [], "resumes": [], **history}) if whole else None
-
-
-def outdated(files: Iterable[CheckpointFile], kept: Iterable[int]) -> list[CheckpointFile]:
-    """Return the checkpoints that nobody needs: neither the latest two nor at a step to keep."""
-    steps = set(kept)
-    return [file for i, file in enumerate(files) if i >= LATEST_KEPT and file.step not in steps]
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | None = None) -> bytes:
@@ -116,6 +234,15 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
     return save({**arrays, **tables}, metadata={"pneuma": json.dumps({**about, "shapes": shapes})})
 
 
+def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
+    """Return what `encode` was given.
+
+    Raises:
+        ValueError: for bytes of another schema; other bytes may raise anything.
+    """
+    return _decoded(_about(data), data)
+
+
 def table_files(records: Records) -> dict[str, bytes]:
     """Return every table of records as a Parquet file."""
     return {
@@ -126,17 +253,8 @@ def table_files(records: Records) -> dict[str, bytes]:
     }
 
 
-def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
-    """Return what `encode` was given.
-
-    Raises:
-        ValueError: for bytes of another schema; other bytes may raise anything.
-    """
-    return _decoded(_about(data), data)
-
-
 def _about(data: bytes) -> dict[str, Any]:
-    """Return what a checkpoint says of itself."""
+    """Return a checkpoint's metadata."""
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
     about: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
     if about["schema"] != SCHEMA:
@@ -165,16 +283,11 @@ def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
 
 
 def _is_history(history: Mapping[str, Any]) -> bool:
-    """Tell whether a history is one, or none."""
+    """Tell whether a checkpoint's history, which may be crafted, has what provenance is made of."""
     attempts, resumes = history.get("attempts", []), history.get("resumes", [])
-    return (
-        isinstance(attempts, list)
-        and isinstance(resumes, list)
-        and all(isinstance(each, dict) and _is_attempt(each) for each in attempts)
-        and all(isinstance(each, dict) for each in resumes)
+    if not isinstance(attempts, list) or not isinstance(resumes, list):
+        return False
+    needed: dict[str, Any] = {"wall_seconds": (int, float), "started": str, "machine": dict}
+    return all(isinstance(each, dict) for each in (*attempts, *resumes)) and all(
+        isinstance(attempt.get(key), kind) for attempt in attempts for key, kind in needed.items()
     )
-
-
-def _is_attempt(attempt: Mapping[str, Any]) -> bool:
-    timed = isinstance(attempt.get("wall_seconds"), int | float)
-    return timed and isinstance(attempt.get("started"), str) and isinstance(attempt.get("machine"), dict)

@@ -30,13 +30,15 @@ class FixedRuns:
     """The runs of one study that a claim is judged by.
 
     Attributes:
-        a, b: conditions; b may be none.
+        a, b, c, d: conditions; all but a may be none.
         seeds, steps: of each condition.
         worlds: those of `WORLDS` that the claim is about.
     """
 
     a: tuple[str, ...]
     b: tuple[str, ...]
+    c: tuple[str, ...]
+    d: tuple[str, ...]
     seeds: Mapping[str, tuple[int, ...]]
     steps: Mapping[str, int]
     worlds: tuple[str, ...]
@@ -125,12 +127,21 @@ def read_fixed_runs(file: TomlFile, where: Where, study: Study) -> FixedRuns:
         UserError: naming file, line, key, value and what is allowed.
     """
     table = file.table(where)
-    a, b = (_conditions(file, where, table, key, study) for key in ("a", "b"))
-    conditions = tuple(dict.fromkeys((*a, *b)))
+    a, b, c, d = arms = [_conditions(file, where, table, key, study) for key in "abcd"]
+    conditions = tuple(dict.fromkeys(name for arm in arms for name in arm))
+    first = file.table(("list",)).get("seeds_from", 0)
+
+    def read(value: object) -> tuple[int, ...]:
+        """Return seeds: a count begins with the list's first one."""
+        seeds = read_seeds(value)
+        return tuple(first + seed for seed in seeds) if isinstance(value, int) else seeds
+
     return FixedRuns(
         a,
         b,
-        _by_condition(file, where, "seeds", conditions, read_seeds),
+        c,
+        d,
+        _by_condition(file, where, "seeds", conditions, read),
         _by_condition(file, where, "steps", conditions, _read_steps),
         _worlds(file, where, table, study),
     )

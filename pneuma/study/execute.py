@@ -18,13 +18,12 @@ from pneuma.config import Run, as_settings, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
-from pneuma.study.kept import lacks_checkpoints
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CellResult:
     """How one cell stands after `execute`.
 
     Attributes:
@@ -41,7 +40,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Progress:
+class CellProgress:
     """Sent while a plan is executed, of one cell.
 
     Attributes:
@@ -49,7 +48,7 @@ class Progress:
         step: agent steps trained so far; 0 where there is only something to say.
         status: once it has ended, how.
         note: what a person should know, such as that it goes on after a kill.
-        passing: whether the note only tells who watches what is going on.
+        passing: whether the note is only for who watches what is going on.
     """
 
     cell: Cell
@@ -74,7 +73,7 @@ class Todo:
     notes: tuple[str, ...]
 
 
-OnProgress = Callable[[Progress], None]
+OnProgress = Callable[[CellProgress], None]
 
 MOST_IN_GROUP = 8
 """Runs that one worker process trains; another `study run` finds them busy until it ends."""
@@ -96,29 +95,14 @@ def prepare(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
-    told = ""
+    notes = _notes(plan, statuses, todo)
     if supervision and todo:
         how = _with_gpus(plan, supervision)
-        told = load_executor(how.place).check(todo, how)
+        notes.append(load_executor(how.place).check(todo, how))
     store.check_writable()
     store.save_selection(plan.study.name, {**selection_record(plan), **looked_at(recorded)})
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
-    notes = [*_notes(plan, statuses, todo), *_without_checkpoints(plan, statuses, store)]
-    return Todo(todo, kept, (*notes, *([told] if told else [])))
-
-
-def _without_checkpoints(plan: Plan, statuses: Mapping[str, Status], store: Store) -> list[str]:
-    """Say of which stored runs checkpoints lack that the study keeps: another study trained or began them."""
-    keep, runs = plan.study.keep_checkpoints, {cell.run_id: cell.run for cell in plan.cells}
-    if not keep:
-        return []
-    bare = [name for name, run in runs.items() if lacks_checkpoints(store, name, run, statuses[name], keep)]
-    if not bare:
-        return []
-    told = (
-        f"{counted(len(bare), 'stored run')} without all checkpoints that this study keeps: to fork one, as "
-    )
-    return [f"{told}{bare[0]}, remove its folder in {store.root / 'runs'} and give this command again"]
+    return Todo(todo, kept, tuple(filter(None, notes)))
 
 
 def looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -130,10 +114,10 @@ def looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
 
 def execute(
     plan: Plan, todo: Mapping[str, Run], store: Store, supervision: Supervision, on_progress: OnProgress
-) -> list[Outcome]:
-    """Train the runs that `prepare` found missing; return the outcomes of the plan's cells.
+) -> list[CellResult]:
+    """Train the runs that `prepare` found missing; return how the plan's cells stand.
 
-    Of runs that are published and not stored there are none.
+    Of runs that are published and not stored there is nothing to tell.
 
     Raises:
         KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
@@ -148,13 +132,21 @@ def execute(
             ended[event["run_id"]] = event
         told = event.get("step", 0), event.get("status", ""), event.get("text", event.get("reason", ""))
         for cell in cells[event["run_id"]]:
-            on_progress(Progress(cell, *told, passing=event["event"] == "passing"))
+            on_progress(CellProgress(cell, *told, passing=event["event"] == "passing"))
 
     how = _with_gpus(plan, supervision)
     if todo or how.place.executor == SLURM:  # whose jobs may have ended, and wait to be put away
         load_executor(how.place).run_groups(groups(todo, how), store, how, report)
-    outcomes = [_outcome(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
-    return [own for own in outcomes if own.status.finished or own.cell.run_id not in plan.published]
+    results = [_result(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
+    return [own for own in results if own.status.finished or own.cell.run_id not in plan.published]
+
+
+def _result(cell: Cell, stored: Status, end: Event | None) -> CellResult:
+    """Return how a cell stands; an end that could not be stored counts as it was reported."""
+    if end is None:
+        return CellResult(cell, stored, trained=False)
+    status = stored if stored.finished else Status(end["status"], stored.step)
+    return CellResult(cell, status, bool(end["trained"]), end.get("reason", ""))
 
 
 def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
@@ -162,13 +154,12 @@ def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
 
     Runs of equal shapes that the compiled engine trains go together, so that its programs are loaded or
     compiled once for them, and runs of tables, which take less time than a process does to start. But never
-    so many that a worker stands idle, and alone where each is timed. Those on a GPU are among themselves.
+    so many that a worker stands idle. Those on a GPU are among themselves.
     """
     alike: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():
-        single = run.engine == "sb3" or how.timeout_seconds is not None
-        like = (*(getattr(run, key) for key in SHAPED_BY), name in how.on_gpu)
-        alike.setdefault(name if single else like, []).append((name, run))
+        shapes = (*(getattr(run, key) for key in SHAPED_BY), name in how.on_gpu)
+        alike.setdefault(name if run.engine == "sb3" else shapes, []).append((name, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / how.workers))
     return [
         dict(runs[first : first + size]) for runs in alike.values() for first in range(0, len(runs), size)
@@ -179,13 +170,6 @@ def _with_gpus(plan: Plan, supervision: Supervision) -> Supervision:
     """Return the supervision with the runs of the conditions that the study's file marks `gpu`."""
     marked = frozenset(cell.run_id for cell in plan.cells if cell.condition in plan.study.gpu)
     return replace(supervision, on_gpu=marked)
-
-
-def _outcome(cell: Cell, stored: Status, end: Event | None) -> Outcome:
-    """Return how a cell stands; an end that could not be stored counts as it was told."""
-    if end and not stored.finished:
-        stored = Status(end["status"], stored.step)
-    return Outcome(cell, stored, bool(end and end["trained"]), end.get("reason", "") if end else "")
 
 
 def kept_step(run: Run, status: Status) -> int:
@@ -211,7 +195,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
         for name, status in statuses.items()
         if status.name == "damaged" and name in todo
     ]
-    published = [name for name in plan.published if not statuses[name].finished]
+    published = {name for name in plan.published if not statuses[name].finished}
     if published:
         runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
         notes.append(
@@ -221,8 +205,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))
-        runs = counted(len(failed), "run")
-        notes.append(f"{runs} failed before ({kinds}); --retry-failed tries again")
+        notes.append(f"{counted(len(failed), 'run')} failed before ({kinds}); --retry-failed tries again")
     return notes
 
 
@@ -280,11 +263,5 @@ def check_same_file(record: Mapping[str, Any], path: Path, store: Store) -> None
 def recorded_selection(record: Mapping[str, Any]) -> Selection:
     """Return the selection that a study's record was made from."""
     kept = record["selection"]
-    seeds = kept["seeds"]
-    return Selection(
-        **{
-            **kept,
-            "seeds": None if seeds is None else tuple(seeds),
-            "conditions": tuple(kept["conditions"]),
-        }
-    )
+    seeds = None if kept["seeds"] is None else tuple(kept["seeds"])
+    return Selection(**{**kept, "seeds": seeds, "conditions": tuple(kept["conditions"])})

@@ -1,12 +1,14 @@
-"""Fork a run: go on from one of its checkpoints with one thing changed, beside a control without.
+"""Forks: go on from checkpoints of stored runs with one thing changed, beside a control without.
 
-run, step and change → Plan of two conditions × fork seeds, each a run like any other
+runs, steps and changes → Plan of a control and a condition a change × fork seeds, each a run like any other
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import product
 from typing import Any
 
 from pneuma.config import (
@@ -21,7 +23,7 @@ from pneuma.config import (
     make_run,
     read_setting,
 )
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.provenance import differences
@@ -41,14 +43,30 @@ OF_TRANSITIONS = tuple(own.name for own in fields(EnvConfig))
 """Settings by which transitions in a replay buffer were made."""
 
 
+@dataclass(frozen=True)
+class Change:
+    """One thing that a fork does other than its control: settings, or what it begins anew."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    reset: str = ""
+
+
+CAUSES: dict[str, Change] = {
+    "reset optimizer": Change(reset="optimizer"),
+    "betas 0.9, 0.9": Change({"betas": (0.9, 0.9)}),
+    "reset critic": Change(reset="critic"),
+    "reset xp": Change(reset="xp"),
+    "gradient limit 0.5": Change({"gradient_limit": 0.5}),
+    "learning rate 3e-5": Change({"learning_rate": 3e-5}),
+    "entropy coefficient 0.1": Change({"entropy_coefficient": 0.1}),
+    "tanh": Change({"activation": "tanh"}),
+    "unit scale": Change({"scale": "unit"}),
+}
+"""What thesis chapter 6 and the published code suspect, one thing each."""
+
+
 def plan_fork(
-    store: Store,
-    parent: str,
-    at: int,
-    settings: Mapping[str, Any],
-    reset: str,
-    seeds: Sequence[int],
-    trust: bool = False,
+    store: Store, parent: str, at: int, change: Change, seeds: Sequence[int], trust: bool = False
 ) -> Plan:
     """Plan a fork from the parent's checkpoint nearest before `at`, and its control.
 
@@ -56,76 +74,119 @@ def plan_fork(
         store: where the parent is.
         parent: its run id.
         at: agent steps.
-        settings: fields of the run to change.
-        reset: one of `FORK_RESETS`, or empty.
+        change: what the fork does otherwise.
         seeds: of the fork: each begins fresh random streams.
         trust: whether what the stored run names of its owner's may be imported and read.
 
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
     """
-    whole, control = control_run(store, parent, at, trust)
-    step, changed = control.fork_step, changed_run(whole, control, settings, reset)
-    changes = {**settings, **({"fork_reset": reset} if reset else {})}
-    name = ", ".join(
-        [f"{key}={_shown(value)}" for key, value in settings.items()] + ([f"reset {reset}"] if reset else [])
-    )
-    cells = tuple(
-        Cell(condition, seed, own, run_id(own))
-        for seed in seeds
-        for condition, run in ((CONTROL, control), (name, changed))
-        for own in [replace(run, seed=seed)]
-    )
-    study = _study(parent, step, run_id(changed)[:4], name, changes)
-    notes = (f"forked at step {step:,} of {whole.steps:,}", *elsewhere(store, parent))
+    whole, control = _control_run(store, parent, at, trust)
+    changed, step = _changed_run(whole, control, change), control.fork_step
+    parts = [f"{key}={_shown(value)}" for key, value in change.settings.items()]
+    condition = ", ".join([*parts, *([f"reset {change.reset}"] if change.reset else [])])
+    cells = _cells({CONTROL: [control], condition: [changed]}, seeds, seeds)
+    name = f"fork-{parent[:8]}-{step}-{run_id(changed)[:4]}"
+    title, about = f"Run {parent[:8]} from step {step:,}", f"{condition} from step {step:,} on"
+    changes = {**change.settings, **({"fork_reset": change.reset} if change.reset else {})}
+    notes = (f"forked at step {step:,} of {whole.steps:,}", *_elsewhere(store, parent))
+    study = _study(name, title, about, {condition: changes})
     return Plan(study, Selection(seeds=tuple(seeds)), cells, (), notes)
 
 
-def control_run(store: Store, parent: str, at: int, trust: bool = False) -> tuple[Run, Run]:
+def plan_cause_forks(
+    store: Store,
+    study: str,
+    parents: Mapping[str, int],
+    seeds: Sequence[int],
+    causes: Mapping[str, Change] = CAUSES,
+    trust: bool = False,
+) -> Plan:
+    """Plan the forks of several runs of a study, one condition for each change.
+
+    A condition's runs are numbered in one order in every condition, so that run i of a change and run i of
+    the control begin with the same weights, worlds and optimizer.
+
+    Args:
+        store: where the runs are.
+        study: the name of theirs.
+        parents: by run id, before what step each is to be forked.
+        seeds: of the forks of each parent.
+        causes: the changes by name; one that some parent cannot make is left out, and said.
+        trust: whether what the stored runs name of their owner's may be imported and read.
+
+    Raises:
+        UserError: where no parent can be forked, or no change can be made.
+    """
+    forked: list[tuple[Run, Run]] = []
+    notes: list[str] = []
+    for parent, before in parents.items():
+        try:
+            forked.append(_control_run(store, parent, before, trust))
+            notes += _elsewhere(store, parent)
+        except UserError as error:
+            notes.append(str(error))
+    if not forked:
+        raise UserError(notes[0] if notes else "there is no run to fork")
+    notes = list(dict.fromkeys(notes))
+    conditions: dict[str, list[Run]] = {CONTROL: [control for _, control in forked]}
+    for name, change in causes.items():
+        try:
+            if change.reset == "xp" and any(whole.xp_scope == "episode" for whole, _ in forked):
+                raise UserError("XP begins anew with every episode of these runs")
+            conditions[name] = [_changed_run(*pair, change) for pair in forked]
+        except UserError as error:
+            notes.append(f"without {name}: {error}")
+    if len(conditions) == 1:
+        raise UserError(f"study {study}: none of {', '.join(causes)} changes anything in these runs")
+    places = tuple(range(len(forked) * len(seeds)))
+    told = [*(f"{control.parent}-{control.fork_step}" for _, control in forked), *conditions]
+    own_name = f"{study}-forks-{hashlib.sha256('/'.join(told).encode()).hexdigest()[:4]}"
+    title = f"Forks of {counted(len(forked), 'collapsed run')} of {study}"
+    changes = {name: dict(causes[name].settings) for name in conditions if name != CONTROL}
+    made = _study(own_name, title, "Each condition changes one thing from there on", changes)
+    return Plan(made, Selection(seeds=places), _cells(conditions, seeds, places), (), tuple(notes))
+
+
+def _cells(
+    conditions: Mapping[str, Sequence[Run]], seeds: Sequence[int], places: Iterable[int]
+) -> tuple[Cell, ...]:
+    """Return the cells of every parent's fork with every seed, numbered by places."""
+    parents = range(len(conditions[CONTROL]))
+    return tuple(
+        Cell(name, place, own, run_id(own))
+        for place, (parent, seed) in zip(places, product(parents, seeds), strict=True)
+        for name, runs in conditions.items()
+        for own in [replace(runs[parent], seed=seed)]
+    )
+
+
+def _study(name: str, title: str, about: str, conditions: Mapping[str, Mapping[str, Any]]) -> Study:
+    return Study(
+        name=name,
+        path=None,
+        title=title,
+        section="",
+        about=f"{about}, beside an unchanged control.",
+        figure=name,
+        baseline=CONTROL,
+        base="",
+        shared={},
+        conditions={CONTROL: {}, **conditions},
+    )
+
+
+# --- Parents ---------------------------------------------------------------------------------------
+
+
+def _control_run(store: Store, parent: str, at: int, trust: bool) -> tuple[Run, Run]:
     """Return a parent, and its fork from the checkpoint nearest before `at` with nothing changed.
+
+    Nothing that the parent names is touched unless it is trusted.
 
     Raises:
         UserError: for a parent without such a checkpoint, or one that must not or cannot be forked.
     """
-    whole = _parent_run(store, parent, trust)
-    step = _checkpoint_step(store, parent, at, whole)
-    return whole, make_run({**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
-
-
-def changed_run(whole: Run, control: Run, settings: Mapping[str, Any], reset: str) -> Run:
-    """Return a fork with settings changed, and what is begun anew, beside its control.
-
-    Raises:
-        UserError: for a change that is none or cannot be made.
-    """
-    changes = {**_changes(whole, settings), **({"fork_reset": _reset(reset)} if reset else {})}
-    if not changes:
-        raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
-    if reset == "optimizer" and not settings and whole.optimizer == "sgd" and not whole.momentum:
-        raise UserError("--reset optimizer: changes nothing, because SGD without momentum keeps nothing")
-    changed = _forked(as_settings(control), changes)
-    if settings and replace(changed, fork_reset="") == control:
-        raise UserError(f"--set {', '.join(settings)}: changes nothing, because nothing in this run reads it")
-    return changed
-
-
-def _study(parent: str, step: int, digits: str, name: str, changes: Mapping[str, Any]) -> Study:
-    return Study(
-        name=f"fork-{parent[:8]}-{step}-{digits}",
-        path=None,
-        title=f"Run {parent[:8]} from step {step:,}",
-        section="",
-        about=f"{name} from step {step:,} on, beside an unchanged control.",
-        figure=f"fork-{parent[:8]}-{step}-{digits}",
-        baseline=CONTROL,
-        base="",
-        shared={},
-        conditions={CONTROL: {}, name: changes},
-    )
-
-
-def _parent_run(store: Store, parent: str, trust: bool) -> Run:
-    """Return the run that is to be forked; nothing that it names is touched unless it is trusted."""
     status = store.status(parent)
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
@@ -135,16 +196,17 @@ def _parent_run(store: Store, parent: str, trust: bool) -> Run:
     own = own_things(settings)
     if own and not trust:
         raise UserError(f"run {parent}: a fork would {' and '.join(own.values())}; --trust allows it")
-    run = make_run(settings)
-    if run_id(run) != parent:
+    whole = make_run(settings)
+    if run_id(whole) != parent:
         raise UserError(
             f"run {parent} was trained by other rules or another engine, or its own files have changed: "
             "a fork would not go on from where it stood"
         )
-    return run
+    step = _checkpoint_step(store, parent, at, whole)
+    return whole, make_run({**as_settings(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
 
 
-def elsewhere(store: Store, parent: str) -> list[str]:
+def _elsewhere(store: Store, parent: str) -> list[str]:
     """Say in what this machine differs from the one that trained the parent."""
     earlier = read_document(store, parent, "provenance.json")
     changed = differences(earlier, but="device") if earlier else []  # this process computes on none
@@ -161,7 +223,7 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
         raise UserError(
             f"--at {at}: run {parent} ends at step {whole.steps}, so nothing would be left to train"
         )
-    files = sorted(checkpoint_files(store.run_folder(parent)), key=lambda file: file.step, reverse=True)
+    files = checkpoint_files(store.run_folder(parent))
     if not files and whole.parent:
         raise UserError(
             f"run {parent} keeps no checkpoints, as it is a fork: fork run {whole.parent} with both changes"
@@ -180,14 +242,51 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
     return sound
 
 
-def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Check what is to be changed."""
-    if "steps" in settings:
-        raise UserError(
-            f"--set steps: a fork ends where its parent does, at step {run.steps}; "
-            "fork earlier, or train the parent's study with more --steps"
-        )
+# --- Changes ---------------------------------------------------------------------------------------
+
+
+def _changed_run(whole: Run, control: Run, change: Change) -> Run:
+    """Return a fork with settings changed, and what is begun anew, beside its control.
+
+    Raises:
+        UserError: for a change that is none or cannot be made.
+    """
+    if change.reset and change.reset not in FORK_RESETS:
+        raise unknown_name("reset", change.reset, FORK_RESETS)
+    changes = _read_changes(whole, change.settings)
+    if not changes and not change.reset:
+        raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
+    if change.reset == "optimizer" and not changes and whole.optimizer == "sgd" and not whole.momentum:
+        raise UserError("--reset optimizer: changes nothing, because SGD without momentum keeps nothing")
+    keys, base = ", ".join(changes), as_settings(control)
+    fresh = change.reset == "optimizer"
+    other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
+    if other and not fresh:
+        raise UserError("--set optimizer: another optimizer needs --reset optimizer")
+    over = {**changes, "fork_reset": change.reset}
+    if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **over}))):
+        raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
+    own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
+    changed = make_run({**base, **dict.fromkeys(own), **over})
+    if not fresh and bool(changed.momentum) != bool(base["momentum"]):
+        raise UserError("--set momentum: from or to 0 needs --reset optimizer")
+    if changes and replace(changed, fork_reset="") == control:
+        raise UserError(f"--set {keys}: changes nothing, because nothing in this run reads it")
+    return changed
+
+
+def _read_changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Read what is to be changed in a run.
+
+    Raises:
+        UserError: for what cannot be changed at a fork, or is so already.
+    """
     for key in settings:
+        if key == "steps":
+            raise UserError(
+                f"--set steps: a fork ends where its parent does, at step {run.steps}; "
+                "fork earlier, or train the parent's study with more --steps"
+            )
         if key in (*FIXED, *FORK_SETTINGS):
             raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
         if run.buffer_size and key in OF_TRANSITIONS:
@@ -199,28 +298,6 @@ def _changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
         if getattr(run, key) == value:
             raise UserError(f"--set {key}: is {_shown(value)} in run {run_id(run)} already")
     return read
-
-
-def _forked(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
-    """Return the changed run; an optimizer that keeps other moments needs a reset."""
-    kept = changes.get("fork_reset") != "optimizer"
-    other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
-    if other and kept:
-        raise UserError("--set optimizer: another optimizer needs --reset optimizer")
-    if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **changes}))):
-        keys = ", ".join(key for key in changes if key != "fork_reset")
-        raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
-    own = {name for names in OPTIMIZER_SETTINGS.values() for name in names} if other else ()
-    run = make_run({**base, **dict.fromkeys(own), **changes})
-    if kept and bool(run.momentum) != bool(base["momentum"]):
-        raise UserError("--set momentum: from or to 0 needs --reset optimizer")
-    return run
-
-
-def _reset(name: str) -> str:
-    if name not in FORK_RESETS:
-        raise unknown_name("reset", name, FORK_RESETS)
-    return name
 
 
 def _shown(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Who trains a run: a lock that its holder's death lets go of.
+"""Who trains a run: a lock that goes with its holder's process.
 
 Two `study run` on one results folder share the work: a run that another process holds is left to it.
 
@@ -11,9 +11,11 @@ put in place whole, so nothing is lost but time.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import socket
+import stat
 import threading
 import time
 from contextlib import suppress
@@ -24,40 +26,6 @@ STALE_SECONDS = 600.0
 """Twenty renewals; and more than the five minutes by which clocks of a Slurm cluster may differ."""
 LOOKS, LOOK_SECONDS = 5, 0.002
 """How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
-
-
-class _Renewal:
-    """Renews all locks that this process holds, in one thread: the driver of a cluster holds thousands."""
-
-    def __init__(self) -> None:
-        self._held: set[int] = set()
-        self._changing = threading.Lock()
-        self._done = threading.Event()
-
-    def add(self, descriptor: int) -> None:
-        """Renew a lock from now on."""
-        with self._changing:
-            self._held.add(descriptor)
-            if len(self._held) == 1:
-                self._done = threading.Event()
-                threading.Thread(target=self._renew, args=(self._done,), daemon=True).start()
-
-    def remove(self, descriptor: int) -> None:
-        """Renew a lock no more; its descriptor may be closed then."""
-        with self._changing:
-            self._held.discard(descriptor)
-            if not self._held:
-                self._done.set()
-
-    def _renew(self, done: threading.Event) -> None:
-        while not done.wait(RENEW_SECONDS):
-            with self._changing:
-                for descriptor in self._held:
-                    with suppress(OSError):
-                        os.utime(descriptor)
-
-
-_RENEWAL = _Renewal()
 
 
 class RunLock:
@@ -72,21 +40,24 @@ class RunLock:
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".lock"
         self._descriptor = -1
+        self._released = threading.Event()
 
     def __enter__(self) -> bool:
-        """Take the lock if nobody holds it; return whether that was so."""
+        """Take the lock if nobody holds it; return whether that was so.
+
+        Raises:
+            OSError: where it cannot be made, or something lies there that is no file.
+        """
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         while True:
-            self._descriptor = os.open(self._path, flags, 0o644)
+            self._descriptor = _open(self._path, os.O_RDWR | os.O_CREAT)
             try:
                 _take(self._descriptor)
             except BlockingIOError:
                 stale = _is_stale(self._descriptor)
                 if stale and self._is_there():  # and not that of who broke it just before
                     self._path.unlink(missing_ok=True)
-                os.close(self._descriptor)
-                self._descriptor = -1
+                self._close()
                 if not stale:
                     return False
                 continue
@@ -95,7 +66,19 @@ class RunLock:
             if self._is_there():
                 self._sign()
                 return True
-            os.close(self._descriptor)  # its holder let go, and removed the file, after it was opened here
+            self._close()  # its holder let go, and removed the file, after it was opened here
+
+    def __exit__(self, *_: object) -> None:
+        """Let go."""
+        self._released.set()
+        if self._descriptor >= 0:
+            if self._is_there():  # and not another's, who broke this one
+                self._path.unlink(missing_ok=True)
+            self._close()
+
+    def _close(self) -> None:
+        os.close(self._descriptor)
+        self._descriptor = -1
 
     def _is_there(self) -> bool:
         """Tell whether the file that is held is still the one that others would open."""
@@ -110,15 +93,44 @@ class RunLock:
         with suppress(OSError):
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, socket.gethostname().encode(), 0)
-        _RENEWAL.add(self._descriptor)
+        threading.Thread(target=self._renew, daemon=True).start()
 
-    def __exit__(self, *_: object) -> None:
-        """Let go."""
-        _RENEWAL.remove(self._descriptor)
-        if self._descriptor >= 0:
-            if self._is_there():  # and not another's, who broke this one
-                self._path.unlink(missing_ok=True)
-            os.close(self._descriptor)
+    def _renew(self) -> None:
+        while not self._released.wait(RENEW_SECONDS):
+            with suppress(OSError):
+                if self._is_there():
+                    os.utime(self._path)
+
+
+def is_held(folder: Path) -> bool:
+    """Tell whether some process trains the run of this folder now."""
+    try:
+        descriptor = _open(folder / ".lock", os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return not _is_stale(descriptor)
+    except OSError:
+        return False
+    else:
+        return False
+    finally:
+        os.close(descriptor)
+
+
+def _open(path: Path, flags: int) -> int:
+    """Open a lock without following a link or waiting for a pipe.
+
+    Raises:
+        OSError: where it cannot be opened, or is no ordinary file.
+    """
+    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, f"{path.name} is no ordinary file; remove it")
+    return descriptor
 
 
 def _take(descriptor: int) -> None:
@@ -132,25 +144,6 @@ def _take(descriptor: int) -> None:
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         time.sleep(LOOK_SECONDS)
     return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def is_held(folder: Path) -> bool:
-    """Tell whether some process trains the run of this folder now."""
-    try:
-        flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe is not waited for
-        descriptor = os.open(folder / ".lock", flags)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return not _is_stale(descriptor)
-    except OSError:
-        return False
-    else:
-        return False
-    finally:
-        os.close(descriptor)
 
 
 def _is_stale(descriptor: int) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -16,19 +18,13 @@ from pathlib import Path
 from typing import Any
 
 PACKAGES = (
-    "pneuma",
-    "torch",
-    "stable-baselines3",
-    "sb3-contrib",
-    "gymnasium",
-    "numpy",
-    "numba",
-    "jax",
-    "jaxlib",
+    "pneuma", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib",
     "pyarrow",
-)
+)  # fmt: skip
 CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable of a process whose code was carried to its machine: its version and its commit."""
+QUOTA = Path("/sys/fs/cgroup/cpu.max")
+"""What a container may spend in a period, as Linux (cgroups v2) tells it: '150000 100000' or 'max 100000'."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +50,13 @@ class Attempt:
         """Return the attempt after an update, the first of which is noted."""
         return self if self.first else replace(self, first=(time.perf_counter(), step, time.process_time()))
 
+    @property
+    def seconds(self) -> float:
+        """How long it has trained since its first update."""
+        return time.perf_counter() - self.first[0] if self.first else 0.0
+
     def so_far(self, step: int | None) -> dict[str, Any]:
-        """Return what is to be told of this attempt at a step, None where that stands elsewhere."""
+        """Return what is recorded of this attempt at a step, None where that stands elsewhere."""
         return {
             "started": self.started.astimezone(UTC).isoformat(timespec="seconds"),
             "wall_seconds": round(time.perf_counter() - self.clock, 3),
@@ -67,22 +68,18 @@ class Attempt:
 
     def _training_seconds(self, step: int | None) -> float:
         """Return the time without start-up: of all updates at the pace that those after the first had."""
-        now = time.perf_counter()
         if self.first is None or step is None or step <= self.first[1]:
-            return now - self.clock
-        clock, first, _ = self.first
-        return (now - clock) * (step - self.start) / (step - first)
+            return time.perf_counter() - self.clock
+        return self.seconds * (step - self.start) / (step - self.first[1])
 
     def _processor_share(self) -> float | None:
         """Return how much of a core the updates after the first had: less than 1 beside other programs.
 
-        None where they do not wait for a core alone, or where none was made.
+        None on a GPU, or where no update was made.
         """
-        if self.first is None or _device() != "cpu":
+        if self.first is None or _device() != "cpu" or self.seconds <= 0:
             return None
-        clock, _, used = self.first
-        passed = time.perf_counter() - clock
-        return round((time.process_time() - used) / passed, 3) if passed > 0 else None
+        return round((time.process_time() - self.first[2]) / self.seconds, 3)
 
     @staticmethod
     def now() -> str:
@@ -101,28 +98,18 @@ def finished_provenance(
         step: at which it ended; left out, only the run's status tells.
     """
     attempts = [*history["attempts"], attempt.so_far(step)]
+    shares = [each.get("processor_share") for each in attempts]  # of an older version's attempt none
+    known = [share for share in shares if share is not None]
+    timed = [each.get("training_seconds", each["wall_seconds"]) for each in attempts]
     return {
         "started": attempts[0]["started"],
         "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
-        "training_seconds": round(sum(map(_training_seconds, attempts)), 3),
-        "processor_share": _least_share(attempts),
+        "training_seconds": round(sum(timed), 3),
+        "processor_share": min(known) if len(known) == len(shares) else None,
         **attempts[-1]["machine"],
         "resumes": history["resumes"],
         "attempts": attempts,
     }
-
-
-def _training_seconds(attempt: Mapping[str, Any]) -> float:
-    """Return what an attempt tells, which may be an older version's that timed all together."""
-    told = attempt.get("training_seconds")
-    return float(told if isinstance(told, int | float) else attempt["wall_seconds"])
-
-
-def _least_share(attempts: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the share of the attempt that had to share most; None where one does not tell."""
-    shares = [attempt.get("processor_share") for attempt in attempts]
-    known = [float(share) for share in shares if isinstance(share, int | float)]
-    return min(known) if len(known) == len(shares) else None
 
 
 def machine(threads: int) -> dict[str, Any]:
@@ -148,19 +135,32 @@ def differences(earlier: Mapping[str, Any], but: str = "") -> list[str]:
         earlier: a provenance.
         but: what is not to be compared.
     """
-    here = machine(1)
-    changed = [
-        f"{key} ({earlier.get(key)}, now {here[key]})"
+    here, told = machine(1), earlier.get("packages")
+    pairs = {
+        key: (earlier.get(key), here[key])
         for key in ("python", "commit", "system", "cpu", "device")
-        if key != but and earlier.get(key) != here[key]
-    ]
-    told = earlier.get("packages")
+        if key != but
+    }
     before = told if isinstance(told, dict) else {}
-    return changed + [
-        f"{name} ({before.get(name, 'none')}, now {now})"
-        for name, now in here["packages"].items()
-        if before.get(name) != now
-    ]
+    pairs |= {name: (before.get(name), now) for name, now in here["packages"].items()}
+    return [f"{key} ({_short(old)}, now {_short(now)})" for key, (old, now) in pairs.items() if old != now]
+
+
+def _short(told: object) -> str:
+    """Return a value for people, a commit by its first digits."""
+    return re.sub(r"^([0-9a-f]{7})[0-9a-f]{33}", r"\1", str(told or "none"))
+
+
+def available_cores() -> int:
+    """Return how many cores this process may use: those it is bound to, as far as its container may."""
+    if not hasattr(os, "sched_getaffinity"):
+        return os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0))
+    try:
+        most, period = map(int, QUOTA.read_text().split())
+        return min(cores, max(1, math.ceil(most / period)))
+    except (OSError, ValueError, ZeroDivisionError):  # no container, or one without a limit
+        return cores
 
 
 def _device() -> str:

@@ -2,10 +2,10 @@
 
     python -m pneuma.study.worker < job
 
-The job is one line of JSON: the results folder, the runs by id, how often to take checkpoints. Events
-go out as lines of JSON: `step` now and then, `note` for people, `passing` for those who watch, `busy`
-where another process holds a run, `end` for every run. Standard input stays open: a line `stop` asks for a
-checkpoint and an end, and when it closes, because the parent has gone, the worker goes.
+The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out
+as lines of JSON: `step` at the start and now and then, `note` for people, `passing` for those who watch,
+`busy` where another process holds a run, `end` for every run. Standard input stays open: a line `stop` asks
+for a checkpoint and an end, and when it closes, because the parent has gone, the worker goes.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import CheckpointError
 from pneuma.engines.team import policy_files
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import table_files
-from pneuma.study.compiling import FirstCompile, programs_folder
+from pneuma.study.checkpoints import RunCheckpoints, table_files
+from pneuma.study.compiling import COMPILES, compiled_mark, leave_mark
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import Attempt, finished_provenance
-from pneuma.study.resume import Resume
 from pneuma.study.store import Status, Store, run_document, to_json
 
 REPORT_SECONDS = 0.25
@@ -63,15 +62,14 @@ class Job:
 def main() -> int:
     """Read the job, train it, report; return the exit code."""
     job = json.loads(sys.stdin.readline())
-    die_with(job["parent"])
+    die_with(job.pop("parent"))
     stop = threading.Event()
     threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # whatever a library prints is no event
-    runs = {name: make_run(settings) for name, settings in job["runs"].items()}
-    store = Store(Path(job["results"]))
-    what = Job(store, runs, job["checkpoint_seconds"], job["keep"], job["final"])
-    return train_group(what, Reporter(events), stop)
+    runs = {name: make_run(settings) for name, settings in job.pop("runs").items()}
+    store = Store(Path(job.pop("results")))
+    return train_group(Job(store, runs, **job), Reporter(events), stop)
 
 
 class Reporter:
@@ -82,7 +80,7 @@ class Reporter:
         self._next = 0.0
 
     def step(self, name: str, step: int) -> None:
-        """Tell how far a run is, unless that was told just now."""
+        """Report how far a run is, unless that was reported just now."""
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REPORT_SECONDS
@@ -92,43 +90,47 @@ class Reporter:
         """Send one event of a run."""
         self._events.write(json.dumps({"event": event, "run_id": name, **about}) + "\n")
 
+    def end(self, name: str, status: Status, trained: bool = True, **about: Any) -> None:
+        """Send the end of a run."""
+        self.send("end", name, status=status.name, step=status.step, trained=trained, **about)
+
 
 def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
-    """Train runs with their engine, whose compiled programs they share; store each as it ends.
+    """Train runs one after another, so that each is timed, stored and crashes alone; return the exit code.
 
     Runs that another process holds or has finished meanwhile are left out.
     """
-    with ExitStack() as locks:
-        mine = {}
-        for name, run in job.runs.items():
-            try:
-                free = locks.enter_context(job.store.lock(name))
-            except OSError as error:
-                reason = f"{job.store.run_folder(name)}: cannot be written ({error.strerror})"
-                reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
-                continue
-            if not free:
-                reporter.send("busy", name)
-            elif (status := job.store.status(name)).finished:
-                reporter.send("end", name, status=status.name, step=status.step, trained=False)
-            else:
-                mine[name] = run
-        return _train_all(job, mine, reporter, stop)
-
-
-def _train_all(job: Job, runs: Mapping[str, Run], reporter: Reporter, stop: threading.Event) -> int:
-    """Train runs one after another, so that each is timed, stored and crashes alone; return the exit code."""
     code = 0
-    for name, run in runs.items():
-        if stop.is_set():
-            reporter.send("end", name, status="stopped", step=0, trained=True)
-            continue
-        try:
-            _train(job, name, run, reporter, stop)
-        except Exception as error:
-            _end_crashed(job, name, run, reporter, error)
-            code = 1
+    with ExitStack() as locks:
+        for name, run in _take_locks(job, reporter, locks).items():
+            if stop.is_set():
+                reporter.end(name, Status("stopped"))
+                continue
+            try:
+                _train(job, name, run, reporter, stop)
+            except Exception as error:
+                _end_crashed(job, name, run, reporter, error)
+                code = 1
     return code
+
+
+def _take_locks(job: Job, reporter: Reporter, locks: ExitStack) -> dict[str, Run]:
+    """Return the runs that are this worker's to train, and report the others."""
+    mine = {}
+    for name, run in job.runs.items():
+        try:
+            free = locks.enter_context(job.store.lock(name))
+        except OSError as error:
+            reason = f"{job.store.run_folder(name)}: cannot be written ({error.strerror})"
+            reporter.end(name, Status("crashed"), reason=reason)
+            continue
+        if not free:
+            reporter.send("busy", name)
+        elif (status := job.store.status(name)).finished:
+            reporter.end(name, status, trained=False)
+        else:
+            mine[name] = run
+    return mine
 
 
 def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Event) -> None:
@@ -139,48 +141,53 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
     """
     if run_id(run) != name:
         raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")
-    resume = Resume(job.store, name, run, job.checkpoint_seconds, job.keep, reporter.send)
-    resume.sweep()
+
+    def say(text: str) -> None:
+        reporter.send("note", name, text=text)
+
+    checkpoints = RunCheckpoints(job.store, name, run, job.checkpoint_seconds, job.keep, say)
     job.store.write(job.store.run_folder(name) / "run.json", run_document(run, name))  # or fail now
     while True:
         try:
-            return _train_once(job.store, name, run, resume, reporter, stop)
+            return _train_once(job, name, run, checkpoints, reporter, stop)
         except CheckpointError as error:
-            if not resume.give_up(error):
+            if not checkpoints.give_up(error):
                 raise
 
 
 def _train_once(
-    store: Store, name: str, run: Run, resume: Resume, reporter: Reporter, stop: threading.Event
+    job: Job, name: str, run: Run, checkpoints: RunCheckpoints, reporter: Reporter, stop: threading.Event
 ) -> None:
     """Train a run, from its latest checkpoint where there is one, and store how it ended."""
     engine = load_engine(run.engine)  # first, because a checkpoint's device is compared with its own
-    start = resume.latest()
+    start = checkpoints.latest()
     attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS, start.step if start else 0)
-
-    def tell(text: str) -> None:
-        reporter.send("passing", name, text=text)
+    compiled = compiled_mark(run)
+    reporter.send("step", name, step=attempt.start)
+    if compiled and not compiled.exists():
+        reporter.send("passing", name, text=COMPILES)
 
     def update(progress: Progress) -> bool:
         nonlocal attempt
-        compiling.done()
+        if not attempt.first:
+            leave_mark(compiled)
         attempt = attempt.updated(progress.step)
         reporter.step(name, progress.step)
         stopping = stop.is_set()
-        resume.update(progress, attempt, stopping)
+        checkpoints.update(progress, attempt, stopping)
         return not stopping
 
-    with FirstCompile(run, programs_folder(), tell, stop) as compiling:
-        (result,) = engine.train([run], {0: start} if start else {}, update)
-    if result.status != "stopped":
-        about = finished_provenance(attempt, resume.history, result.step)
-        store.save_run(name, Status(result.status, result.step), result_files(result, name, about))
-        resume.finish()
-    reporter.send("end", name, status=result.status, step=result.step, trained=True)
+    (result,) = engine.train([run], {0: start} if start else {}, update)
+    status = Status(result.status, result.step)
+    if status.name != "stopped":
+        about = finished_provenance(attempt, checkpoints.history, result.step)
+        job.store.save_run(name, status, result_files(result, name, about))
+        checkpoints.finish()
+    reporter.end(name, status)
 
 
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
-    """Tell of a run's crash, and store it if it is final and can be stored."""
+    """Report a run's crash, and store it if it is final and can be stored."""
     trace = traceback.format_exc().encode()
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
     try:
@@ -189,7 +196,7 @@ def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Excep
             job.store.save_run(name, Status("crashed"), files)
     except UserError as unwritten:
         reason = str(unwritten)
-    reporter.send("end", name, status="crashed", step=0, trained=True, reason=reason)
+    reporter.end(name, Status("crashed"), reason=reason)
 
 
 def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:

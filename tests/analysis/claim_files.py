@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import Judged, judge
+from pneuma.analysis.judgement import Verdict, judge
 from pneuma.analysis.published import published_path, times_path
 from pneuma.analysis.publishing import encode_study, encode_times
 from pneuma.analysis.run_index import open_study
@@ -35,6 +35,9 @@ epochs = 7
 
 [conditions.low-too]
 epochs = 5
+
+[conditions.other]
+epochs = 8
 
 [conditions.reference]
 epochs = 6
@@ -93,6 +96,7 @@ def save_runs(
     shares: Mapping[str, Sequence[float | Sequence[float]]],
     steps: int = STEPS,
     world: str = "text",
+    returns: Sequence[float] = (),
     **provenance: object,
 ) -> list[str]:
     """Store a run for each share killed, as `save_run` takes it, seed by seed; return the runs' ids."""
@@ -100,18 +104,25 @@ def save_runs(
     ids = []
     for condition, values in shares.items():
         selection = Selection("quick", tuple(range(len(values))), steps, conditions=(condition,))
-        for cell, share in zip(make_plan(study, selection).cells, values, strict=True):
-            save_run(store, cell.run_id, share, cell.run.steps, **provenance)
+        for i, (cell, share) in enumerate(zip(make_plan(study, selection).cells, values, strict=True)):
+            own = returns[i] if returns else None
+            save_run(store, cell.run_id, share, cell.run.steps, own, **provenance)
             ids.append(cell.run_id)
     return ids
 
 
 def save_run(
-    store: Store, run_id: str, shares: float | Sequence[float], steps: int, **provenance: object
+    store: Store,
+    run_id: str,
+    shares: float | Sequence[float],
+    steps: int,
+    returned: float | None = None,
+    **provenance: object,
 ) -> None:
     """Store a run of one evaluation, or of several at even steps, whose score is what they kill."""
     curve = shares if isinstance(shares, Sequence) else [shares]
     share = curve[-1]
+    own = share if returned is None else returned
     evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "episodes": 50, "argmax_starts": 1}
     evaluations = [
         {**evaluation, "step": steps * k // len(curve), "share_killed": own, "score": own}
@@ -119,7 +130,7 @@ def save_run(
     ]
     episode = {"slot": 0, "episode": 0, "step": steps, "length": 9, "kills": 1, "hp": 1.0, "ending": "killed"}
     tables = {
-        "episodes": to_parquet([{**episode, "return": share}], EPISODE_COLUMNS),
+        "episodes": to_parquet([{**episode, "return": own}], EPISODE_COLUMNS),
         "metrics": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 1.0), "step": steps}], METRIC_COLUMNS),
         "evaluations": to_parquet(evaluations, EVALUATION_COLUMNS),
     }
@@ -144,12 +155,12 @@ def published_alone(
     return clone
 
 
-def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Judged]:
+def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Verdict]:
     """Write study and claims into a folder, and judge these by the runs of a store."""
     return judge(load_claims(write_files(folder, claims)), store)
 
 
-def judge_one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Judged:
+def judge_one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Verdict:
     """Judge the one claim that there is in one place."""
     (one,) = [own for own in judge_claims(store, folder, claims) if own.place == place]
     return one

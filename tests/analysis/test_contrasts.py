@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis import two_arms
-from pneuma.analysis.contrasts import CONTRAST_KINDS, Contrast, compare, compare_with
-from pneuma.analysis.incidence import p_share_greater
-from pneuma.analysis.permutation import relabel
+from pneuma.analysis import pvalues
+from pneuma.analysis.contrasts import CONTRAST_KINDS, compare, compare_with
+from pneuma.analysis.pvalues import p_share_greater, relabel
 
 Arm = list[float]
 A, B = [3.0, 7.5, 4.0, 9.0, 8.0], [1.0, 2.5, 5.0, 2.0]
@@ -50,36 +49,17 @@ def test_means_are_tested_as_scipy_permutes_welchs_t() -> None:
     assert own.p_far_less == pytest.approx(greater_p([a + 0.5 for a in A], B, "less"), abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_unequal_arms_are_tested_by_welchs_t_too(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    a, b = generator.normal(0, 3, size=4), generator.normal(size=8)
-    own = compare("mean", a, b, None, generator)
-    assert own.p_greater == pytest.approx(greater_p(a, b, "greater"), abs=1e-12)
-    assert own.p_less == pytest.approx(greater_p(a, b, "less"), abs=1e-12)
-
-
 def test_a_small_arm_that_spreads_wide_is_not_found_different_too_often() -> None:
     """Six runs against ten, ten times as far apart: relabelings alone would find five times as much."""
     generator = np.random.default_rng(3)
-    a, b = 10 * generator.normal(size=(4_000, 6)), generator.normal(size=(4_000, 10))
-    p = two_arms.mean_p_values(a, b, None, relabel(6, 10, generator, draws=2_000))
-    assert (p.greater <= 0.005).mean() < 0.01
+    a, b = 10 * generator.normal(size=(1_500, 6)), generator.normal(size=(1_500, 10))
+    p = pvalues.mean_p_values(a, b, None, relabel(6, 10, generator, draws=1_000))
+    assert (p.greater <= 0.005).mean() < 0.012
 
 
 def test_values_that_differ_by_rounding_alone_are_equal() -> None:
     own = compare("mean", [0.1 + 0.2] * 8, [0.3] * 8, None, rng())
     assert (own.p_greater, own.p_less) == (1.0, 1.0)
-
-
-def test_drawn_relabelings_come_close_to_all_of_them() -> None:
-    generator = rng()
-    a, b = generator.normal(size=(2, 1, 10)) + [[[0.8]], [[0.0]]]
-    counted, drawn = (relabel(10, 10, generator, *draws) for draws in ((), (20_000,)))
-    assert counted.exact and len(counted.in_a) == 184_756 and not drawn.exact
-    found = [np.concatenate(two_arms.mean_p_values(a, b, 0.5, labels)) for labels in (counted, drawn)]
-    assert found[1] == pytest.approx(found[0], abs=0.01)
-    assert drawn.in_a[1:].mean(axis=0) == pytest.approx(0.5, abs=0.015)  # each run as often in either arm
 
 
 def test_what_ten_runs_against_ten_come_to_hangs_on_no_draw() -> None:
@@ -89,12 +69,6 @@ def test_what_ten_runs_against_ten_come_to_hangs_on_no_draw() -> None:
     for kind in ("mean", "spread"):
         found = [compare(kind, a, b, 1.5, np.random.default_rng(seed)) for seed in (1, 2)]
         assert found[0] == found[1]
-
-
-def test_a_drawn_relabeling_keeps_the_sizes_and_the_seen_one_comes_first() -> None:
-    labels = relabel(12, 9, rng(), draws=500)
-    assert not labels.exact and (labels.in_a.sum(axis=1) == 12).all()
-    assert labels.in_a[0].tolist() == [1.0] * 12 + [0.0] * 9
 
 
 @pytest.mark.parametrize("kind", CONTRAST_KINDS)
@@ -113,9 +87,7 @@ def test_units_do_not_matter() -> None:
     own = compare("mean", A, B, 0.5, rng())
     other = compare("mean", [1e6 * a - 3e8 for a in A], [1e6 * b - 3e8 for b in B], 0.5e6, rng())
     assert (other.p_greater, other.p_equivalent) == pytest.approx((own.p_greater, own.p_equivalent))
-    large, small = (
-        compare("paired", [a * unit for a in A], [0.0] * len(A), None, rng()) for unit in (1, 1e-9)
-    )
+    large, small = (compare_with("mean", [a * unit for a in A], 0.0, None, rng()) for unit in (1, 1e-9))
     assert small.p_greater == large.p_greater
 
 
@@ -142,14 +114,14 @@ def test_the_test_of_shares_finds_more_than_fishers() -> None:
     assert own.interval.low < own.effect < own.interval.high
 
 
-def test_pairs_and_constants_turn_signs() -> None:
+def test_one_mean_is_tested_by_turning_signs() -> None:
     differences = np.array([0.4, 1.1, -0.2, 0.9, 0.5, 0.7])
-    own = compare("paired", differences + 3, [3.0] * 6, None, rng())
+    own = compare_with("mean", differences + 3, 3.0, None, rng())
     theirs = stats.permutation_test(
         (differences,), np.mean, permutation_type="samples", n_resamples=np.inf, alternative="greater"
     ).pvalue
-    assert own.p_greater == pytest.approx(theirs, abs=1e-12)
-    assert compare_with("mean", differences + 3, 3.0, None, rng()).p_greater == pytest.approx(theirs)
+    by_student = stats.ttest_1samp(differences, 0, alternative="greater").pvalue
+    assert own.p_greater == pytest.approx(max(theirs, by_student), abs=1e-12)
 
 
 def test_one_arms_share_is_tested_as_scipys_binomial() -> None:
@@ -174,10 +146,10 @@ def test_spread_is_not_found_where_there_is_none(shape: str) -> None:
     if shape == "bimodal":
         runs += np.where(generator.random(runs.shape) < 0.8, 10, 2)
     a, b = runs
-    p = two_arms.spread_p_values(a, b + 40, 1.5, relabel(10, 10, generator, draws=999))
+    p = pvalues.spread_p_values(a, b + 40, 1.5, relabel(10, 10, generator, draws=999))
     different = 2 * np.minimum(p.greater, p.less)
     assert (different <= 0.002).mean() < 0.01 and (different <= 0.05).mean() < 0.065
-    same = two_arms.spread_p_values(a, b, None, relabel(10, 10, generator, draws=999))
+    same = pvalues.spread_p_values(a, b, None, relabel(10, 10, generator, draws=999))
     assert (2 * np.minimum(same.greater, same.less) <= 0.002).mean() < 0.006
 
 
@@ -201,7 +173,7 @@ def test_equal_runs_are_handled_without_a_warning() -> None:
     assert compare("spread", [1.0, 2.0, 3.0, 4.0], nearly, 1.5, rng()).effect == math.inf
 
 
-@pytest.mark.parametrize("kind", ["mean", "spread", "paired"])
+@pytest.mark.parametrize("kind", ["mean", "spread"])
 @pytest.mark.parametrize(("a", "b"), [([], []), ([1.0], [2.0])])
 def test_too_few_runs_decide_nothing_and_say_so(kind: str, a: Arm, b: Arm) -> None:
     own = compare(kind, a, b, 1.5, rng())
@@ -221,20 +193,13 @@ def test_the_smallest_p_possible_is_told() -> None:
 @pytest.mark.parametrize(
     ("kind", "a", "margin", "message"),
     [
-        ("median", [1.0, 2.0], 0.5, "there are mean, spread, incidence, paired"),
+        ("median", [1.0, 2.0], 0.5, "there are mean, spread, incidence"),
         ("mean", [1.0, math.nan], 0.5, "1 of 2 values are not finite"),
         ("spread", [1.0, 2.0], 0.7, "a margin of 0.7"),
         ("mean", [1.0, 2.0], 0.0, "a margin of 0.0"),
         ("incidence", [1.0, 2.0], 0.1, "values 0 or 1"),
-        ("paired", [1.0, 2.0, 3.0], 0.1, "paired arms of 3 and 2 runs"),
     ],
 )
 def test_what_makes_no_contrast_is_refused(kind: str, a: Arm, margin: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         compare(kind, a, [0.0, 1.0], margin, rng())
-
-
-def test_the_same_generator_gives_the_same_contrast() -> None:
-    a, b = rng().normal(size=(2, 15))
-    first, again = (compare("mean", a, b, 0.5, rng()) for _ in range(2))
-    assert isinstance(first, Contrast) and first == again

@@ -19,7 +19,7 @@ from pneuma.analysis.curves import (
     evaluation_curves,
     training_curves,
 )
-from pneuma.analysis.records import Memory, StoredRecords
+from pneuma.analysis.records import Memory, Records
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS
@@ -33,7 +33,7 @@ TRAILING = "trailing-100"
 Episode = tuple[int, float]  # step at which it ended, and its return
 
 
-class _Records(StoredRecords):
+class _Records(Records):
     """Tables given by hand, of all runs together."""
 
     def __init__(self, run_id: str, end: int, tables: dict[str, pd.DataFrame]) -> None:

@@ -11,7 +11,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from ..cli.calls import described, printed, refused
+from ..cli.calls import refused
 from .claim_files import save_run
 
 STUDY = """\
@@ -53,21 +53,6 @@ def test_engines_alike_in_one_condition_and_apart_in_another(study: str, tmp_pat
     assert apart["p_equivalent"] == 1 and apart["p_different"] == pytest.approx(2 / 252)
     assert apart["p_different_corrected"] == pytest.approx(4 * 2 / 252)
     assert report["seeds"] == 5 and report["steps"] == 1024
-
-
-def test_the_command_tells_every_condition_and_outcome(study: str, tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    save_runs(store, study, "batched", {"alike": 0.0, "apart": 0.0})
-    save_runs(store, study, "sb3", {"alike": 0.0, "apart": 0.2})
-    command = ("bench", "equivalence", study, "--results", store.root)
-    lines = printed(*command).splitlines()
-    assert lines[0] == "both engines: 5 seeds by each engine, 1,024 steps a run"
-    at = lines.index("apart, final-share-killed: batched 0.4200, sb3 0.2200")
-    assert lines[at + 1].startswith("    difference +0.2000 (95 % interval +0.")
-    assert lines[at + 2] == "    within half a monster: p = 1"
-    assert lines[at + 3].startswith("    different at all: p = 0.01, 0.03 after Holm's correction")
-    document = described(*command, "--json")
-    assert document["schema"] == 1 and len(document["rows"]) == 4
 
 
 def test_what_is_missing_is_said_with_the_command_that_trains_it(study: str, tmp_path: Path) -> None:

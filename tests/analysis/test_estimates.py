@@ -39,10 +39,6 @@ def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None
     assert math.isnan(estimates.probability_of_improvement([], [1]))
 
 
-def test_a_profile_is_the_share_strictly_above_each_threshold() -> None:
-    assert estimates.performance_profile([0, 2, 2, 5], [-1, 0, 2, 5]).tolist() == [1, 0.75, 0.25, 0]
-
-
 def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
     for estimate in ESTIMATES:
         with pytest.raises(ValueError, match="2 of 3 values are not finite"):

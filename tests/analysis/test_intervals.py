@@ -69,13 +69,6 @@ def test_leaving_out_some_runs_at_a_time_gives_the_same_bits(
     assert interval() == whole
 
 
-def test_a_bootstrap_draws_from_its_generator_alone() -> None:
-    first, again = (
-        intervals.bootstrap_interval(RUNS, mean, np.random.default_rng(7), resamples=100) for _ in range(2)
-    )
-    assert first == again
-
-
 def test_deviations_scale_and_their_ratio_turns_over() -> None:
     own, tripled = intervals.deviation_interval(RUNS), intervals.deviation_interval(3 * RUNS - 5)
     assert ends(tripled) == pytest.approx((3 * own.low, 3 * own.high))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis import two_arms
+from pneuma.analysis import pvalues
 from pneuma.analysis.factorial import factorial
-from pneuma.analysis.permutation import relabel
 from pneuma.analysis.power import seeds_needed
+from pneuma.analysis.pvalues import relabel
 from pneuma.analysis.sequential import decide, make_stages
 
 
@@ -27,7 +27,7 @@ def test_the_seeds_asked_for_decide_with_the_power_asked_for() -> None:
     assert needed is not None and 16 <= needed <= 18
     generator = np.random.default_rng(2)
     a, b = generator.normal(size=(2, 1_500, needed)) + [[[1.0]], [[0.0]]]
-    p = two_arms.mean_p_values(a, b, None, relabel(needed, needed, generator, draws=1_000))
+    p = pvalues.mean_p_values(a, b, None, relabel(needed, needed, generator, draws=1_000))
     assert (2 * p.greater <= 0.05).mean() == pytest.approx(0.8, abs=0.04)
 
 

@@ -66,35 +66,35 @@ def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
     assert "budget not reached: high has runs of 512 steps, not of 1,024 steps" in reason
 
 
-def test_runs_that_were_never_trained_reach_no_budget(store: Store, tmp_path: Path) -> None:
-    """A selection is recorded before its first run is."""
+def test_arms_at_the_ceiling(store: Store, tmp_path: Path) -> None:
     write_files(tmp_path)
-    study = load_study(str(tmp_path / "mine.toml"))
-    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
-    store.save_selection("mine", selection_record(plan))
-    reason = _untestable(store, tmp_path)
-    assert "no runs: high, 8 seeds of 1,024 steps" in reason and "budget" not in reason
+    save_runs(store, tmp_path, {"high": [1 - k / 1000 for k in range(8)], "low": [1.0] * 8})
+    assert "both arms are at the ceiling" in _untestable(store, tmp_path, ('"greater"', '"equal"'))
 
 
-@pytest.mark.parametrize(("share", "end"), [(0.0, "floor"), (1.0, "ceiling")])
-def test_arms_at_the_floor_or_ceiling(share: float, end: str, store: Store, tmp_path: Path) -> None:
+@pytest.mark.parametrize("direction", ["greater", "equal"])
+def test_arms_of_which_none_beats_the_random_player(direction: str, store: Store, tmp_path: Path) -> None:
+    """Half of either arm's runs lie above it and half below, however many they are and far apart."""
     write_files(tmp_path)
-    near = [abs(share - k / 1000) for k in range(8)]
-    save_runs(store, tmp_path, {"high": near, "low": [share] * 8})
-    assert f"both arms are at the {end}" in _untestable(store, tmp_path, ('"greater"', '"equal"'))
+    around = [0.02 * (-1) ** k * (1 + k % 4) for k in range(8)]
+    save_runs(store, tmp_path, {"high": around, "low": around[::-1]})
+    reason = _untestable(store, tmp_path, ('"greater"', f'"{direction}"'))
+    assert reason == "arms at floor: none of high, low is shown to play better than the random player"
+    learned = Store(tmp_path / "learned")
+    save_runs(learned, tmp_path, {"high": HIGH, "low": around})
+    assert judge_one(learned, tmp_path).verdict == "supported"  # one that learned is enough
 
 
 def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: Path) -> None:
-    """Those that learn go up and down; of the flat ones half rise above the random player, then one more."""
+    """Those that learn go up and down; the flat ones do as the random player does."""
     write_files(tmp_path)
     changes = ('"final-share-killed"', '"curve-roughness"'), ('"greater"', '"less"')
     rough = [[0.2, 0.6, share] for share in LOW]
-    flat = [[0.0, 0.0, 0.0]] * 4
-    save_runs(store, tmp_path, {"high": [*flat, *[[0.1, 0.2, 0.3]] * 4], "low": rough})
+    save_runs(store, tmp_path, {"high": [[0.0, 0.0, 0.0]] * 8, "low": rough})
     reason = _untestable(store, tmp_path, *changes)
-    assert reason == "arm at floor: half the runs of high or more never score above 0.1"
+    assert reason == "arm at floor: high is not shown to play better than the random player"
     risen = Store(tmp_path / "risen")
-    save_runs(risen, tmp_path, {"high": [*flat[1:], *[[0.1, 0.2, 0.3]] * 5], "low": rough})
+    save_runs(risen, tmp_path, {"high": [[0.1, 0.2, 0.3]] * 8, "low": rough})
     assert judge_one(risen, tmp_path, changed(*changes)).verdict == "supported"
 
 

@@ -81,13 +81,6 @@ def test_what_claims_fix_can_be_published_whatever_was_run_last(
     assert after == json.loads(told.replace('--preset claims"', '--preset claims --unpublished"'))
 
 
-def test_one_claim_in_one_setting_is_judged_like_all(command: list[str], capsys: Captured) -> None:
-    every = _document(capsys, *command)
-    one = _document(capsys, *command, "better", "--world", "text")
-    assert one["claims"] == every["claims"][:1]
-    assert one["contrasts"] == every["contrasts"]
-
-
 def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     assert main(command) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from pneuma.cli import main
@@ -36,7 +35,7 @@ class Called(NamedTuple):
         return json.loads(self.out)
 
 
-def call(*arguments: str | Path) -> Called:
+def call(*arguments: object) -> Called:
     """Run `pneuma` with these words."""
     data, err = io.BytesIO(), io.StringIO()  # tables are written as bytes
     out = io.TextIOWrapper(data, encoding="utf-8", newline="", write_through=True)
@@ -45,19 +44,19 @@ def call(*arguments: str | Path) -> Called:
     return Called(code, data.getvalue().decode(), err.getvalue())
 
 
-def printed(*arguments: str | Path) -> str:
+def printed(*arguments: object) -> str:
     """Run a command that must go well; return what it printed."""
     code, out, err = call(*arguments)
     assert code == 0, err
     return out
 
 
-def described(*arguments: str | Path) -> Any:
+def described(*arguments: object) -> Any:
     """Run a command that must go well; return the JSON document that it printed."""
     return json.loads(printed(*arguments))
 
 
-def refused(*arguments: str | Path) -> str:
+def refused(*arguments: object) -> str:
     """Run a command that must be refused; return the one line that it says, after its name."""
     code, out, err = call(*arguments)
     assert (code, out) == (2, "")

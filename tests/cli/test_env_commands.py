@@ -111,7 +111,7 @@ def test_the_whole_map_is_drawn(tmp_path: Path) -> None:
 
 def test_an_episode_is_four_frames_a_step_and_one(tmp_path: Path) -> None:
     out = tmp_path / "run.gif"
-    arguments = ["--episode", "--player", "hunter", "--set", "episode_steps=5", "--out", str(out)]
+    arguments = ["--player", "hunter", "--set", "episode_steps=5", "--out", str(out)]
     assert main(["env", "render", "pneuma/Pneuma-v0", *arguments]) == 0
     with Image.open(out) as video:
         assert getattr(video, "n_frames", 1) == 5 * 4 + 1
@@ -264,7 +264,6 @@ MISTAKES: list[tuple[list[str], str]] = [
     ([*RENDER, "nowhere/map.png"], "there is no folder nowhere"),
     ([*RENDER, "/proc/map.png"], "/proc/map.png: cannot be written"),
     ([*RENDER, "map.png", "--camera", "mop"], "did you mean map?"),
-    ([*RENDER, "map.png", "--episode"], "--episode is for videos"),
     ([*RENDER, "map.png", "--player", "hunter"], "--player hunter is for videos"),
     ([*RENDER, "map.gif", "--player", "nobody"], "--player nobody"),
     ([*RENDER, "map.png", "--set", "clases=tank"], "did you mean classes?"),

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 HEAVY = ("torch", "jax", "numba", "pandas", "matplotlib", "optuna")
+"""Typer itself loads pydantic for a command with options, but not for the list of commands."""
 
 STATEMENTS = {
     "import pneuma": "import pneuma",
@@ -21,6 +22,7 @@ STATEMENTS = {
 
 @pytest.mark.parametrize("what", STATEMENTS)
 def test_nothing_heavy_is_loaded(what: str) -> None:
-    code = f"{STATEMENTS[what]}\nimport sys\nprint('loaded:', *sorted(set({HEAVY}) & set(sys.modules)))"
+    heavy = HEAVY if what.startswith("pneuma ") and what != "pneuma --help" else (*HEAVY, "pydantic")
+    code = f"{STATEMENTS[what]}\nimport sys\nprint('loaded:', *sorted(set({heavy}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded:"

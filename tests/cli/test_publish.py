@@ -95,7 +95,7 @@ def test_runs_that_another_study_has_published_are_found_in_its_table(
     tiny = [part for part in TINY if part not in ("--condition", "tanh", "relu")]
     ours = ["--condition", "table-6-2", "--condition", "lambda-1", "--seeds", "2", *tiny]
     shutil.rmtree(results / "runs")
-    for words in (("run", "--unpublished"), ("plan", "--no-calibrate", "--unpublished")):
+    for words in (("run", "--unpublished"), ("plan", "--unpublished")):
         called = call("study", words[0], "policy-gradient", *ours, *words[1:], "--results", results)
         assert called.code == 0
     assert called.out.splitlines()[-1] == "2 stored, 2 published."
@@ -140,7 +140,7 @@ def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> 
     called = call("study", "run", *rest, "--seeds", "2", "--json")
     assert called.code == 0 and called.document == {"schema": 1, "study": "activation", "runs": []}
     assert "nothing to train" in called.err and "Draw it" not in called.err
-    planned = call("study", "plan", *rest, "--seeds", "3", "--no-calibrate", "--json").document["runs"]
+    planned = call("study", "plan", *rest, "--seeds", "3", "--json").document["runs"]
     assert [(run["seed"], run["state"]) for run in planned if run["condition"] == "tanh"] == [
         (0, "published"), (1, "published"), (2, "to-train"),
     ]  # fmt: skip

@@ -18,7 +18,7 @@ from pneuma.analysis.trajectories import encode_trajectories, gathered, trajecto
 from pneuma.cli import main
 from pneuma.config import as_settings, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.figures.judged import MEANINGS, PLACES
+from pneuma.figures.verdict_words import MEANINGS, PLACES
 from pneuma.study import spec
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store

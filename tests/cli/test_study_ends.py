@@ -12,7 +12,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
-from .calls import call
+from .calls import SMALL_RUN, call
 
 
 @pytest.mark.parametrize("as_json", [False, True])
@@ -57,25 +57,34 @@ def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch:
     assert len(called.err.splitlines()) == 1
 
 
-def test_a_plan_tells_runs_that_failed_apart(tmp_path: Path) -> None:
-    plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "2", "--no-calibrate")
+def test_a_plan_has_a_line_for_each_condition_and_tells_runs_that_failed_apart(tmp_path: Path) -> None:
+    plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "2")
     crashed, _ = call(*plan, "--json", "--results", tmp_path).document["runs"]
     Store(tmp_path).save_run(crashed["run_id"], Status("crashed", 64), {})
     document = call(*plan, "--json", "--results", tmp_path).document
     assert [run["state"] for run in document["runs"]] == ["failed", "to-train"]
-    told = call(*plan, "--results", tmp_path).out
-    assert "crashed: --retry-failed trains it again" in told
-    assert "\n1 failed, 1 to train.\n" in told
+    assert [run["expected_seconds"] is None for run in document["runs"]] == [True, False]
+    *_, condition, total, cost = call(*plan, "--results", tmp_path).out.splitlines()
+    assert condition.split()[:4] == ["tanh", "2", "x", "50,176"]
+    assert "1 failed before, 1 to train" in condition and total == "1 failed before, 1 to train."
+    assert "a rough estimate: --calibrate measures" in cost and "MB of disk" in cost
 
 
 @pytest.mark.slow
-def test_a_plan_measures_what_no_stored_run_tells(tmp_path: Path) -> None:
+def test_a_plan_measures_where_it_is_asked_to(tmp_path: Path) -> None:
     plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "1", "--results", tmp_path)
-    (run,) = call(*plan, "--json").document["runs"]
-    assert run["state"] == "to-train"
-    assert run["expected_seconds"] > 1  # 50,000 steps: no machine is that fast
-    again = call(*plan)
-    assert "measuring" not in again.err  # it is kept
-    assert "To train: about" in again.out and "MB of disk" in again.out
-    unknown = call(*plan, "--set", "horizon=300", "--no-calibrate")
-    assert unknown.out.endswith("; how long it takes is not known, as no run like these was timed.\n")
+    called = call(*plan, "--calibrate")
+    assert "measuring how fast batched trains" in called.err and "rough" not in called.out
+
+
+def test_status_says_both_of_a_damaged_run_that_is_published(tmp_path: Path) -> None:
+    study = tmp_path / "small.toml"
+    head = 'title = "Small"\nbase = "table-6-2"\n'
+    study.write_text(f"{head}{SMALL_RUN}[conditions.one]\n[presets.quick]\nseeds = 1\nsteps = 128\n")
+    words = (study, "--results", tmp_path / "results")
+    assert call("study", "run", *words, "--quiet").code == 0
+    assert call("study", "publish", *words).code == 0
+    (metrics,) = (tmp_path / "results").glob("runs/*/metrics.parquet")
+    metrics.write_bytes(b"")
+    told = call("study", "status", *words).out
+    assert "done as published, damaged here" in told

@@ -125,7 +125,6 @@ def test_seeds_are_a_count_or_a_list(text: str, seeds: list[int], tmp_path: Path
         "--json",
         "--results",
         tmp_path,
-        "--no-calibrate",
     )
     assert [run["seed"] for run in called.document["runs"]] == seeds
 

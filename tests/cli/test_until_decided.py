@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pneuma import until_decided
-from pneuma.analysis.adaptive import experiments, looks_of, looks_that_count
+from pneuma.analysis.sequential import looks_that_count
 from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study import execute
@@ -24,13 +23,6 @@ from pneuma.until_decided import compared, run_until_decided
 from .calls import SMALL_RUN
 
 STUDY = "activation"
-
-
-@dataclass(frozen=True)
-class Opened:
-    """Stands in for a study's data: its name."""
-
-    study: str
 
 
 class Written:
@@ -68,22 +60,6 @@ def test_it_stops_as_soon_as_all_is_decided(monkeypatch: pytest.MonkeyPatch, tmp
     assert len(record["runs"]) == 3 * 20
 
 
-def test_a_study_that_was_stopped_still_tells_that_its_seeds_came_by_looking(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    study, store = load_study(STUDY), Store(tmp_path)
-    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.2))
-
-    def stopped_at_the_second_stage(planned: Plan) -> bool:
-        execute.prepare(planned, store)
-        return written.train(planned) and len(planned.seeds) == 10
-
-    looks = list(run_until_decided(study, Selection(), 40, store, stopped_at_the_second_stage))
-    record = store.selection(STUDY)
-    assert len(looks) == 1 and record is not None and len(record["runs"]) == 3 * 20
-    assert [look["seeds"] for look in record["adaptive"]["looks"]] == [10]
-
-
 def test_a_study_whose_seeds_came_by_looking_says_so_while_it_goes_on_and_no_other_does(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,7 +68,7 @@ def test_a_study_whose_seeds_came_by_looking_says_so_while_it_goes_on_and_no_oth
     next(run_until_decided(study, Selection(), 40, store, written.train))
     execute.prepare(make_plan(study, Selection(seeds=tuple(range(20)))), store)  # killed thereafter, say
     record = store.selection(STUDY)
-    assert record is not None and looks_of(record) == (10,)
+    assert record is not None and looks_that_count(record) == (10,)
     assert main(["study", "status", STUDY, "--results", str(tmp_path)]) == 0
     looked = "seeds were added by --until-decided, which looked at 10 of them"
     assert looked in capsys.readouterr().out
@@ -113,39 +89,10 @@ def test_the_error_rate_is_spent_once(monkeypatch: pytest.MonkeyPatch, tmp_path:
         next(run_until_decided(study, Selection(), 40, store, written.train))
     again = run_until_decided(study, Selection(), 20, store, written.train)
     assert next(again).stage.seeds == 10
-    assert looks_of(store.selection(STUDY) or {}) == (10, 20)  # the second look was made, repeated or not
     assert [10, *(look.stage.seeds for look in again)] == looks  # the same looks at the same runs
     one = Selection(conditions=(study.baseline, list(study.conditions)[-1]))
     with pytest.raises(UserError, match="or --condition; looking again"):
         next(run_until_decided(study, one, 20, store, written.train))
-    others = replace(study.in_world("godot"), name=study.name)  # other runs
-    next(run_until_decided(others, Selection(), 40, store, written.train))
-    execute.prepare(make_plan(study, Selection(seeds=tuple(range(20)))), store)
-    assert looks_that_count(store.selection(STUDY) or {}) == (10, 20)  # of its own runs, not the latest
-    with pytest.raises(UserError, match="was looked at with 10, 20 seeds"):  # nor do these make it forgotten
-        next(run_until_decided(study, Selection(), 40, store, written.train))
-    again = run_until_decided(study, Selection(), 20, store, written.train)
-    assert [look.stage.seeds for look in again] == looks
-    with pytest.raises(UserError, match="was looked at with 10 seeds"):
-        next(run_until_decided(others, Selection(), 20, store, written.train))
-    record = store.selection(STUDY)
-    assert record is not None and len(experiments(record)) == 2 and looks_that_count(record) == (10, 20)
-
-
-def test_a_strangers_record_of_looks_is_no_traceback() -> None:
-    for strange in (3, {"looks": 3}, {"looks": [3]}, {"looks": [{"seeds": "all"}]}):
-        assert looks_of({"adaptive": strange}) == ()
-
-
-def test_what_no_run_has_cannot_decide(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    study = load_study(STUDY)
-    written = Written(monkeypatch, dict.fromkeys(study.conditions, np.nan))
-    monkeypatch.setattr(until_decided, "open_study", lambda store, record: Opened(STUDY))
-    monkeypatch.setattr(written, "_values", lambda *told: np.full(10, np.nan))
-    monkeypatch.setattr(until_decided, "outcome_values", written._values)
-    with pytest.raises(UserError, match="no run of study activation has"):
-        list(run_until_decided(study, Selection(), 40, Store(tmp_path), written.train))
-    assert written.trained == [10]
 
 
 def test_what_is_decided_stays_decided(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -159,17 +106,6 @@ def test_what_is_decided_stays_decided(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert looks[1].findings[0].contrast.effect < 0
 
 
-def test_what_is_too_close_stays_undecided_to_the_last_stage(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    study = load_study(STUDY)
-    written = Written(monkeypatch, dict.fromkeys(study.conditions, 0.4))
-    for values in written.values.values():
-        values *= 4
-    looks = list(run_until_decided(study, Selection(), 15, Store(tmp_path), written.train))
-    assert written.trained == [10, 15] and not looks[-1].decided
-
-
 def test_runs_without_the_outcome_are_left_out_and_counted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -180,11 +116,6 @@ def test_runs_without_the_outcome_are_left_out_and_counted(
     (look,) = run_until_decided(study, Selection(), 10, Store(tmp_path), written.train)
     assert [(f.left_out, f.contrast.seeds) for f in look.findings] == [(1, (10, 9))] * 2
     assert all(f.contrast.p_any < 1e-3 and f.decided == "" for f in look.findings)
-
-
-def test_a_stage_that_was_stopped_is_not_looked_at(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    Written(monkeypatch, {})
-    assert list(run_until_decided(load_study(STUDY), Selection(), 40, Store(tmp_path), lambda _: False)) == []
 
 
 def test_there_must_be_something_to_compare() -> None:
@@ -243,6 +174,7 @@ steps = 128
 """
 
 
+@pytest.mark.slow
 def test_the_command_trains_stage_by_stage_and_tells_each_look(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -35,7 +35,7 @@ def _document(captured: Captured, *arguments: str | Path) -> Any:
 
 
 def test_a_plan_in_godots_world_is_of_other_runs(tmp_path: Path, capsys: Captured) -> None:
-    command = ("study", "plan", "activation", "--no-calibrate", "--results", tmp_path)
+    command = ("study", "plan", "activation", "--results", tmp_path)
     text = _document(capsys, *command)
     godot = _document(capsys, *command, "--world", "godot")
     assert (text["study"], godot["study"]) == ("activation", "activation-godot")

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.config import make_env_config
 from pneuma.env.level import Level, load_level
+from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .arena import layer
@@ -40,7 +42,7 @@ def load(path: Path) -> Level:
 def complaint(path: Path) -> str:
     """Return what is said of a level that cannot be read."""
     with pytest.raises(UserError) as caught:
-        load(path)
+        Worlds(1, make_env_config({"level": str(path)}))
     message = str(caught.value)
     assert "\n" not in message
     return message

@@ -13,7 +13,7 @@ import pytest
 
 from pneuma.env.rules import ATTACK, COAST, DOWN, LEFT, RIGHT, SOLID, UP
 
-from .oracle_stage import QUIET, act, place_of, put, set_up, told
+from .oracle_stage import act, place_of, put, set_up, told
 
 TOUGH = "[monsters.bamboo]\nhp = 5000\n"
 STILL = f"{TOUGH}speed = 0\n"
@@ -42,57 +42,6 @@ def test_a_player_stops_where_it_touches_a_bamboo(
     assert (told(pair, "x"), told(pair, "y")) == ([end[0] + along[0]], [end[1] + along[1]])
 
 
-@pytest.mark.parametrize(
-    ("chosen", "beside", "end"),
-    [
-        ({}, 48.875, 556.0),
-        ({}, 49.0, 592.0),  # 16 ticks of 5 px: past it
-        ({}, 49.0 - 2**-11, 592.0),  # less than a hair inside
-        ({"bodies": "pass"}, 0.0, 592.0),
-    ],
-)
-def test_who_only_touches_passes(tmp_path: Path, chosen: dict[str, Any], beside: float, end: float) -> None:
-    pair = set_up(tmp_path, (590.0, 512.0 + beside), **chosen)
-    act(pair, RIGHT)
-    act(pair, RIGHT)
-    assert told(pair, "x") == [end]
-
-
-def test_who_is_inside_another_is_not_held(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (520.0, 512.0))
-    act(pair, RIGHT)
-    assert told(pair, "x") == [552.0]
-
-
-def test_the_dead_stop_nobody(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (590.0, 512.0))
-    pair.worlds.monsters["hp"], pair.worlds.worlds["monsters_left"] = 0, 0
-    pair.take_over()
-    act(pair, RIGHT)
-    act(pair, RIGHT)
-    assert told(pair, "x") == [592.0]
-
-
-def test_players_stop_each_other_in_their_order(tmp_path: Path) -> None:
-    # The first walks on as the second gives way; bodies touch 47 px apart.
-    pair = set_up(tmp_path, (112.0, 900.0), players=2)
-    put(pair, x=(512.0, 570.0), y=512.0)
-    act(pair, RIGHT, ATTACK)
-    assert told(pair, "x") == [523.0, 570.0]
-    put(pair, busy=0, armed=0)
-    act(pair, RIGHT, RIGHT)  # in each tick the first acts before the second has moved: 7 of 8 steps
-    assert told(pair, "x") == [558.0, 610.0]
-
-
-def test_a_player_bitten_to_death_is_in_the_way_until_the_tick_is_over(tmp_path: Path) -> None:
-    # The bamboo on the right chases the player on the left, past the one whom it bites in tick 1.
-    pair = set_up(tmp_path, (547.0, 512.0), players=2, characters="")
-    put(pair, hp=(7, 100), x=(512.0, 392.0), y=512.0)
-    act(pair, UP, ATTACK)  # upwards in tick 1: 5 px, still beside it
-    assert told(pair, "died") == [1, 0]
-    assert place_of(pair) == (546.0 - 7 * 2.5, 512.0)  # held at contact for one tick: 510.5 + 35.5
-
-
 # --- Chasing -----------------------------------------------------------------------------------------
 
 
@@ -116,15 +65,6 @@ def test_a_bamboo_comes_up_to_who_stands(
     assert place_of(pair) == end
 
 
-def test_bamboos_queue(tmp_path: Path) -> None:
-    """Two bamboos touch 24 px apart on x."""
-    pair = set_up(tmp_path, (620.0, 512.0), (700.0, 512.0), characters=TOUGH)
-    put(pair, facing=LEFT)
-    for _ in range(8):
-        act(pair, ATTACK)
-    assert (place_of(pair), place_of(pair, 1)) == ((546.0, 512.0), (570.0, 512.0))
-
-
 # --- Flying and biting -------------------------------------------------------------------------------
 
 
@@ -135,19 +75,6 @@ def test_a_bamboo_close_by_flies_from_the_hilt_until_bodies_touch(tmp_path: Path
     act(pair, ATTACK)
     assert pair.worlds.monsters["knock_x"].tolist() == [[-2.0]]
     assert place_of(pair) == (546.0, 526.0)
-
-
-def test_a_blow_in_flight_neither_turns_nor_lengthens_it(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (580.0, 526.0), characters=STILL, players=2)
-    put(pair, x=(512.0, 612.0), y=(512.0, 600.0), facing=(RIGHT, UP))
-    act(pair, ATTACK, RIGHT)
-    assert place_of(pair) == (596.0, 526.0)  # from (566, 526)
-    put(pair, x=(512.0, 612.0), y=(512.0, 600.0), facing=(RIGHT, UP))
-    act(pair, ATTACK, ATTACK)
-    assert told(pair, "hits") == [0, 1]
-    assert place_of(pair) == (612.0, 526.0)
-    assert pair.worlds.monsters["knocked"].tolist() == [[14]]
-    assert pair.worlds.monsters["hp"].tolist() == [[4960.0]]
 
 
 @pytest.mark.parametrize(("knocked", "hp"), [(False, [100, 100, 100, 93]), (True, [93, 93, 93, 93])])
@@ -258,31 +185,3 @@ def test_which_tiles_stop_whom(
     settings = set_up(tmp_path, (700.0, 512.0), **chosen).worlds.settings[0]
     assert settings["player_stops"] == sum(1 << code for code in players)
     assert settings["monster_stops"] == sum(1 << code for code in monsters)
-
-
-@pytest.mark.parametrize(("terrain_stops", "end"), [("all", 76.0), ("players", 12.0)])
-def test_the_edge_of_the_grid_stops_monsters_in_any_case(
-    tmp_path: Path, terrain_stops: str, end: float
-) -> None:
-    # The coast is 64 px wide; the bamboo's body reaches 12 px to the left.
-    pair = set_up(tmp_path, (100.0, 512.0), characters=STILL, terrain_stops=terrain_stops)
-    pair.worlds.monsters["knocked"], pair.worlds.monsters["knock_x"] = 30, -5.0
-    pair.take_over()
-    for _ in range(4):
-        act(pair, DOWN)
-    assert place_of(pair) == (end, 512.0)
-
-
-def test_facing_is_observed_right_after_the_player(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (700.0, 512.0), observe_facing=True, scale="raw")
-    put(pair, facing=UP)
-    seen = pair.worlds.observations[0, 0].tolist()
-    assert seen[:8] == [512.0, 512.0, 100.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-    assert seen[8] == 188.0  # to the monster
-
-
-def test_a_body_in_the_way_is_no_wall_to_a_mask(tmp_path: Path) -> None:
-    """It may be gone before the step is over."""
-    pair = set_up(tmp_path, (546.0, 512.0), characters=QUIET)
-    put(pair, facing=RIGHT)
-    assert pair.worlds.masks[0, 0, RIGHT] == 1

@@ -62,13 +62,6 @@ def test_every_number_of_a_class_reaches_the_rules(name: str) -> None:
     assert row["safe"] == 18  # 300 ms
 
 
-@pytest.mark.parametrize("name", WEAPONS)
-def test_every_number_of_a_weapon_reaches_the_rules(name: str) -> None:
-    damage, ticks = WEAPONS[name]
-    row = player_row(classes="mage", weapons=name)
-    assert (row["damage"], row["swing"]) == (7 + damage, ticks)  # a mage's attack is 7
-
-
 @pytest.mark.parametrize("name", MONSTERS)
 def test_every_number_of_a_monster_reaches_the_rules(zoo: str, name: str) -> None:
     hp, xp, attack, speed, knock_back, attack_radius, notice_radius = MONSTERS[name]
@@ -102,15 +95,6 @@ def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
     assert (bamboo["notice_squared"], bamboo["attack_squared"]) == (300**2, 40**2)
     assert (bamboo["xp"], bamboo["heal"], bamboo["safe"]) == (1, 7, 0)
     assert bamboo["knock_ticks"] == -1  # as the striker's weapon has it
-
-
-def test_each_player_has_its_own_class_and_weapon() -> None:
-    config = make_env_config(
-        {"players": 3, "classes": ["tank", "base", "mage"], "weapons": ["axe", "own", "own"]}
-    )
-    stats = Worlds(1, config).player_stats
-    assert stats["hp"].tolist() == [150, 100, 70]
-    assert stats["damage"].tolist() == [30, 20, 22]  # 10 + 20, blade 20, 7 + 15
 
 
 # --- A file of one's own -------------------------------------------------------------------------
@@ -201,12 +185,6 @@ def test_a_file_may_add_a_monster_that_levels_then_know(tmp_path: Path) -> None:
         Worlds(1, make_env_config({"level": level}))
 
 
-def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:
-    """A run's id follows the file's contents (design section 4): so must its world."""
-    assert player_row(characters=write(tmp_path, "[players.base]\nhp = 120\n"))["hp"] == 120
-    assert player_row(characters=write(tmp_path, "[players.base]\nhp = 130\n"))["hp"] == 130
-
-
 # --- Mistakes in it ------------------------------------------------------------------------------
 
 
@@ -260,25 +238,6 @@ def test_a_mistake_is_one_line_with_file_table_key_and_value(
     assert told in message
 
 
-def test_an_unknown_weapon_of_a_class_is_told_with_its_file(tmp_path: Path) -> None:
-    file = write(tmp_path, '[players.base]\nweapon = "blaed"\n')
-    message = complaint(file)
-    assert "'blaed' (did you mean blade?)" in message
-    assert message.startswith(f"{file}: [players.base] weapon")
-
-
-def test_a_spell_that_nobody_can_cast_is_refused(tmp_path: Path) -> None:
-    file = write(tmp_path, "[spells.frost]\nstrength = 5\ncost = 5\ncast = 0.4\n")
-    assert complaint(file).startswith(f"{file}: ")
-
-
-@pytest.mark.parametrize("code", [390, 400])
-def test_a_code_that_means_something_else_already_is_refused(tmp_path: Path, code: int) -> None:
-    file = write(tmp_path, f"[monsters.squid]\ncode = {code}\n")  # bamboo's, a start's
-    message = complaint(file)
-    assert message.startswith(f"{file}: [monsters.squid] code = {code}")
-
-
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
@@ -292,18 +251,6 @@ def test_an_unknown_class_or_weapon_is_told_the_nearest(settings: dict[str, obje
     assert str(caught.value).startswith(told) and "\n" not in str(caught.value)
 
 
-def test_a_missing_file_is_told_and_a_misspelt_variant_the_nearest(tmp_path: Path) -> None:
-    missing = str(tmp_path / "none.toml")
-    assert complaint(missing).startswith(f"characters '{missing}': no such file")
-    assert "did you mean pygame?" in complaint("pygmae")
-
-
-def test_a_file_that_is_no_text_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    assert complaint(str(path)) == f"{path}: cannot be read: it is not UTF-8 text"
-
-
 def test_what_nobody_has_leaves_a_space_that_has_room(tmp_path: Path) -> None:
     """Gymnasium warns of a box whose least is its greatest, such as of the energy of who has none."""
     file = write(tmp_path, "[players.base]\nenergy = 0\n[monsters.bamboo]\nxp = 0\n")
@@ -311,8 +258,3 @@ def test_what_nobody_has_leaves_a_space_that_has_room(tmp_path: Path) -> None:
     space = env.observation_space
     assert isinstance(space, gymnasium.spaces.Box) and (space.low < space.high).all()
     assert space.contains(env.reset(seed=0)[0])
-
-
-def test_a_file_may_be_named_by_its_path(tmp_path: Path) -> None:
-    path = Path(write(tmp_path, ROGUE))
-    assert make_env_config({"characters": path}) == make_env_config({"characters": str(path)})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from .arena import (
@@ -66,21 +65,6 @@ def test_an_attack_lasts_400_ms_and_the_weapons_cool_down(arena: str, weapon: st
     assert player_at(worlds) == (5.0, 0.0)
 
 
-def test_what_is_left_of_a_step_after_an_attack_is_walked(arena: str) -> None:
-    worlds = stage(arena, settings={"weapons": "sword"})  # 30 ticks: three steps and 6 ticks of the fourth
-    play(worlds, ATTACK, RIGHT, RIGHT, RIGHT)
-    assert player_at(worlds) == (10.0, 0.0)
-
-
-def test_each_player_strikes_with_its_own_weapon(arena: str) -> None:
-    worlds = stage(
-        arena, (54.0, 0.0), (-400.0, 354.0), still=True, ticks=1,
-        players=[(0.0, 0.0), (-454.0, 354.0)], settings={"classes": ["tank", "warrior"]},
-    )  # fmt: skip
-    play(worlds, ATTACK)
-    assert [monster_hp(worlds, m) for m in (0, 1)] == [15, 13]
-
-
 # --- Invulnerability -----------------------------------------------------------------------------
 
 
@@ -103,15 +87,6 @@ def test_after_a_bite_300_ms_pass_before_the_next_one_hurts(arena: str, pause: i
     play(worlds, STAND)
     assert player_hp(worlds) == (136 if hurts else 143)
     assert worlds.events["contacts"][0, 0] == 1  # it bites all the same, and again a second later
-
-
-def test_whoever_is_bitten_in_vain_waits_for_the_next_bite(arena: str) -> None:
-    worlds = stage(arena, (-30.0, 0.0), (-30.0, 10.0), ticks=1, still=True, settings={"classes": "tank"})
-    hp = []
-    for _ in range(121):
-        play(worlds, STAND)
-        hp.append(player_hp(worlds))
-    assert hp == [143] * 60 + [136] * 60 + [129]  # both bite in ticks 1, 61 and 121: one of them hurts
 
 
 def test_a_struck_spirit_is_safe_for_300_ms(zoo: str) -> None:
@@ -186,13 +161,3 @@ def test_a_kill_pays_what_each_kind_is_worth(zoo: str) -> None:
     assert worlds.events["kills"][0, 0] == 4
     assert worlds.players["xp"][0, 0] == 47
     assert player_hp(worlds) == 57
-
-
-def test_spirits_bite_again_after_400_ms(zoo: str) -> None:
-    worlds = stage(zoo, ticks=1, facing=UP, still=True)
-    move_monster(worlds, SPIRIT_OF_ZOO, 0.0, 60.0)
-    hp = []
-    for _ in range(49):
-        play(worlds, STAND)
-        hp.append(player_hp(worlds))
-    assert np.array_equal(hp, [98] * 24 + [96] * 24 + [94])  # 24 ticks

@@ -47,13 +47,6 @@ def test_where_no_folder_can_be_written_it_compiles_all_the_same(monkeypatch: py
     assert compiled(3.0) == 6.0 and compiled.stats.cache_path is None
 
 
-def test_where_one_can_it_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
-    compiled = cached(error_model="numpy")(double)
-    assert compiled(3.0) == 6.0
-    assert [path.suffix for path in sorted(tmp_path.rglob("*.nb?"))] == [".nbc", ".nbi"]
-
-
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """Return a folder with a copy of the package."""

@@ -12,7 +12,7 @@ from pneuma.env import rules
 from pneuma.env.level import Level, level_files, load_level, room_for_bodies
 from pneuma.errors import UserError
 
-from .arena import HEADER, layer, write_level
+from .arena import layer, write_level
 
 CODES = {390: "bamboo"}
 
@@ -70,11 +70,6 @@ def test_the_shipped_level_has_about_2900_by_2400_px_of_land(thesis: Level) -> N
     assert bottom - top == pytest.approx(2400, abs=64)
 
 
-def test_the_shipped_land_is_ringed_by_coast(thesis: Level) -> None:
-    edge = np.concatenate([thesis.terrain[[0, -1]].ravel(), thesis.terrain[:, [0, -1]].ravel()])
-    assert (edge == rules.COAST).all()
-
-
 def test_coordinates_begin_at_the_corner_of_the_origins_tile(folder: Path) -> None:
     level = load_level(str(folder), CODES)
     assert (level.left, level.top) == (-640.0, -640.0)  # tile (10, 10) of 64 px at the origin
@@ -98,27 +93,10 @@ def test_an_unknown_level_is_answered_with_the_nearest_name() -> None:
         load_level("thesiss", CODES)
 
 
-def test_a_folder_without_layers_is_told_what_it_needs(tmp_path: Path) -> None:
-    needed = "obstacles.csv, and entities.csv or objects.csv"
-    assert complaint(tmp_path) == f"level '{tmp_path}': the folder holds no layers: {needed}"
-
-
-def test_a_folder_in_which_nobody_stands_is_told_that_it_needs_somebody(folder: Path) -> None:
-    (folder / "objects.csv").unlink()
-    told = "no entities.csv and no objects.csv; one must say where players start"
-    assert complaint(folder) == f"{folder}: {told}"
-
-
 def test_a_path_may_begin_at_home(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(folder.parent))
     assert load_level("~/level", CODES).name == str(folder)
     assert level_files("~/level")[0].parent == folder
-
-
-@pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv"])
-def test_a_missing_layer_is_named(folder: Path, name: str) -> None:
-    (folder / name).unlink()
-    assert complaint(folder) == f"{folder / name}: no such layer"
 
 
 @pytest.mark.parametrize("name", ["ground.csv", "obstacles.csv"])
@@ -138,53 +116,9 @@ def test_an_unknown_code_is_named_with_the_known_ones(folder: Path) -> None:
     assert complaint(folder) == f"{folder / 'objects.csv'}, row 3: unknown code 399; known are 400, 390"
 
 
-@pytest.mark.parametrize("line", ["390,10", "390,ten,10", "bamboo,10,10", "390", "390,nan,10"])
-def test_a_line_of_objects_that_cannot_be_read_is_named(folder: Path, line: str) -> None:
-    replace_line(folder / "objects.csv", 3, line)
-    assert complaint(folder) == f"{folder / 'objects.csv'}, row 3: expected code,x,y"
-
-
 def test_a_level_without_a_start_is_refused(folder: Path) -> None:
     (folder / "objects.csv").write_text("code,x,y\n390,10,10\n")
     assert complaint(folder) == f"{folder / 'objects.csv'}: no start place (code 400)"
-
-
-def test_a_walled_in_monster_is_named(tmp_path: Path) -> None:
-    # The monster is in tile (13, 13); its four neighbours are obstacles, the diagonals are open.
-    walls = [(12, 13), (14, 13), (13, 12), (13, 14)]
-    folder = Path(write_level(tmp_path / "level", [(0.0, 0.0)], [(220.0, 220.0)], walls))
-    said = "the bamboo at 220,220 is walled in or off the land"
-    assert complaint(folder) == f"{folder / 'objects.csv'}: {said}"
-
-
-@pytest.mark.parametrize(
-    "place",
-    [(600.0, 0.0), (10_000.0, 0.0), (-10_000.0, -10_000.0)],
-    ids=["on the coast", "right of the grid", "above it"],
-)
-def test_nobody_may_stand_off_the_land(tmp_path: Path, place: tuple[float, float]) -> None:
-    for starts, monsters in (([(0.0, 0.0)], [place]), ([place], [(0.0, 0.0)]), ([(0.0, 0.0), place], [])):
-        folder = Path(write_level(tmp_path / "level", starts, monsters))
-        assert "walled in or off the land" in complaint(folder)
-
-
-@pytest.mark.parametrize(
-    ("key", "land"),
-    [
-        ("title", (-576.0, -576.0, 576.0, 576.0)),
-        ("tile", (-576.0, -576.0, 576.0, 576.0)),  # 64 px
-        ("origin", (-576.0, -576.0, 576.0, 576.0)),  # the middle of 20 x 20 tiles is the corner (10, 10)
-        ("coast", (-576.0, -576.0, 576.0, 576.0)),  # code 0, which is drawn as water
-    ],
-)
-def test_a_key_that_the_header_leaves_out_has_its_default(
-    folder: Path, key: str, land: tuple[float, ...]
-) -> None:
-    kept = [line for line in HEADER.splitlines() if not line.startswith(key)]
-    (folder / "level.toml").write_text("\n".join(kept))
-    level = load_level(str(folder), CODES)
-    assert level.land == land
-    assert level.title == ("level" if key == "title" else "Arena")  # the folder's name
 
 
 @pytest.mark.parametrize(
@@ -200,12 +134,6 @@ def test_what_is_drawn_as_water_is_the_coast_unless_said_otherwise(
 ) -> None:
     (folder / "level.toml").write_text(header)
     assert load_level(str(folder), CODES).land == (-land, -land, land, land)
-
-
-def test_an_unknown_key_of_the_header_is_named_with_its_line(folder: Path) -> None:
-    (folder / "level.toml").write_text(HEADER.replace("coast", "coasts"))
-    message = complaint(folder)
-    assert message.startswith(f"{folder / 'level.toml'}, line 4: ") and "did you mean coast?" in message
 
 
 # --- Room for bodies -----------------------------------------------------------------------------

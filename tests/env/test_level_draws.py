@@ -8,15 +8,9 @@ import pytest
 from pneuma.config import SCALES, make_env_config
 from pneuma.env.worlds import Worlds
 
-from .arena import TOLD_ARRAYS, begin, bits, play
+from .arena import TOLD_ARRAYS, begin, bits
 
 LEVEL = "random:train:5"
-
-
-def test_levels_are_numbered_from_the_first_on() -> None:
-    worlds = Worlds(1, make_env_config({"level": LEVEL, "random_levels": 3}))
-    assert [level.name for level in worlds.levels] == [f"random:train:{number}" for number in (5, 6, 7)]
-    assert worlds.monster_stats.shape == (3, 14)
 
 
 def test_an_episode_draws_its_level_and_then_its_start() -> None:
@@ -31,25 +25,11 @@ def test_an_episode_draws_its_level_and_then_its_start() -> None:
     assert drawn == [(3, 2), (0, 5)]
 
 
-def test_a_single_level_draws_no_number() -> None:
-    worlds = begin(3, level=LEVEL)
-    assert worlds.worlds["draws"].tolist() == [1, 1, 1]  # for the start
-
-
 def test_levels_are_drawn_uniformly() -> None:
     worlds = begin(2000, level=LEVEL, random_levels=4)
     counts = np.bincount(worlds.worlds["level"], minlength=4)
     # 500 of each expected; chi-square with 3 degrees of freedom is above 16.3 once in a thousand.
     assert ((counts - 500) ** 2 / 500).sum() < 16.3
-
-
-def test_a_chosen_start_leaves_the_level_to_chance() -> None:
-    worlds = Worlds(30, make_env_config({"level": LEVEL, "random_levels": 3}))
-    worlds.seed(range(30))
-    worlds.reset(starts=np.full(30, 2))
-    for world, level in enumerate(worlds.worlds["level"].tolist()):
-        assert worlds.players[["x", "y"]][world, 0].tolist() == tuple(worlds.levels[level].starts[2])
-    assert set(worlds.worlds["level"].tolist()) == {0, 1, 2}
 
 
 def test_a_world_plays_as_on_its_level_alone() -> None:
@@ -69,18 +49,6 @@ def test_a_world_plays_as_on_its_level_alone() -> None:
                 here, there = getattr(worlds, name)[0], getattr(company, name)[world]
                 assert bits(here) == bits(there), name
     assert len(set(company.worlds["level"].tolist())) == 3
-
-
-def test_observations_of_all_levels_share_a_scale_and_a_space() -> None:
-    worlds = begin(12, level=LEVEL, random_levels=4)
-    generator = np.random.default_rng(0)
-    for _ in range(200):
-        play(worlds, int(generator.integers(5)))
-        assert (worlds.observations >= worlds.space.low).all()
-        assert (worlds.observations <= worlds.space.high).all()
-    # The grid spans -1792 … 1856: its middle is 32, its half 1824.
-    expected = (worlds.players["x"][:, 0] - 32) / 1824
-    assert worlds.observations[:, 0, 0] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("scale", SCALES)

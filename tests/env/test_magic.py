@@ -10,11 +10,9 @@ from collections.abc import Mapping
 
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 
 from .arena import (
-    ATTACK,
     DOWN,
     FLAME,
     HEAL,
@@ -24,7 +22,6 @@ from .arena import (
     Place,
     monster_at,
     monster_hp,
-    move_monster,
     play,
     player_at,
     player_hp,
@@ -61,13 +58,6 @@ def masked(worlds: Worlds) -> list[int]:
 # --- Actions -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("magic", "actions"), [(False, 5), (True, 7)])
-def test_there_are_seven_actions_only_with_magic(magic: bool, actions: int) -> None:
-    worlds = Worlds(1, make_env_config({"magic": magic}))
-    assert worlds.action_space.n == actions
-    assert worlds.masks.shape == (1, 1, actions)
-
-
 # --- Flame ---------------------------------------------------------------------------------------
 
 
@@ -101,14 +91,6 @@ def test_a_flame_burns_every_monster_once_and_knocks_nobody_back(arena: str) -> 
     assert worlds.monsters["knocked"][0].tolist() == [0] * 4
 
 
-def test_a_flame_burns_in_the_tick_in_which_it_is_cast(arena: str) -> None:
-    worlds = cast(arena, ticks=1)
-    play(worlds, FLAME)
-    move_monster(worlds, 0, 100.0, 0.0)
-    play(worlds, RIGHT)
-    assert monster_hp(worlds) == 40
-
-
 @pytest.mark.parametrize(
     ("name", "hp"),
     [("base", 31), ("tank", 30), ("mage", 29), ("warrior", 31)],  # 40 - 5 - magic of 4, 5, 6, 4
@@ -117,23 +99,6 @@ def test_a_flame_is_as_strong_as_its_casters_magic(arena: str, name: str, hp: fl
     worlds = cast(arena, (100.0, 0.0), settings={"classes": name})
     play(worlds, FLAME)
     assert monster_hp(worlds) == hp
-
-
-def test_a_flame_tells_hits_and_pays_for_kills(arena: str) -> None:
-    worlds = cast(arena, (100.0, 0.0), (200.0, 0.0))
-    worlds.monsters["hp"][0, 0] = 9
-    play(worlds, FLAME)
-    assert (worlds.events["hits"][0, 0], worlds.events["kills"][0, 0]) == (2, 1)
-    assert (worlds.players["xp"][0, 0], worlds.players["kills"][0, 0]) == (1, 1)
-    assert worlds.worlds["monsters_left"][0] == 3
-
-
-def test_a_sword_hits_whom_a_flame_has_burnt(arena: str) -> None:
-    worlds = cast(arena, (54.0, 0.0))
-    play(worlds, FLAME, *[RIGHT] * 2)
-    assert player_at(worlds) == (0.0, 0.0)
-    play(worlds, ATTACK)
-    assert monster_hp(worlds) == 40 - 9 - 20
 
 
 # --- Heal ----------------------------------------------------------------------------------------
@@ -148,14 +113,6 @@ def test_healing_gives_20_hp_up_to_full(arena: str, before: float, after: float)
     assert worlds.events["hp_gained"][0, 0] == after - before
     play(worlds, HEAL, HEAL)  # still the same spell
     assert player_hp(worlds) == after
-
-
-def test_healing_comes_before_the_bites_of_its_tick(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0), settings={"magic": True}, ticks=1)
-    worlds.players["hp"] = 5
-    play(worlds, HEAL)  # 5 + 20 - 7
-    assert player_hp(worlds) == 18
-    assert (worlds.events["hp_gained"][0, 0], worlds.events["hp_lost"][0, 0]) == (20, 7)
 
 
 # --- Energy --------------------------------------------------------------------------------------
@@ -201,25 +158,6 @@ def test_energy_comes_back_by_magic_up_to_full(arena: str, name: str, full: floa
 
 
 # --- Masks ---------------------------------------------------------------------------------------
-
-
-def test_masks_tell_which_spells_can_be_paid(arena: str) -> None:
-    worlds = cast(arena)
-    assert masked(worlds) == [1, 1]  # at full HP too: a heal then still costs energy and time
-    worlds.players["energy"] = 15
-    assert masked(worlds) == [0, 1]
-    worlds.players["energy"] = 5
-    assert masked(worlds) == [0, 0]
-
-
-def test_no_spell_is_allowed_while_another_lasts(arena: str) -> None:
-    worlds = cast(arena)
-    worlds.players["hp"] = 10
-    told = []
-    for action in (HEAL, RIGHT, RIGHT):
-        play(worlds, action)
-        told.append(masked(worlds))
-    assert told == [[0, 0], [0, 0], [1, 1]]
 
 
 @pytest.mark.parametrize(("spell", "cost"), [(FLAME, 20), (HEAL, 10)])

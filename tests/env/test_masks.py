@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pneuma.env.single import PneumaEnv
-from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 
 from .arena import (
@@ -58,15 +57,6 @@ def test_walking_on_into_a_wall_already_faced_is_masked(arena: str, way: int, pl
     assert mask(worlds) == FREE  # it would turn
 
 
-def test_in_a_corner_only_the_faced_wall_is_masked(arena: str) -> None:
-    worlds = stage(arena, players=[(EAST, SOUTH)], facing=DOWN)
-    assert mask(worlds) == [0, 1, 1, 1, 1]
-
-
-def test_a_deadly_coast_stops_nobody(arena: str) -> None:
-    assert mask(stage(arena, players=[(EAST, 0.0)], facing=RIGHT, settings={"coast": "deadly"})) == FREE
-
-
 # --- Attacks -------------------------------------------------------------------------------------
 
 
@@ -88,21 +78,6 @@ def test_all_but_attack_is_masked_while_an_attack_lasts_through_the_step(
         play(worlds, ATTACK if not told else RIGHT)
         told.append(mask(worlds))
     assert told == [[0, 0, 0, 0, 1]] * masked + [FREE]
-
-
-def test_each_player_has_its_own_mask(arena: str) -> None:
-    worlds = stage(arena, players=[(EAST, 0.0), (0.0, 0.0), (100.0, 100.0)], facing=RIGHT)
-    worlds.players["busy"][0, 1] = 16
-    assert [mask(worlds, player) for player in range(3)] == [[1, 1, 1, 0, 1], [0, 0, 0, 0, 1], FREE]
-
-
-def test_an_idle_slot_may_only_attack(pit: str) -> None:
-    env = PneumaVectorEnv(2, level=pit, players=2, autoreset_mode="SameStep")
-    env.reset(seed=0, options={"start": 0})
-    env.state.players["hp"][0, 0] = 7
-    env.step(np.array([LEFT, LEFT]))
-    *_, infos = env.step(np.array([LEFT, LEFT]))
-    assert infos["action_mask"].tolist() == [[0, 0, 0, 0, 1], FREE]
 
 
 # --- Any state: what is masked does nothing, what is not does something --------------------------

@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.env import paths, rules
 from pneuma.env.level import Level
-from pneuma.env.paths import NOWHERE, Body, Ways, spot
+from pneuma.env.paths import Body, Ways, spot
 
 from .arena import DOWN, LEFT, RIGHT, UP, begin
 
@@ -47,12 +47,6 @@ def test_lengths_count_tiles_around_what_is_closed() -> None:
     found = lengths(ways, (32, 224), (32, 224), (160, 160), (480, 32))
     assert found == [0, 3, 5 + 3 + 2]
     assert lengths(ways, (480, 288), (32, 288)) == [1 + 7 + 1]  # along row 3, around the coast
-
-
-def test_nowhere_leads_to_where_a_body_does_not_fit() -> None:
-    """Among tiles of 32 px a body needs two abreast: the gap of one is closed to it."""
-    ways = Ways([rooms(32.0)], BODY, WALLS, False)
-    assert lengths(ways, (16, 16), (32, 32), (224, 32), (224, 144)) == [0, 6, NOWHERE]
 
 
 def test_fields_that_are_too_many_are_forgotten_and_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,11 +94,6 @@ def test_a_plan_leads_through_a_gap_that_steps_of_its_length_miss() -> None:
             assert there is not None
             place = there
     assert place[1] >= 192  # a tile from the goal at most
-
-
-def test_no_plan_is_made_to_where_no_way_leads() -> None:
-    ways = Ways([rooms(32.0)], BODY, WALLS, False)
-    assert ways.plan(0, (32.0, 32.0), (32.0, 144.0), REACH) == {}
 
 
 def test_levels_have_ways_of_their_own() -> None:

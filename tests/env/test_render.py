@@ -5,10 +5,7 @@ The arena's grid spans -640 … 640 on both axes, so that the art pixel of a pla
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +16,7 @@ from pneuma.env.render import Renderer, ground_kinds
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import DOWN, LEFT, RIGHT, UP, begin, stage
+from .arena import ATTACK, DOWN, LEFT, RIGHT, UP, begin, play, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
 BODY = 12  # no picture of a body reaches further from its centre
@@ -95,31 +92,6 @@ def test_bar_over_a_monster_is_as_long_as_its_hp(arena: str, hp: float, length: 
     assert count_colour(bare(worlds), sprites.RED) == length
 
 
-def test_panel_shows_hp_in_its_bar(arena: str) -> None:
-    """At 720 px the panel's bar is twice as large as art pixels, and 48 of them wide and 3 high."""
-    worlds = stage(arena)
-    renderer = Renderer(worlds, size=(720, 640))
-    full = count_colour(renderer.frame(), sprites.GOLD)
-    worlds.players["hp"] = 50.0
-    over_the_head = 12 // 2 * 2 * 2
-    assert full == 48 * 3 * 2 * 2
-    assert count_colour(renderer.frame(), sprites.GOLD) == full // 2 + over_the_head
-
-
-@pytest.mark.parametrize("camera", ["map", "follow"])
-@pytest.mark.parametrize("size", [(640, 640), (200, 150), None])
-def test_panel_hides_nothing(arena: str, camera: str, size: tuple[int, int] | None) -> None:
-    """It is a strip above the picture, of the same height to the end."""
-    worlds = stage(arena, players=((-560.0, -560.0),))
-    plain, told = (Renderer(worlds, camera, size, panel=panel) for panel in (False, True))
-    height = plain.size[1]
-    for ending in (rules.RUNNING, rules.TIME_LIMIT):
-        worlds.worlds["ending"], worlds.worlds["steps"] = ending, 1000
-        frame = told.frame()
-        assert frame.shape[:2] == told.size[::-1]
-        np.testing.assert_array_equal(frame[-height:], plain.frame())
-
-
 def test_panel_counts_monsters_steps_and_xp(arena: str) -> None:
     worlds = stage(arena)
     renderer = Renderer(worlds)
@@ -135,19 +107,6 @@ def test_panel_counts_monsters_steps_and_xp(arena: str) -> None:
         assert not np.array_equal(renderer.frame(), before)
         array[field] = old
     np.testing.assert_array_equal(renderer.frame(), before)
-
-
-def test_who_is_further_south_stands_in_front(arena: str) -> None:
-    """Of two players of which one covers the other's feet, the lower one is seen whole."""
-    alone = bare(stage(arena, players=((0.0, 20.0), (300.0, -300.0))))
-    behind = bare(stage(arena, players=((0.0, 20.0), (0.0, 0.0))))
-    x, y = changed(alone, behind)
-    near = abs(x - MIDDLE) <= BODY
-    figure = sprites.player_picture(0, "right", "stand")[..., 3] > 0
-    top, left = (640 + 20 + 26) // 4 + 1 - 16, MIDDLE - 8  # its feet are 26 px below its place
-    for column, row in zip(x[near] - left, y[near] - top, strict=True):
-        inside = 0 <= row < 16 and 0 <= column < 16
-        assert not (inside and figure[row, column])
 
 
 def test_bite_flashes_and_hit_monster_flashes(arena: str) -> None:
@@ -199,26 +158,6 @@ def test_following_camera_is_the_map_around_the_player(
     np.testing.assert_array_equal(Renderer(worlds, "follow", panel=False).frame(), expected)
 
 
-def test_map_smaller_than_the_frame_lies_in_the_middle_of_the_sea(arena: str) -> None:
-    worlds = stage(arena, players=((0.0, 0.0),))
-    frame = Renderer(worlds, "follow", size=(1600, 704), panel=False).frame()  # at 4 x 400 x 176 are seen
-    inner = bare(worlds)[MIDDLE - 88 : MIDDLE + 88].repeat(4, 0).repeat(4, 1)
-    np.testing.assert_array_equal(frame[:, 160:-160], inner)
-    sea = np.concatenate([frame[:, :160], frame[:, -160:]], axis=1)
-    assert (sea == sea[0, 0]).all()
-
-
-def test_map_is_enlarged_and_reduced_by_whole_factors(arena: str) -> None:
-    worlds = stage(arena)
-    np.testing.assert_array_equal(
-        Renderer(worlds, size=(700, 640), panel=False).frame()[:, 30:-30],
-        bare(worlds).repeat(2, 0).repeat(2, 1),
-    )
-    small = Renderer(worlds, size=(160, 160), panel=False).frame()
-    squares = bare(worlds).reshape(160, 2, 160, 2, 3).mean(axis=(1, 3))
-    np.testing.assert_array_equal(small, np.floor(squares))
-
-
 def test_camera_follows_the_player_asked_for(arena: str) -> None:
     worlds = stage(arena, players=((-100.0, 0.0), (100.0, 0.0)))
     renderer = Renderer(worlds, "follow", panel=False)
@@ -256,39 +195,18 @@ def test_ground_is_what_the_level_called_it_when_it_was_loaded(
     assert set(ground_kinds(stage(arena).level).flat) == {sprites.WATER, sprites.GRASS}
 
 
-def test_wrong_camera_and_size_are_told(arena: str) -> None:
+def test_wrong_camera_and_scale_are_told(arena: str) -> None:
     worlds = stage(arena)
     with pytest.raises(UserError, match=r"unknown camera 'folow' \(did you mean follow\?\)"):
         Renderer(worlds, "folow")
-    with pytest.raises(UserError, match="size = 0 x 10"):
-        Renderer(worlds, size=(0, 10))
-
-
-# --- The same state, the same bytes --------------------------------------------------------------
-
-
-def walk(worlds: Worlds, seed: int, steps: int) -> None:
-    """Let players act at random."""
-    generator = np.random.default_rng(seed)
-    for _ in range(steps):
-        worlds.step(generator.integers(5, size=worlds.players.shape))
+    with pytest.raises(UserError, match="at most 50,000,000 pixels"):
+        Renderer(worlds, scale=32)
 
 
 def test_same_state_gives_the_same_bytes() -> None:
     first, second = begin(2, seed=5, players=3), begin(2, seed=5, players=3)
     for worlds in (first, second):
-        walk(worlds, seed=1, steps=40)
+        play(worlds, RIGHT, ATTACK, DOWN, LEFT)
     for camera in ("map", "follow"):
         here, there = (Renderer(worlds, camera).frame(1, 2) for worlds in (first, second))
         assert here.tobytes() == there.tobytes()
-
-
-def test_drawing_loads_neither_pygame_nor_pillow() -> None:
-    code = (
-        "import sys; from pneuma.env import render, worlds; here = worlds.Worlds(1); here.reset();"
-        "render.Renderer(here).frame(); print([m for m in ('pygame', 'PIL', 'torch') if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
-    )
-    assert done.stdout.strip() == "[]"

@@ -58,15 +58,6 @@ def test_a_single_environment_goes_on_as_it_would_have(pit: str) -> None:
         assert story(again, plan(1, 100)) == told
 
 
-def test_of_an_episode_that_had_ended_a_reset_is_needed(pit: str) -> None:
-    env = PneumaEnv(level=pit, episode_steps=1)
-    saved = saved_in(env, 1)
-    env.reset()
-    env.restore(saved)
-    with pytest.raises(ResetNeeded, match="the episode has ended"):
-        env.step(np.int64(0))
-
-
 # --- The vector face -----------------------------------------------------------------------------
 
 
@@ -108,17 +99,6 @@ def test_a_world_put_back_at_its_end_begins_again_as_the_mode_has_it(mode: Autor
         observations, rewards, terminated, truncated, _ = env.step(np.zeros(2, np.int64))
         assert not (rewards[1] or terminated[1] or truncated[1])
     assert np.array_equal(observations[1], first)
-
-
-def test_a_slot_whose_player_was_dead_idles_where_everybody_lived(pit: str) -> None:
-    env = PneumaVectorEnv(4, players=2, level=pit)
-    env.reset(seed=3, options={"start": 0})
-    env.state.players["hp"][0, 0] = 7
-    env.step(np.full(4, ATTACK))
-    assert env.state.players["hp"][:, 0].tolist()[0] == 0
-    observations, infos = env.restore(1, env.save(0))
-    assert not observations[2].any() and observations[3].any()
-    assert infos["action_mask"][2].tolist() == [0, 0, 0, 0, 1]
 
 
 def test_the_other_worlds_must_have_begun(pit: str) -> None:
@@ -173,23 +153,3 @@ def test_a_learners_episode_counts_from_its_beginning(pit: str) -> None:
         assert infos[0].get("episode") == infos[1].get("episode")
         endings += int(dones[0])
     assert endings > 3
-
-
-def test_a_learner_counts_from_where_another_face_saved(pit: str) -> None:
-    saved = saved_in(PneumaEnv(level=pit, episode_steps=10), 4)
-    env = PneumaVecEnv(1, seed=1, level=pit, episode_steps=10)
-    env.restore(0, saved)
-    paid = 0.0
-    for action in plan(3, 6, 1):
-        _, rewards, dones, infos = env.step(action)
-        paid += float(rewards[0])
-    assert dones[0] and infos[0]["episode"]["l"] == 6
-    assert infos[0]["episode"]["r"] == pytest.approx(paid)
-
-
-def test_a_learner_begins_the_next_episode_of_one_that_had_ended(pit: str) -> None:
-    single = PneumaEnv(level=pit, episode_steps=3)
-    saved = saved_in(single, 3)
-    env = PneumaVecEnv(2, seed=1, level=pit, episode_steps=3)
-    env.reset()
-    assert np.array_equal(env.restore(1, saved)[1], single.reset()[0])

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -17,7 +16,7 @@ from pneuma.env.single import PneumaEnv
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, STAND, THESIS, move_monster, play, stage
+from .arena import ATTACK, STAND, play, stage
 
 _NUMBERS = itertools.count()
 
@@ -68,31 +67,6 @@ def test_it_is_computed_from_events_players_and_stats(folder: Path, arena: str) 
     assert rewards(worlds) == [10 - 0.07 + 3]
 
 
-def test_it_sees_how_far_the_nearest_living_monster_is(folder: Path, arena: str) -> None:
-    own = write(folder, 'return np.where(np.isinf(events["distance"]), -1.0, events["distance"])')
-    worlds = stage(arena, (-300.0, 400.0), (0.0, 90.0), still=True, settings={"reward": own})
-    worlds.monsters["hp"][0, 1:] = 0
-    play(worlds, STAND)
-    assert rewards(worlds) == [500.0]  # 300, 400, 500
-    worlds.monsters["hp"] = 0
-    play(worlds, STAND)
-    assert rewards(worlds) == [-1.0]
-
-
-def test_it_sees_for_how_long_each_player_lived(folder: Path, arena: str) -> None:
-    own = write(folder, 'return events["present"] + 100 * events["died"]')
-    worlds = stage(
-        arena, players=[(0.0, 0.0), (400.0, -400.0)], settings={"reward": own, "bite_while_knocked": True}
-    )
-    worlds.monsters["knocked"][0, 0], worlds.monsters["knock_x"][0, 0] = 30, 2.0
-    move_monster(worlds, 0, -69.0, 0.0)  # 40 px off the body in tick 3
-    worlds.players["hp"][0, 0] = 7
-    play(worlds, STAND)
-    assert rewards(worlds) == [103.0, 8.0]
-    play(worlds, STAND)
-    assert rewards(worlds) == [0.0, 8.0]
-
-
 def test_what_it_imports_when_it_is_called_is_found_beside_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,21 +82,6 @@ def test_a_module_that_would_end_the_command_is_told(folder: Path) -> None:
     (folder / "own_exit.py").write_text("raise SystemExit(0)\n")
     with pytest.raises(UserError, match="reward 'own_exit:pay': SystemExit: 0"):
         PneumaEnv(reward="own_exit:pay")
-
-
-def test_it_may_pay_one_player_while_another_has_a_formula(folder: Path, arena: str) -> None:
-    own = write(folder, "return np.full(events.shape, 42.0)")
-    worlds = stage(arena, players=[(0.0, 0.0), (100.0, 0.0)], settings={"reward": ["thesis", own]})
-    play(worlds, STAND)
-    assert rewards(worlds) == [-1.0, 42.0]
-
-
-def test_it_is_called_once_a_step_however_many_players_have_it(folder: Path, arena: str) -> None:
-    own = write(folder, "pay.calls = getattr(pay, 'calls', 0) + 1\nreturn np.full(events.shape, pay.calls)")
-    players = [(0.0, 0.0), (100.0, 0.0), (200.0, 0.0)]
-    worlds = stage(arena, players=players, settings={"reward": [own, "thesis", own]})
-    play(worlds, STAND)
-    assert rewards(worlds) == [2.0, -1.0, 2.0]  # the first call tried it
 
 
 def test_what_it_prints_stays_out_of_a_commands_document(
@@ -144,16 +103,6 @@ def test_what_it_pays_the_dead_is_not_used(folder: Path, arena: str) -> None:
     assert rewards(worlds) == [1.0, 1.0]
     play(worlds, STAND)
     assert rewards(worlds) == [0.0, 1.0]
-
-
-def test_every_face_pays_it(folder: Path) -> None:
-    own = write(folder, 'return 0.5 + events["present"]')
-    env = gymnasium.make(THESIS, reward=own)
-    env.reset(seed=0)
-    assert env.step(np.int64(0))[1] == 8.5
-    vector = gymnasium.make_vec(THESIS, num_envs=3, reward=own)
-    vector.reset(seed=0)
-    assert vector.step(np.zeros(3, np.int64))[1].tolist() == [8.5] * 3
 
 
 def test_it_cannot_change_the_world(folder: Path) -> None:
@@ -199,32 +148,3 @@ def test_a_mistake_in_a_later_step_is_told_with_file_and_line(folder: Path, aren
         play(worlds, ATTACK)
     file = folder / f"{name.partition(':')[0]}.py"
     assert str(caught.value) == f"reward '{name}': {file}, line 5: AssertionError: somebody was hit"
-
-
-def test_when_it_is_tried_every_player_stands_at_a_start_with_full_hp(folder: Path) -> None:
-    body = (
-        "assert (events['present'] == 8).all() and np.isinf(events['distance']).all()\n"
-        "assert (players['hp'] == stats['hp']).all() and players['x'][0].tolist() == [204, 389]\n"
-        "return np.zeros(events.shape)"
-    )
-    settings = {"reward": write(folder, body), "players": 2, "classes": ["tank", "mage"]}
-    worlds = Worlds(3, make_env_config(settings))
-    assert not worlds.events["present"].any() and not worlds.players["hp"].any()  # nothing is left of it
-
-
-def test_a_missing_module_or_function_is_told(folder: Path) -> None:
-    assert "No module named 'no_such_module'" in refused("no_such_module:pay")
-    module = write(folder, "return events").partition(":")[0]
-    assert refused(f"{module}:pya").endswith(f"module {module} has no function pya")
-    assert "has no function np2" in refused(f"{module}:np2")
-
-
-def test_a_module_that_cannot_be_read_is_told(folder: Path) -> None:
-    (folder / "own_reward_broken.py").write_text("def pay(:\n")
-    refused("own_reward_broken:pay")
-
-
-@pytest.mark.parametrize("name", ["thessis", "my module:pay", "module:", ":pay", "module:pay:twice"])
-def test_a_name_of_another_form_is_refused(name: str) -> None:
-    with pytest.raises(UserError, match="is not allowed.*: one of thesis, .*or module:function"):
-        make_env_config({"reward": name})

@@ -10,18 +10,15 @@ from pneuma.env import rules, state
 from pneuma.env.worlds import Worlds
 
 from .arena import (
-    ATTACK,
     DOWN,
     EAST,
     LEFT,
     NORTH,
     RIGHT,
     SOUTH,
-    STAND,
     UP,
     WEST,
     Place,
-    monster_at,
     play,
     player_at,
     stage,
@@ -97,12 +94,6 @@ def test_a_step_walks_40_px_the_way_it_says_and_turns_there(arena: str, way: int
     assert worlds.players["facing"][0, 0] == way
 
 
-def test_the_facing_is_kept_while_attacking(arena: str) -> None:
-    worlds = stage(arena)
-    play(worlds, UP, ATTACK, ATTACK)
-    assert worlds.players["facing"][0, 0] == UP
-
-
 # --- Walls ---------------------------------------------------------------------------------------
 
 
@@ -125,59 +116,6 @@ def test_coast_and_obstacles_stop_a_player_flush(arena: str, way: int, before: P
     assert player_at(worlds) == flush
     play(worlds, way)  # nor does pushing on move the player
     assert player_at(worlds) == flush
-
-
-@pytest.mark.parametrize("way", DIRECTIONS)
-def test_a_player_flush_against_a_wall_turns_to_it_and_walks_off_and_along_it_freely(
-    arena: str, way: int
-) -> None:
-    flush = {LEFT: (WEST, 0.0), RIGHT: (EAST, 0.0), UP: (0.0, NORTH), DOWN: (0.0, SOUTH)}[way]
-    for other in DIRECTIONS:
-        worlds = stage(arena, players=[flush], facing=(way + 2) % 4)
-        play(worlds, other)
-        ox, oy = DIRECTIONS[other] if other != way else (0, 0)
-        assert player_at(worlds) == (flush[0] + 40 * ox, flush[1] + 40 * oy)
-        assert worlds.players["facing"][0, 0] == other
-
-
-@pytest.mark.parametrize(
-    ("before", "way", "after"),
-    [
-        ((220.0, -26.0), RIGHT, (300.0, -26.0)),  # the lower edge on y = 0, the obstacle's upper: they touch
-        ((220.0, -25.5), RIGHT, (234.0, -25.5)),  # half a pixel lower they meet
-        ((220.0, 86.0), RIGHT, (300.0, 86.0)),  # the upper edge on y = 64
-        ((220.0, 85.5), RIGHT, (234.0, 85.5)),
-        ((234.0, -60.0), DOWN, (234.0, 20.0)),  # the right edge on x = 256
-        ((234.5, -60.0), DOWN, (234.5, -26.0)),
-        ((345.0, -60.0), DOWN, (345.0, 20.0)),  # the left edge on x = 320
-        ((344.5, -60.0), DOWN, (344.5, -26.0)),
-    ],
-)
-def test_a_body_passes_a_corner_that_it_only_touches(
-    arena: str, before: Place, way: int, after: Place
-) -> None:
-    worlds = stage(arena, players=[before])
-    play(worlds, way, way)
-    assert player_at(worlds) == after
-
-
-def test_a_monster_slides_over_a_corner_instead_of_cutting_it(arena: str) -> None:
-    # From (243, -28), right edge 255 and lower edge -1, it wants (2.5, 2.5). x first: the lower edge is
-    # still above the obstacle, so 245.5. Then y: the right edge 257.5 is past 256, so the lower edge
-    # stops on 0.
-    worlds = stage(arena, (243.0, -28.0), players=[(400.0, 150.0)], ticks=1)
-    play(worlds, STAND)
-    assert monster_at(worlds) == (245.5, -27.0)
-    play(worlds, STAND)
-    assert monster_at(worlds) == (248.0, -27.0)
-
-
-def test_a_monster_knocked_into_a_wall_stops_flush(arena: str) -> None:
-    # Struck on the height of the hilt (554, 14), it would fly 60 px right; the coast stops it at
-    # 576 - 12.
-    worlds = stage(arena, (557.0, 14.0), players=[(500.0, 0.0)], ticks=1)
-    play(worlds, *[ATTACK] * 10)
-    assert monster_at(worlds) == (564.0, 14.0)
 
 
 # --- Any place, by geometry ----------------------------------------------------------------------

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env import state
 from pneuma.env.worlds import Worlds
 
@@ -16,7 +15,6 @@ from .arena import (
     RIGHT,
     STAND,
     UP,
-    monster_at,
     monster_hp,
     play,
     player_at,
@@ -68,14 +66,6 @@ def test_the_reward_is_xp_less_the_share_of_hp_at_every_step(arena: str) -> None
     assert reward(worlds) == 1 - 0.57  # again: it is a level, not a gain
 
 
-def test_a_blow_that_does_not_kill_earns_nothing(arena: str) -> None:
-    worlds = stage(arena, (80.0, 0.0), still=True)
-    play(worlds, ATTACK)
-    assert told(worlds) == {"hits": 1, "notices": 1}
-    assert (worlds.players["xp"][0, 0], worlds.players["kills"][0, 0]) == (0, 0)
-    assert reward(worlds) == -1.0  # 0 - 100 / 100
-
-
 def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
     worlds = about_to_kill(arena, hp=50)
     for index, (x, y) in enumerate([(40.0, 40.0), (-40.0, 0.0), (-200.0, 0.0)], start=1):
@@ -94,56 +84,11 @@ def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
 # --- Death ---------------------------------------------------------------------------------------
 
 
-def test_a_player_without_hp_ends_the_episode(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0))
-    worlds.players["hp"] = 14
-    play(worlds, *[STAND] * 7)
-    assert (worlds.ending(0), player_hp(worlds)) == ("running", 7)
-    play(worlds, STAND)  # tick 61 is in the 8th step
-    assert (worlds.ending(0), player_hp(worlds)) == ("killed", 0)
-    assert reward(worlds) == 0  # 0 XP - 0 / 100
-    assert worlds.worlds["steps"][0] == 8
-
-
-def test_no_more_hp_are_lost_than_there_are(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0))
-    worlds.players["hp"] = 5
-    play(worlds, STAND)
-    assert player_hp(worlds) == 0
-    assert worlds.events["hp_lost"][0, 0] == 5
-
-
-def test_the_tick_of_death_is_the_last_one(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0))
-    worlds.players["hp"] = 7
-    play(worlds, RIGHT)
-    assert player_at(worlds) == (5.0, 0.0)  # one tick's walk, bitten at 45 - 25 = 20 px
-
-
-def test_the_step_goes_on_to_its_end_without_the_last_player(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0), (-200.0, 0.0), (-300.0, 0.0))
-    worlds.players["hp"] = 7  # gone in the first of 8 ticks
-    worlds.monsters["knocked"][0, 1], worlds.monsters["knock_y"][0, 1] = 30, 2.0
-    play(worlds, STAND)
-    assert worlds.ending(0) == "killed"
-    assert monster_at(worlds, 1) == (-200.0, 16.0)  # flies on for 8 ticks
-    assert monster_at(worlds, 2) == (-297.5, 0.0)  # chased him for the one tick that he lived
-
-
 def test_healing_comes_before_the_bites_of_the_same_tick(arena: str) -> None:
     worlds = about_to_kill(arena, hp=7)
     worlds.monsters["x"][0, 1], worlds.monsters["y"][0, 1] = -40.0, 0.0
     play(worlds, ATTACK)  # 7 + 7 - 7
     assert (worlds.ending(0), player_hp(worlds)) == ("running", 7)
-
-
-def test_all_bites_of_a_tick_are_settled_together(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0), (-40.0, 50.0), (-40.0, -50.0))
-    worlds.players["hp"] = 10
-    play(worlds, STAND)  # 3 x 7
-    assert (worlds.ending(0), player_hp(worlds)) == ("killed", 0)
-    assert worlds.events["hp_lost"][0, 0] == 10
-    assert worlds.events["contacts"][0, 0] == 3
 
 
 def test_a_kill_in_the_tick_of_death_counts(arena: str) -> None:
@@ -155,19 +100,6 @@ def test_a_kill_in_the_tick_of_death_counts(arena: str) -> None:
     assert (worlds.players["xp"][0, 0], worlds.players["kills"][0, 0]) == (1, 1)
     assert (worlds.events["hp_gained"][0, 0], worlds.events["hp_lost"][0, 0]) == (7, 14)
     assert reward(worlds) == 1.0  # 1 XP - 0 / 100
-
-
-@pytest.mark.parametrize(("tick", "hit"), [(1, True), (2, False)])
-def test_the_sword_of_the_dead_strikes_no_more(arena: str, tick: int, hit: bool) -> None:
-    # The bite kills in the first tick. Another monster flies into the sword's reach, which ends at 90.
-    worlds = stage(arena, (-40.0, 0.0), still=True)
-    worlds.players["hp"] = 7
-    flier = worlds.monsters[0, 1]
-    flier["x"], flier["y"], flier["hp"] = 89.0 + 2 * (tick - 1), 0.0, 20
-    flier["knocked"], flier["knock_x"], flier["knock_y"] = 30, -2.0, 0.0
-    play(worlds, ATTACK)
-    assert (monster_hp(worlds, 1) == 0) is hit
-    assert worlds.ending(0) == ("running" if hit else "killed")  # a kill heals 7 HP in time
 
 
 def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
@@ -185,20 +117,6 @@ def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
 
 
 # --- Time ----------------------------------------------------------------------------------------
-
-
-def test_the_time_limit_ends_an_episode_after_so_many_steps(arena: str) -> None:
-    worlds = stage(arena, settings={"episode_steps": 5})
-    play(worlds, *[STAND] * 4)
-    assert worlds.ending(0) == "running"
-    assert worlds.step(np.full((1, 1), STAND)) == 1  # it counts those that ended
-    assert worlds.ending(0) == "time-limit"
-    assert worlds.step(np.full((1, 1), STAND)) == 0
-
-
-def test_the_time_limit_is_1000_steps_unless_set() -> None:
-    assert make_env_config({}).episode_steps == 1000
-    assert Worlds(1).settings["step_limit"][0] == 1000
 
 
 def test_whoever_dies_in_the_last_step_was_killed(arena: str) -> None:
@@ -220,14 +138,6 @@ def test_the_last_kill_ends_an_episode_only_if_asked(arena: str, end_on_clear: b
     assert worlds.worlds["monsters_left"][0] == 0
     assert worlds.ending(0) == ending
     assert reward(worlds) == pytest.approx(-0.07)  # 1 XP - 107 / 100
-
-
-def test_a_cleared_level_runs_on_to_the_time_limit(arena: str) -> None:
-    worlds = about_to_kill(arena, settings={"episode_steps": 4})
-    worlds.monsters["hp"][0, 1:] = 0
-    worlds.worlds["monsters_left"] = 1
-    play(worlds, *[ATTACK] * 4)
-    assert worlds.ending(0) == "time-limit"
 
 
 # --- A new episode -------------------------------------------------------------------------------

@@ -21,7 +21,6 @@ from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits
 
@@ -86,17 +85,6 @@ def go_on(worlds: Worlds, world: int, actions: np.ndarray) -> list[bytes]:
 
 
 @each_config
-def test_a_world_goes_on_the_same_in_another_slot(name: str) -> None:
-    worlds = played(name, 5)
-    actions = plan(worlds, 200)
-    saved = [worlds.save(world) for world in range(5)]
-    told = go_on(worlds, 1, actions)
-    for slot in (4, 0):
-        worlds.restore(slot, saved[1])
-        assert go_on(worlds, slot, actions) == told
-
-
-@each_config
 def test_a_world_goes_on_the_same_in_another_batch(name: str) -> None:
     worlds, other = played(name, 3), played(name, 7, steps=31)
     saved = worlds.save(2)
@@ -132,29 +120,6 @@ def test_a_world_goes_on_the_same_in_another_process(tmp_path: Path, name: str) 
     assert pickle.loads((tmp_path / "told").read_bytes()) == told
 
 
-@each_config
-def test_a_world_that_is_put_back_is_seen_as_before(name: str) -> None:
-    worlds, other = played(name, 3), played(name, 3, steps=31)
-    saved, seen, masks = worlds.save(1), worlds.observations[1].copy(), worlds.masks[1].copy()
-    other.restore(0, saved)
-    other.observe()
-    assert np.array_equal(other.observations[0], seen) and np.array_equal(other.masks[0], masks)
-
-
-def test_a_world_with_a_dead_player_is_seen_as_before_wherever_it_is_put() -> None:
-    worlds = begin(2, players=2)
-    worlds.players["hp"][0, 0] = 1
-    x, y = worlds.players["x"][0, 0], worlds.players["y"][0, 0]
-    worlds.monsters["x"][0, 0], worlds.monsters["y"][0, 0] = x - 40, y
-    for _ in range(2):  # it dies in the first step
-        worlds.step(np.full((2, 2), 4))
-    assert worlds.players["hp"][0, 0] == 0
-    seen = worlds.observations[0].copy()
-    worlds.restore(1, worlds.save(0))  # where everybody was alive
-    worlds.observe()
-    assert np.array_equal(worlds.observations[1], seen)
-
-
 def test_what_is_saved_stays_as_it_was_and_can_be_put_back_again() -> None:
     worlds = played("thesis", 2)
     saved = worlds.save(0)
@@ -166,22 +131,6 @@ def test_what_is_saved_stays_as_it_was_and_can_be_put_back_again() -> None:
         tolds.append(go_on(worlds, 0, actions))
     assert tolds[0] == tolds[1] == tolds[2]
     assert bits(saved.worlds, saved.players, saved.monsters) == kept
-
-
-def test_putting_one_world_back_leaves_the_others_alone() -> None:
-    worlds = played("three players", 4)
-    before = [getattr(worlds, name)[[0, 2, 3]].copy() for name in STATE_ARRAYS]
-    worlds.restore(1, worlds.save(2))
-    assert bits(*(getattr(worlds, name)[[0, 2, 3]] for name in STATE_ARRAYS)) == bits(*before)
-
-
-def test_a_world_of_another_shape_is_refused(arena: str, pit: str) -> None:
-    one, two = begin(1, level=arena), begin(1, level=arena, players=2)
-    for worlds, saved in ((one, two.save(0)), (two, one.save(0)), (one, begin(1, level=pit).save(0))):
-        before = state_bits(worlds)
-        with pytest.raises((ValueError, UserError)):
-            worlds.restore(0, saved)
-        assert state_bits(worlds) == before
 
 
 def test_a_world_of_other_levels_or_characters_is_refused(pit: str) -> None:
@@ -201,13 +150,6 @@ def test_a_world_of_other_levels_or_characters_is_refused(pit: str) -> None:
             other.restore(0, worlds.save(0))
 
 
-def test_a_level_that_there_is_not_is_refused() -> None:
-    saved = (worlds := begin(1)).save(0)
-    saved.worlds["level"] = 1
-    with pytest.raises(ValueError, match="a state of another level"):
-        worlds.restore(0, saved)
-
-
 def test_what_is_seen_paid_and_allowed_may_differ() -> None:
     settings: dict[str, Any] = {
         "reward": "kills", "observation": "godot", "magic": True, "episode_steps": 9, "coast": "deadly",
@@ -215,16 +157,6 @@ def test_what_is_seen_paid_and_allowed_may_differ() -> None:
     worlds, other = played("thesis", 1), begin(1, **settings)
     other.restore(0, worlds.save(0))
     assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)
-
-
-@pytest.mark.parametrize("world", [-1, 2, 5])
-def test_a_world_that_there_is_not_is_refused(world: int) -> None:
-    worlds = begin(2)
-    saved = worlds.save(0)
-    with pytest.raises(ValueError, match=f"world {world}: there are worlds 0 to 1"):
-        worlds.save(world)
-    with pytest.raises(ValueError, match=f"world {world}: there are worlds 0 to 1"):
-        worlds.restore(world, saved)
 
 
 def test_a_world_in_which_nothing_has_begun_is_not_saved() -> None:

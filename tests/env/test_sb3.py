@@ -11,10 +11,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 from pneuma.config import make_env_config
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
-from pneuma.env.worlds import world_key
 from pneuma.errors import UserError
 
-from .arena import ATTACK, GODOT, LEFT, RIGHT
+from .arena import ATTACK, GODOT, RIGHT
 
 N = 4
 
@@ -95,24 +94,6 @@ def threatened(env: PneumaVecEnv, world: int, hp: float) -> None:
     monster["x"], monster["y"] = player["x"] - 30, player["y"]
 
 
-def test_a_death_is_told_with_the_last_observation_and_begins_anew() -> None:
-    env = PneumaVecEnv([5, 6])
-    env.reset()
-    threatened(env, 1, hp=7)
-    observations, rewards, dones, infos = env.step(np.array([ATTACK, ATTACK]))
-    assert dones.tolist() == [False, True]
-    assert rewards.tolist() == [-1.0, 0.0]  # 0 XP - 100 / 100 and 0 XP - 0 / 100
-    assert infos[0] == {}
-    info = infos[1]
-    last = info.pop("terminal_observation")
-    assert last[2] == 0.0  # HP
-    assert isinstance(observations, np.ndarray) and observations[1, 2] == 1.0
-    assert info == {
-        "ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0,
-        "TimeLimit.truncated": False, "episode": {"r": 0.0, "l": 1},
-    }  # fmt: skip
-
-
 def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> None:
     env = noting(PneumaVecEnv([0, 1], make_env_config({"episode_steps": 3})))
     env.reset()
@@ -132,28 +113,12 @@ def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> No
     ]  # fmt: skip
 
 
-def test_nothing_is_noted_unless_asked() -> None:
-    env = PneumaVecEnv([0], make_env_config({"episode_steps": 1}))
-    env.reset()
-    env.step(np.array([LEFT]))
-    assert env.finished == []
-
-
 @pytest.mark.parametrize("actions", [[0.0, np.nan], [3.7, 1.0], [1], [1, 2, 3], 1, [True, False]])
 def test_what_is_no_action_for_each_slot_is_refused(actions: Any) -> None:
     env = PneumaVecEnv([0, 1])
     env.reset()
     with pytest.raises(ValueError, match="outside"):
         env.step(np.array(actions))
-
-
-def test_finished_may_be_emptied_and_goes_on_counting() -> None:
-    env = noting(PneumaVecEnv([0], make_env_config({"episode_steps": 1})))
-    env.reset()
-    env.step(np.array([LEFT]))
-    env.finished.clear()
-    env.step(np.array([LEFT]))
-    assert [(e["episode"], e["step"]) for e in env.finished] == [(1, 2)]
 
 
 # --- Seeds, options and attributes ---------------------------------------------------------------
@@ -187,15 +152,6 @@ def test_worlds_that_cannot_be_made_are_told_in_one_line(
     assert told in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_world_i_is_seeded_s_plus_i_with_several_players_too() -> None:
-    env = PneumaVecEnv(4, seed=0, players=2)
-    assert env.seed(5) == [5, 5, 6, 6]
-    env.reset()
-    assert env.state.worlds["key"].tolist() == [world_key(5), world_key(6)]
-    seeds = env.seed()
-    assert seeds[0] == seeds[1] == seeds[2] - 1  # type: ignore[operator]
-
-
 def test_a_picture_holds_a_picture_of_every_slot() -> None:
     env = PneumaVecEnv(4, seed=0, render_mode="rgb_array")
     env.reset()
@@ -205,31 +161,6 @@ def test_a_picture_holds_a_picture_of_every_slot() -> None:
     assert picture is not None and picture.shape[0] == 2 * images[0].shape[0]
     assert np.array_equal(picture[: images[0].shape[0], : images[0].shape[1]], images[0])
     assert env.metadata["render_fps"] == 8
-
-
-def test_seed_takes_effect_at_the_next_reset_and_only_there() -> None:
-    env, seeded = PneumaVecEnv([9, 4, 9]), PneumaVecEnv([20, 21, 22])
-    env.reset()
-    env.seed(20)
-    for _ in range(2):  # the second reset goes on with the streams
-        assert np.array_equal(env.reset(), seeded.reset())
-
-
-def test_options_reach_the_next_reset_and_only_that() -> None:
-    env = PneumaVecEnv(range(30))
-    env.set_options({"start": 2})
-    env.reset()
-    assert (env.state.players["x"][:, 0] == -239).all()
-    env.reset()
-    assert len(set(env.state.players["x"][:, 0].tolist())) > 1
-
-
-def test_what_a_wrapper_writes_into_infos_is_not_seen_at_the_next_step() -> None:
-    env = PneumaVecEnv(2)
-    env.reset()
-    infos = env.step(np.full(2, LEFT))[3]
-    infos[0]["goal"] = True
-    assert env.step(np.full(2, RIGHT))[3] == [{}, {}]
 
 
 def test_what_is_handed_out_is_not_overwritten() -> None:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pneuma import env_settings, values
 from pneuma.config import EnvConfig, make_env_config
-from pneuma.env import state
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -51,15 +48,6 @@ def test_names_may_be_one_text_with_commas_as_the_command_line_has_them() -> Non
     assert (config.classes, config.reward) == (("tank", "mage"), ("thesis", "kills"))
 
 
-def test_numbers_may_be_numpys() -> None:
-    given = {"episode_steps": np.int64(500), "magic": np.bool_(True), "ending_cost": np.float32(0.25)}
-    assert make_env_config(given) == make_env_config(
-        {"episode_steps": 500, "magic": True, "ending_cost": 0.25}
-    )
-    with pytest.raises(UserError, match="episode_steps = "):
-        make_env_config({"episode_steps": np.array([500])})
-
-
 def test_a_configuration_made_by_hand_is_checked_and_filled_as_well() -> None:
     by_hand = EnvConfig(classes="tank", reward="kills")  # type: ignore[arg-type]
     assert Worlds(1, by_hand).config == make_env_config({"classes": "tank", "reward": "kills"})
@@ -72,7 +60,3 @@ def test_characters_may_lie_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "mine.toml").write_text("[players.base]\nhp = 30\n")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert Worlds(1, make_env_config({"characters": "~/mine.toml"})).player_stats["hp"].tolist() == [30]
-
-
-def test_there_is_one_greatest_number_of_players() -> None:
-    assert state.MAX_PLAYERS == values.MOST_NAMES == env_settings.MAX_PLAYERS

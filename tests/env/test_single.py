@@ -7,15 +7,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
-from pneuma.config import ENVIRONMENTS
 from pneuma.env.single import PneumaEnv
-from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, DOWN, RIGHT, THESIS
+from .arena import ATTACK, RIGHT, THESIS
 
 STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
 
@@ -47,72 +43,6 @@ def threatened(env: PneumaEnv, hp: float) -> None:
 # --- The contract --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("env_id", ENVIRONMENTS)
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"magic": True, "observation": "pygame", "reward": "kills", "classes": "mage"},
-        {"observation": "godot", "coast": "deadly", "ending_cost": 2, "characters": "pygame"},
-        {
-            "level": "random:test:0",
-            "random_levels": 3,
-            "scale": "map",
-            "perceive": "nearest:3",
-            "order": "fixed",
-        },
-    ],
-    ids=["usual", "pygame", "godot", "random levels"],
-)
-def test_the_checkers_find_nothing_to_complain_of(env_id: str, settings: dict[str, Any]) -> None:
-    for check in (check_env, check_for_sb3):
-        check(make(env_id, **settings))  # its warnings would be errors here
-
-
-def test_the_spaces_are_those_of_the_thesis() -> None:
-    env = make()
-    assert isinstance(env.action_space, gymnasium.spaces.Discrete)
-    assert env.action_space.n == 5
-    assert env.observation_space.shape == (60,)  # 4 + 4 x 14
-
-
-def test_the_same_seed_and_actions_give_the_same_bits() -> None:
-    one, two = make(), make()
-    generator = np.random.default_rng(0)
-    for episode in range(3):
-        seed = 11 if episode == 0 else None
-        assert np.array_equal(one.reset(seed=seed)[0], two.reset(seed=seed)[0])
-        for action in generator.integers(5, size=200):
-            (seen, *told), (seen_too, *told_too) = one.step(action), two.step(action)
-            assert seen.tobytes() == seen_too.tobytes()
-            for info in (told[-1], told_too[-1]):
-                info["action_mask"] = info["action_mask"].tolist()
-            assert told == told_too
-            if told[1] or told[2]:
-                break
-
-
-def test_seeding_again_begins_the_same_world_again() -> None:
-    env = make()
-    first = [env.reset(seed=5)[0]] + [env.reset()[0] for _ in range(10)]
-    again = [env.reset(seed=5)[0]] + [env.reset()[0] for _ in range(10)]
-    assert np.array_equal(first, again)
-    assert len({observation.tobytes() for observation in first}) > 1  # other starts, though
-
-
-def test_the_single_environment_is_a_world_of_its_seed() -> None:
-    env = make()
-    worlds = Worlds(1)
-    worlds.seed([9])
-    worlds.reset()
-    assert np.array_equal(env.reset(seed=9)[0], worlds.observations[0, 0])
-    for action in (RIGHT, ATTACK, DOWN, DOWN, RIGHT) * 20:
-        observation, reward, *_ = env.step(np.int64(action))
-        worlds.step(np.array([[action]]))
-        assert np.array_equal(observation, worlds.observations[0, 0])
-        assert reward == worlds.events["reward"][0, 0]
-
-
 def test_what_is_handed_out_is_not_overwritten() -> None:
     env = make()
     first, _ = env.reset(seed=0)
@@ -123,16 +53,6 @@ def test_what_is_handed_out_is_not_overwritten() -> None:
 
 
 # --- Starts --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("options", [None, {}, {"start": None}])
-def test_without_a_choice_the_start_is_random(options: dict[str, Any] | None) -> None:
-    env = make()
-    places = set()
-    for seed in range(40):
-        env.reset(seed=seed, options=options)
-        places.add(place(env))
-    assert places == set(STARTS)
 
 
 # --- The end -------------------------------------------------------------------------------------

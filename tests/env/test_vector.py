@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from pneuma.env import rules
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 
@@ -76,15 +75,6 @@ def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: A
     assert terminations > 10 and truncations > 10
 
 
-def test_gymnasium_makes_it_under_its_name() -> None:
-    env = gymnasium.make_vec("pneuma/Pneuma-v0", num_envs=3, vectorization_mode="vector_entry_point")
-    assert isinstance(env.unwrapped, PneumaVectorEnv)
-    assert env.observation_space.shape == (3, 60)
-    observations, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observations)
-    assert env.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-
-
 def test_gymnasium_makes_it_with_settings_and_a_mode() -> None:
     env = gymnasium.make_vec(
         "pneuma/Pneuma-v0",
@@ -103,25 +93,12 @@ def test_gymnasium_makes_it_with_settings_and_a_mode() -> None:
 # --- Seeds ---------------------------------------------------------------------------------------
 
 
-def test_world_i_of_a_batch_seeded_s_is_the_single_world_seeded_s_plus_i() -> None:
-    env = PneumaVectorEnv(5)
-    observations, _ = env.reset(seed=100)
-    for i in range(5):
-        assert np.array_equal(observations[i], PneumaEnv().reset(seed=100 + i)[0])
-
-
 def test_a_list_of_seeds_seeds_each_world() -> None:
     env = PneumaVectorEnv(3)
     observations, _ = env.reset(seed=[7, 2, 7])
     for i, seed in enumerate([7, 2, 7]):
         assert np.array_equal(observations[i], PneumaEnv().reset(seed=seed)[0])
     assert env.state.worlds["key"][0] == env.state.worlds["key"][2] != env.state.worlds["key"][1]
-
-
-@pytest.mark.parametrize("seeds", [[5], [1, 2], [1, 2, 3, 4]])
-def test_a_list_of_another_length_is_refused(seeds: list[int]) -> None:
-    with pytest.raises(ValueError):
-        PneumaVectorEnv(3).reset(seed=seeds)
 
 
 def test_a_masked_reset_with_a_seed_leaves_the_other_worlds_streams_alone() -> None:
@@ -137,16 +114,6 @@ def test_a_masked_reset_with_a_seed_leaves_the_other_worlds_streams_alone() -> N
 # --- Options and mistakes ------------------------------------------------------------------------
 
 
-def test_options_choose_one_start_for_all_or_one_for_each() -> None:
-    env = PneumaVectorEnv(3)
-    env.reset(seed=0, options={"start": 2})
-    assert env.state.players["x"][:, 0].tolist() == [-239, -239, -239]
-    env.reset(options={"start": [0, 3, 5]})
-    assert env.state.players["x"][:, 0].tolist() == [204, -517, -47]
-    with pytest.raises(ValueError, match="places 0 to 5"):
-        env.reset(options={"start": [0, 3, 6]})
-
-
 def test_with_autoreset_disabled_an_ended_world_must_be_reset_by_hand() -> None:
     env = PneumaVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, episode_steps=1)
     env.reset(seed=0)
@@ -156,27 +123,6 @@ def test_with_autoreset_disabled_an_ended_world_must_be_reset_by_hand() -> None:
         env.step(np.array([ATTACK, ATTACK]))
     env.reset(options={"reset_mask": np.array([False, True])})
     env.step(np.array([ATTACK, ATTACK]))
-
-
-def test_actions_of_any_layout_are_taken_and_compile_nothing_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel that is compiled for another layout of an array costs seconds in the middle of a run."""
-    kernel = rules.step_worlds
-    layouts = set()
-
-    def listen(handle: np.ndarray, actions: np.ndarray, only_observe: bool) -> int:
-        layouts.add((actions.dtype, actions.ndim, actions.flags.c_contiguous))
-        return int(kernel(handle, actions, only_observe))
-
-    monkeypatch.setattr(rules, "step_worlds", listen)
-    one, other = PneumaVectorEnv(4), PneumaVectorEnv(4)
-    one.reset(seed=0)
-    other.reset(seed=0)
-    table = np.random.default_rng(0).integers(5, size=(4, 30))
-    for step in range(30):
-        expected = one.step(table[:, step].tolist())[0]
-        column = table.astype((np.int64, np.int32, np.uint8)[step % 3])[:, step]
-        assert np.array_equal(other.step(column)[0], expected)
-    assert layouts == {(np.dtype(np.int64), 2, True)}
 
 
 def test_what_is_handed_out_is_not_overwritten() -> None:

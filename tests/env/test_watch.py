@@ -1,25 +1,37 @@
-"""Episodes as people watch and play them: smooth, and yet the episodes of the environment."""
+"""What people watch: frames from every face, a window, smooth episodes, and play at the keyboard."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
-from pneuma.env import watch
+from pneuma.config import ENVIRONMENTS
+from pneuma.env import MO_ENVIRONMENTS, watch
+from pneuma.env.parallel import parallel_env
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
+from pneuma.env.single import PneumaEnv
+from pneuma.env.vector import PneumaVectorEnv
+from pneuma.env.watch import Window
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
 
-from .arena import begin, bits, player_at, write_level
+from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at, write_level
+
+KEYED = Sequence[tuple[set[str], int]]
 
 
 class Keyboard:
     """Stands in for a window: somebody holds keys for so many frames each, then closes it."""
 
-    held: Sequence[tuple[set[str], int]] = ()
+    held: KEYED = ()
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
         self.closed = False
@@ -36,27 +48,148 @@ class Keyboard:
         self.closed = True
 
 
-def play(
-    monkeypatch: pytest.MonkeyPatch, worlds: Worlds, *held: tuple[set[str], int]
-) -> list[tuple[int, int]]:
-    """Let somebody hold these keys, each for so many frames."""
-    monkeypatch.setattr(Keyboard, "held", held)
-    monkeypatch.setattr(watch, "Window", Keyboard)
-    return watch.play(worlds, "test")
+def expected(level: str, seed: int, *actions: int) -> np.ndarray:
+    """Return the frame of a world of this seed after these actions."""
+    worlds = begin(1, seed=seed, level=level)
+    for action in actions:
+        worlds.step(np.full((1, 1), action))
+    return Renderer(worlds, "map").frame()
 
 
-# --- Watching ------------------------------------------------------------------------------------
+# --- Frames of the faces -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*ENVIRONMENTS, *MO_ENVIRONMENTS])
+def test_gymnasium_gets_frames_of_every_environment(name: str, arena: str) -> None:
+    env = gymnasium.make(name, render_mode="rgb_array", level=arena, camera="follow")
+    assert env.metadata["render_modes"] == ["rgb_array", "human"]
+    assert env.metadata["render_fps"] == 8  # 60 ticks a second, 8 a step
+    env.reset(seed=0)
+    for _ in range(2):
+        state = env.unwrapped.state  # type: ignore[attr-defined]
+        assert np.array_equal(np.asarray(env.render()), Renderer(state, "follow").frame())
+        env.step(RIGHT)
+    env.close()
+
+
+def test_drawing_changes_nothing_in_the_world(arena: str) -> None:
+    drawn, plain = PneumaEnv(level=arena, render_mode="rgb_array"), PneumaEnv(level=arena)
+    drawn.reset(seed=1)
+    plain.reset(seed=1)
+    for action in [RIGHT, ATTACK, RIGHT] * 10:
+        drawn.render()
+        seen, reward, *_ = drawn.step(np.int64(action))
+        other, same, *_ = plain.step(np.int64(action))
+        assert np.array_equal(seen, other) and reward == same
+    assert plain.render() is None
+
+
+def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena: str) -> None:
+    env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array", camera="follow")
+    env.reset(seed=0)
+    env.step(np.array([ATTACK, RIGHT, RIGHT, RIGHT]))
+    painter = Renderer(env.state, "follow")
+    for slot, frame in enumerate(env.render()):
+        assert np.array_equal(frame, painter.frame(slot // 2, slot % 2))
+
+
+def test_pettingzoo_gets_a_frame(arena: str) -> None:
+    env = parallel_env(players=2, level=arena, render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    env.step({agent: np.int64(RIGHT) for agent in env.agents})
+    assert not np.array_equal(env.render(), before)
+    env.close()
+
+
+def test_random_levels_are_drawn_each_with_its_own_ground() -> None:
+    env = PneumaEnv(level="random:train:0", random_levels=2, render_mode="rgb_array")
+    grounds = {}
+    for seed in range(20):
+        env.reset(seed=seed)
+        grounds[int(env.state.worlds["level"][0])] = env.render()
+    assert set(grounds) == {0, 1}
+    for index, frame in grounds.items():
+        alone = PneumaEnv(level=f"random:train:{index}", render_mode="rgb_array")
+        alone.reset(seed=0)
+        assert (frame == alone.render()).all(axis=-1).mean() > 0.95  # all but the player
+
+
+def test_unknown_render_modes_and_cameras_are_told() -> None:
+    with pytest.raises(UserError, match="render_mode = 'ansi' is not allowed: one of rgb_array, human"):
+        PneumaEnv(render_mode="ansi")
+    with pytest.raises(UserError, match="unknown camera 'folow'.*did you mean follow"):
+        parallel_env(camera="folow")
+
+
+# --- The window ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "action"),
+    [
+        (PneumaEnv, RIGHT),
+        (lambda **settings: PneumaVectorEnv(2, **settings), np.array([RIGHT, ATTACK])),
+        (lambda **settings: parallel_env(players=1, **settings), {"player_0": np.int64(RIGHT)}),
+    ],
+    ids=["single", "vector", "parallel"],
+)
+def test_human_mode_shows_every_step_by_itself(
+    pygame: ModuleType, arena: str, make: Callable[..., Any], action: Any
+) -> None:
+    env = make(render_mode="human", level=arena)
+    for _ in range(2):  # it can be used again after its window was closed
+        env.reset(seed=4)
+        assert np.array_equal(on_screen(pygame), expected(arena, 4))
+        env.step(action)
+        assert np.array_equal(on_screen(pygame), expected(arena, 4, RIGHT))
+        assert env.render() is None
+        env.close()
+
+
+def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
+    window = Window((64, 64), "keys")
+    frame = np.zeros((64, 64, 3), np.uint8)
+    window.show(frame, 0)
+    assert window.keys() == set()
+    for key in (pygame.K_SPACE, pygame.K_a, pygame.K_x):
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    assert window.keys() == {"attack", "left"}
+    window.show(frame, 0)
+    assert window.keys() == set()  # tapped, not held
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    window.show(frame, 0)
+    assert window.closed and window.keys() == set()
+
+
+def test_window_that_nobody_would_see_is_refused(pygame: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SDL falls back to such a driver where there is no display; whoever asks for it gets it."""
+    Window((64, 64), "asked for").close()
+    monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    monkeypatch.delenv("SDL_VIDEO_DRIVER", raising=False)
+    with pytest.raises(UserError, match="no window can be opened: there is no display"):
+        Window((64, 64), "unseen")
+
+
+def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(UserError, match="pygame-ce: pip install"):
+        Window((64, 64), "none")
+
+
+# --- Episodes ------------------------------------------------------------------------------------
 
 
 def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None:
-    watched, played = (begin(1, seed=3, episode_steps=90) for _ in range(2))
+    watched, played = (begin(1, seed=3, episode_steps=60) for _ in range(2))
     frames = sum(1 for _ in watch.episode_frames(watched, Hunter(watched).act, Renderer(watched)))
     hunter = Hunter(played)
     steps = 0
     while played.worlds["ending"][0] == 0:
         played.step(hunter.act(played))
         steps += 1
-    assert steps == 90 and frames == 1 + 4 * 90
+    assert steps == 60 and frames == 1 + 4 * 60
     assert bits(watched.players, watched.monsters) == bits(played.players, played.monsters)
     assert watched.ending(0) == played.ending(0) == "time-limit"
 
@@ -79,47 +212,42 @@ def test_an_episode_without_monsters_is_shown_whole(tmp_path: Path) -> None:
 # --- Playing -------------------------------------------------------------------------------------
 
 
-def test_keys_walk_and_attack(monkeypatch: pytest.MonkeyPatch, arena: str) -> None:
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[tuple[int, int]]]:
+    """Let somebody hold keys in a world, each for so many frames."""
+
+    def held(worlds: Worlds, *keys: tuple[set[str], int]) -> list[tuple[int, int]]:
+        monkeypatch.setattr(Keyboard, "held", keys)
+        monkeypatch.setattr(watch, "Window", Keyboard)
+        return watch.play(worlds, "test")
+
+    return held
+
+
+def test_keys_walk_and_attack_and_the_world_waits_without(play: Callable[..., Any], arena: str) -> None:
     worlds = begin(1, level=arena)
-    play(monkeypatch, worlds, ({"right"}, 3), ({"up"}, 2), ({"left", "attack"}, 1))
+    play(worlds, ({"right"}, 3), (set(), 20), ({"up"}, 2), ({"left", "attack"}, 1), ({"leave"}, 1))
     assert player_at(worlds) == (30.0, -20.0)  # 10 px a frame of 2 ticks
-    assert worlds.players["busy"][0, 0] == 22
+    assert worlds.players["busy"][0, 0] == 22 and worlds.worlds["steps"][0] == 6
 
 
-def test_the_world_waits_while_no_key_is_held(monkeypatch: pytest.MonkeyPatch, arena: str) -> None:
-    worlds = begin(1, level=arena)
-    play(monkeypatch, worlds, ({"right"}, 1), (set(), 20), ({"right"}, 1))
-    assert player_at(worlds) == (20.0, 0.0)
-    assert worlds.worlds["steps"][0] == 2
-
-
-def test_spells_have_keys_where_there_is_magic(monkeypatch: pytest.MonkeyPatch, arena: str) -> None:
+def test_spells_have_keys_where_there_is_magic(play: Callable[..., Any], arena: str) -> None:
     worlds = begin(1, level=arena, magic=True)
     energy = worlds.players["energy"][0, 0]
-    play(monkeypatch, worlds, ({"flame"}, 1))
+    play(worlds, ({"flame"}, 1))
     assert worlds.players["energy"][0, 0] < energy - 19  # a flame costs 20, a tick gives back less than 1
-    worlds = begin(1, level=arena, magic=True)
-    play(monkeypatch, worlds, ({"heal"}, 1))
-    assert energy - 10 < worlds.players["energy"][0, 0] < energy - 9
     plain = begin(1, level=arena)
-    play(monkeypatch, plain, ({"flame"}, 5), ({"heal"}, 5))
+    play(plain, ({"flame"}, 5), ({"heal"}, 5))
     assert plain.worlds["steps"][0] == 0
 
 
-def test_escape_leaves(monkeypatch: pytest.MonkeyPatch, arena: str) -> None:
-    worlds = begin(1, level=arena)
-    play(monkeypatch, worlds, ({"leave"}, 1), ({"right"}, 5))
-    assert player_at(worlds) == (0.0, 0.0)
-
-
-def test_the_other_players_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_other_players_stand_still(play: Callable[..., Any]) -> None:
     worlds = begin(1, players=2)
     place = player_at(worlds, 1)
-    play(monkeypatch, worlds, ({"right"}, 12))
+    play(worlds, ({"right"}, 12))
     assert player_at(worlds, 1) == place
 
 
-def test_scores_are_those_of_the_environment(monkeypatch: pytest.MonkeyPatch, arena: str) -> None:
+def test_scores_are_those_of_the_environment(play: Callable[..., Any], arena: str) -> None:
     worlds = begin(1, level=arena, episode_steps=3)
-    scores = play(monkeypatch, worlds, ({"attack"}, 14))
-    assert scores == [(0, 3)]  # 14 frames are three steps of four and a bit
+    assert play(worlds, ({"attack"}, 14)) == [(0, 3)]  # 14 frames are three steps of four and a bit

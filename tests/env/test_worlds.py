@@ -10,22 +10,17 @@ import pytest
 
 from pneuma.config import make_env_config
 from pneuma.env.players import Hunter
-from pneuma.env.worlds import ENDINGS, Worlds, world_key
-from pneuma.errors import UserError
+from pneuma.env.worlds import ENDINGS, Worlds
 
 from .arena import (
     ATTACK,
-    LEFT,
     RIGHT,
     STATE_ARRAYS,
     TOLD_ARRAYS,
     UP,
     begin,
     bits,
-    monster_at,
-    monster_hp,
     play,
-    player_at,
     player_hp,
     stage,
     state_bits,
@@ -70,16 +65,6 @@ def assert_same_play(worlds: Worlds, others: Worlds, steps: int, seed: int = 0) 
 # --- Laws ----------------------------------------------------------------------------------------
 
 
-def test_the_same_seeds_and_actions_give_the_same_bits() -> None:
-    assert_same_play(begin(8), begin(8), steps=500)
-
-
-def test_other_seeds_give_other_worlds() -> None:
-    assert world_key(0) != world_key(1)
-    starts = [begin(30, seed).worlds["start"].tolist() for seed in (0, 1000)]
-    assert starts[0] != starts[1]
-
-
 def test_every_world_is_alone_as_in_company() -> None:
     company = begin(6, seed=40)
     alone = [begin(1, seed=40 + i) for i in range(6)]
@@ -94,24 +79,6 @@ def test_every_world_is_alone_as_in_company() -> None:
                 assert bits(getattr(world, name)) == bits(getattr(company, name)[i : i + 1]), name
             world.reset(over[i : i + 1])
         company.reset(over)
-
-
-@pytest.mark.parametrize("players", [1, 2])
-def test_a_copied_state_goes_on_as_the_original(players: int) -> None:
-    worlds = begin(8, players=players)
-    mixed = Mixed(worlds, seed=1)
-    for _ in range(400):
-        worlds.step(mixed.act(worlds))
-        happening = (worlds.players["busy"], worlds.monsters["bite"], worlds.monsters["knocked"])
-        if all((ticks > 0).any() for ticks in happening):
-            break
-    else:
-        raise AssertionError("never in the middle of a swing, a bite and a flight")
-    copies = Worlds(8, make_env_config({"players": players}))
-    for name in STATE_ARRAYS:
-        getattr(copies, name)[:] = getattr(worlds, name)
-    copies.observe()
-    assert_same_play(worlds, copies, steps=300)
 
 
 def test_what_a_mask_leaves_out_is_not_reset() -> None:
@@ -135,19 +102,6 @@ def test_starts_are_drawn_uniformly_in_one_world_after_another() -> None:
     assert len(counts) == 6 and ((counts - 500) ** 2 / 500).sum() < 20.5
 
 
-def test_starts_are_drawn_uniformly_in_one_episode_after_another() -> None:
-    worlds = begin(1, seed=7)
-    drawn = []
-    for _ in range(3000):
-        worlds.reset()
-        drawn.append(int(worlds.worlds["start"][0]))
-    counts = np.bincount(drawn, minlength=6)
-    assert ((counts - 500) ** 2 / 500).sum() < 20.5
-    pairs = np.bincount(np.array(drawn[:-1]) * 6 + np.array(drawn[1:]), minlength=36)
-    # 2999 / 36 = 83.3 of each pair; 35 degrees of freedom: above 66.6 once in a thousand.
-    assert ((pairs - 83.3) ** 2 / 83.3).sum() < 66.6
-
-
 def test_a_chosen_start_is_taken_and_draws_no_number() -> None:
     worlds = Worlds(6)
     worlds.seed(range(6))
@@ -164,20 +118,6 @@ def test_players_take_start_places_one_after_another() -> None:
     worlds = Worlds(1, make_env_config({"players": 3}))
     worlds.reset(starts=np.array([4]))
     assert worlds.players["x"][0].tolist() == [-918, -47, 204]  # places 4, 5 and, around, 0
-
-
-@pytest.mark.parametrize(("other", "moved"), [(90.0, 2.5), (110.0, -2.5)])
-def test_a_monster_chases_the_nearer_player(arena: str, other: float, moved: float) -> None:
-    worlds = stage(arena, (0.0, 200.0), players=[(-100.0, 200.0), (other, 200.0)], facing=UP, ticks=1)
-    play(worlds, ATTACK)
-    assert monster_at(worlds) == (moved, 200.0)
-    assert worlds.events["notices"][0].tolist() == [1, 1]  # it sees both
-
-
-def test_a_monster_bites_every_player_within_reach(arena: str) -> None:
-    worlds = stage(arena, (0.0, 0.0), players=[(-40.0, 0.0), (40.0, 0.0)], facing=UP, ticks=1)
-    play(worlds, ATTACK)
-    assert (player_hp(worlds, 0), player_hp(worlds, 1)) == (93, 93)
 
 
 def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str) -> None:
@@ -197,42 +137,6 @@ def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str
     assert steps == 7
     assert worlds.ending(0) == "killed"
     assert worlds.events["reward"][0].tolist() == [0, 0]
-
-
-def test_the_dead_neither_act_nor_are_seen(arena: str) -> None:
-    worlds = stage(arena, (-300.0, 0.0), players=[(-300.0, -60.0), (400.0, -300.0)], facing=UP)
-    worlds.players["hp"][0, 0] = 7
-    play(worlds, ATTACK)
-    place, monster = player_at(worlds, 0), monster_at(worlds)
-    play(worlds, LEFT, ATTACK, LEFT)
-    assert player_at(worlds, 0) == place
-    assert monster_at(worlds) == monster  # nobody else is near
-    assert worlds.monsters["noticed"][0, 0] == 0
-
-
-def test_a_monster_flies_on_though_nobody_near_it_lives(arena: str) -> None:
-    places, settings = [(-300.0, -60.0), (400.0, -300.0)], {"bite_while_knocked": True}
-    worlds = stage(arena, (-300.0, 0.0), players=places, facing=UP, settings=settings)
-    worlds.players["hp"][0, 0] = 7
-    worlds.monsters["knocked"][0, 0], worlds.monsters["knock_y"][0, 0] = 30, 2.0
-    play(worlds, ATTACK, ATTACK)
-    assert worlds.worlds["players_left"][0] == 1
-    assert monster_at(worlds) == (-300.0, 32.0)  # 16 ticks of 2 px
-
-
-def test_two_players_strike_one_monster_each_once_and_the_last_blow_earns(arena: str) -> None:
-    worlds = stage(arena, (0.0, 0.0), players=[(-54.0, 10.0), (-54.0, -10.0)], ticks=1, still=True)
-    play(worlds, ATTACK)  # 40 - 20 - 20, in the order of the players
-    assert monster_hp(worlds) == 0
-    assert worlds.events["hits"][0].tolist() == [1, 1]
-    assert worlds.players["xp"][0].tolist() == [0, 1]
-    assert worlds.players["kills"][0].tolist() == [0, 1]
-
-
-def test_more_players_than_a_state_can_hold_are_refused() -> None:
-    Worlds(1, make_env_config({"players": 8}))
-    with pytest.raises((ValueError, UserError)):  # eight bits of `noticed`, eight clocks of `bite`
-        Worlds(1, make_env_config({"players": 9}))
 
 
 # --- What is written by hand ----------------------------------------------------------------------
@@ -314,9 +218,3 @@ def test_who_is_left_is_counted_anew() -> None:
     assert worlds.worlds["monsters_left"].tolist() == [0, 14]
     worlds.step(np.zeros((2, 1), np.int64))
     assert [ENDINGS[ending] for ending in worlds.worlds["ending"]] == ["cleared", "running"]
-
-
-def test_worlds_that_nobody_seeded_differ() -> None:
-    worlds = Worlds(50)
-    worlds.reset()
-    assert len({*worlds.worlds["key"].tolist()}) == 50 and len({*worlds.worlds["start"].tolist()}) == 6

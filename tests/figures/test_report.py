@@ -16,7 +16,6 @@ import pandas as pd
 import pytest
 
 from pneuma.figures import report_pictures
-from pneuma.figures.judged import Claim, Effect, Verdict
 from pneuma.figures.report import (
     Conditions,
     Part,
@@ -28,6 +27,8 @@ from pneuma.figures.report import (
 )
 from pneuma.figures.report_pictures import Picture
 
+from .hand_made_verdicts import claim, comparison, judged
+
 Read = Callable[[bytes], Any]
 
 PICTURE = "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' width='700' height='300'/%3E"
@@ -36,19 +37,15 @@ HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{ 7*7 }} <
 
 def _report(name: str = "tanh") -> Report:
     """Return a report with every kind of thing in it: a run that two studies share, a study without runs."""
-    won = Effect("tanh against relu", "supported", 0.12, (0.05, 0.19), (10, 10), 0.004)
-    ratio = Effect("tanh against relu", "inconclusive", 1.3, (0.7, 2.4), (3, 3), 0.5, ratio=True)
+    ids = "0" * 16, "f" * 16
+    better = claim(f"better {name}", quote=name, study=f"activation {name}", note=name)
+    won = comparison("supported", 0.12, (0.05, 0.19), 0.004, run_ids=ids)
+    steadier = claim("steadier", kind="spread", study="sizes")
+    ratio = comparison("inconclusive", 1.3, (0.7, 2.4), 0.5, (3, 3), steadier, seeds_needed=33)
     claims = (
-        Claim(
-            f"better {name}", name, "6.2", f"activation {name}", name,
-            {
-                "text": Verdict("supported", "", (won, won), None, ("0" * 16, "f" * 16)),
-                "logs": Verdict("untestable", name),
-            },
-            name, note=name,
-        ),
-        Claim("steadier", "q", "6.2", "sizes", "", {"text": Verdict("inconclusive", "", (ratio,), 33)}),
-    )  # fmt: skip
+        judged(better, text=("supported", "", (won, won)), logs=("untestable", name, ())),
+        judged(steadier, text=("inconclusive", "", (ratio,))),
+    )
     part = Part(
         f"activation {name}",
         "In the text's world",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -41,7 +41,6 @@ steps = 2048
 
 
 MakeTask = Callable[..., Task]
-Solve = Callable[..., Iterator[list[Told]]]
 ReadOutcome = Callable[[Cell, str], float]
 
 
@@ -52,9 +51,25 @@ def height(cell: Cell, outcome: str) -> float:
     return 1 - 0.2 * distance - 0.1 * (run.activation == "relu") + 0.01 * (run.seed % 2)
 
 
-def flat(generations: Iterable[list[Told]]) -> list[Told]:
-    """Return the trials of all generations in a row."""
-    return [told for generation in generations for told in generation]
+class Formula:
+    """Outcomes of runs that nobody trained."""
+
+    def __init__(self, read: ReadOutcome = height, diverged: bool = False) -> None:
+        self._read, self._diverged = read, diverged
+
+    def read(self, cell: Cell, name: str) -> float:
+        """Return what the formula says."""
+        return self._read(cell, name)
+
+    def diverged(self, cell: Cell) -> bool:
+        """Return the same of every run."""
+        return self._diverged
+
+
+def solve(task: Task, plans: list[Plan] | None = None, outcomes: Formula | None = None) -> list[Told]:
+    """Conduct a task on the formula and return its trials; `plans` gets what would be trained."""
+    train = (lambda plan: None) if plans is None else plans.append
+    return [told for generation in conduct(task, train, outcomes or Formula()) for told in generation]
 
 
 @pytest.fixture
@@ -64,17 +79,6 @@ def make_task(tmp_path: Path) -> MakeTask:
     def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
         path = tmp_path / "formula.toml"
         path.write_text(SPACE.format(more=more, second=second, start=start))
-        return Task(load_search(str(path)), Budget(trials, (1000, 1001), 2048))
+        return Task(load_search(str(path)), Budget(trials, (1000, 1001), 2048), str(path))
 
     return make
-
-
-@pytest.fixture
-def solve() -> Solve:
-    """Return a function that conducts a task on the formula; `plans` gets what would be trained."""
-
-    def run(task: Task, plans: list[Plan] | None = None, read: ReadOutcome = height) -> Iterator[list[Told]]:
-        train = (lambda plan: None) if plans is None else plans.append
-        return conduct(task, train, read, lambda cell: False)
-
-    return run

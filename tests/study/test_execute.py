@@ -10,38 +10,38 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pneuma.cli import study_run
 from pneuma.cli.study_records import study_record
-from pneuma.config import Run, as_settings
+from pneuma.config import as_settings
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.execute import (
+    CellProgress,
+    CellResult,
     OnProgress,
-    Outcome,
-    Progress,
     execute,
     groups,
-    missing,
     prepare,
     recorded_selection,
 )
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
-from pneuma.study.spec import load_study, studies_folder
-from pneuma.study.store import Store, to_json
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store, run_document, to_json
 from pneuma.study.tables import from_parquet
 
 from .tiny import TINY, tiny_plan
 
-RECORDS = ("episodes.parquet", "metrics.parquet", "evaluations.parquet")
+COLUMNS = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
+RECORDS = tuple(f"{table}.parquet" for table in COLUMNS)
 FILES = {*RECORDS, "run.json", "provenance.json", "policy.safetensors", "status.json"}
 
 
@@ -51,45 +51,18 @@ class Executed:
 
     plan: Plan
     store: Store
-    outcomes: list[Outcome]
-    progress: list[Progress]
+    results: list[CellResult]
+    progress: list[CellProgress]
 
 
-def _run(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> list[Outcome]:
+def _run(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> list[CellResult]:
     todo = prepare(plan, store).runs
     return execute(plan, todo, store, Supervision(workers, checkpoint_seconds=0.2), on_progress)
 
 
-def _missing(plan: Plan, store: Store) -> dict[str, Run]:
-    return missing(plan, {cell.run_id: store.status(cell.run_id) for cell in plan.cells})
-
-
 def _execute(plan: Plan, folder: Path, workers: int) -> Executed:
-    store, progress = Store(folder / "results"), list[Progress]()
+    store, progress = Store(folder / "results"), list[CellProgress]()
     return Executed(plan, store, _run(plan, store, workers, progress.append), progress)
-
-
-# --- Groups ------------------------------------------------------------------------------------------
-
-
-def test_runs_on_a_gpu_are_grouped_among_themselves(tmp_path: Path) -> None:
-    runs = {cell.run_id: cell.run for cell in tiny_plan(tmp_path, seeds=tuple(range(6))).cells}
-    one, two, *others = runs
-    grouped = groups(runs, Supervision(workers=1, on_gpu=frozenset({one, two})))
-    assert [set(group) for group in grouped] == [{one, two}, set(others)]
-
-
-def test_the_conditions_that_a_file_marks_get_gpus_and_no_other_ids(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = tiny_plan(tmp_path)
-    path = tmp_path / "marked.toml"
-    path.write_text('gpu = ["one"]\n' + TINY.replace("[conditions.other]", "[conditions.other]\ngamma = 0.9"))
-    plan, told = make_plan(load_study(str(path)), Selection()), list[Supervision]()
-    monkeypatch.setattr(local, "run_groups", lambda groups, store, how, on_event: told.append(how))
-    _run(plan, Store(tmp_path / "results"), 1, lambda progress: None)
-    marked = {cell.run_id for cell in plan.cells if cell.condition == "one"}
-    assert told[0].on_gpu == marked == {cell.run_id for cell in plain.cells}
 
 
 @pytest.fixture(scope="module")
@@ -132,19 +105,33 @@ def _run_id(executed: Executed, seed: int) -> str:
     return next(cell.run_id for cell in executed.plan.cells if cell.seed == seed)
 
 
-# --- What a run leaves behind --------------------------------------------------------------------
+# --- Groups ------------------------------------------------------------------------------------------
 
 
-def test_a_run_is_trained_to_its_end(together: Executed) -> None:
-    assert [(o.status.name, o.status.step, o.trained) for o in together.outcomes] == [("done", 256, True)] * 4
+def test_the_conditions_that_a_file_marks_get_gpus_among_themselves_and_no_other_ids(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, path, told = tiny_plan(tmp_path), tmp_path / "marked.toml", list[Supervision]()
+    path.write_text('gpu = ["one"]\n' + TINY.replace("[conditions.other]", "[conditions.other]\ngamma = 0.9"))
+    plan = make_plan(load_study(str(path)), Selection())
+    monkeypatch.setattr(local, "run_groups", lambda groups, store, how, on_event: told.append(how))
+    _run(plan, Store(tmp_path / "results"), 1, lambda progress: None)
+    marked = {cell.run_id for cell in plan.cells if cell.condition == "one"}
+    assert told[0].on_gpu == marked == {cell.run_id for cell in plain.cells}
+    runs = {cell.run_id: replace(cell.run, engine="batched") for cell in plan.cells}
+    assert [set(group) for group in groups(runs, told[0])] == [marked, {*runs} - marked]
+
+
+# --- What a run leaves behind ------------------------------------------------------------------------
 
 
 def test_one_configuration_is_trained_once_for_two_conditions(together: Executed) -> None:
+    assert [(own.status.name, own.status.step, own.trained) for own in together.results] == [
+        ("done", 256, True)
+    ] * 4
     names = [cell.run_id for cell in together.plan.cells]
-    assert len(names) == 4
     assert names[0] == names[1] and names[2] == names[3]
-    folders = list((together.store.root / "runs").iterdir())
-    assert {folder.name for folder in folders} == {names[0], names[2]}
+    assert together.store.runs() == sorted({*names})
 
 
 def test_every_file_is_there_with_its_checksum(together: Executed) -> None:
@@ -159,49 +146,33 @@ def test_every_file_is_there_with_its_checksum(together: Executed) -> None:
         assert (status["schema"], status["status"], status["step"]) == (1, "done", 256)
 
 
-def test_a_run_keeps_its_resolved_configuration(together: Executed) -> None:
+def test_a_run_keeps_its_configuration_and_what_produced_it(together: Executed) -> None:
     cell = together.plan.cells[0]
     kept = json.loads(together.store.read_file(cell.run_id, "run.json"))
     assert kept == {"schema": 1, "run_id": cell.run_id, "run": as_settings(cell.run)}
-    assert kept["run"]["horizon"] == 64
+    about = json.loads(together.store.read_file(cell.run_id, "provenance.json"))
+    assert {"packages", "commit", "cpu", "started"} <= set(about)
+    assert about["threads"] == 1 and about["wall_seconds"] > 0
+    assert {"numpy", "torch", "stable-baselines3"} <= set(about["packages"])
 
 
-def test_a_run_keeps_what_produced_it(together: Executed) -> None:
-    kept = json.loads(together.store.read_file(_run_id(together, 0), "provenance.json"))
-    assert {"packages", "commit", "cpu", "threads", "started", "wall_seconds"} <= set(kept)  # design 4
-    assert kept["threads"] == 1
-    assert {"numpy", "torch", "stable-baselines3"} <= set(kept["packages"])
-    assert kept["wall_seconds"] > 0
+def test_every_update_episode_and_evaluation_is_recorded(together: Executed) -> None:
+    """256 steps are 4 horizons of 64; with fewer than 20 updates each is evaluated.
 
-
-@pytest.mark.parametrize(
-    ("table", "columns"),
-    [("episodes", EPISODE_COLUMNS), ("metrics", METRIC_COLUMNS), ("evaluations", EVALUATION_COLUMNS)],
-)
-def test_the_tables_have_the_columns_of_the_contract(
-    together: Executed, table: str, columns: tuple[str, ...]
-) -> None:
-    assert {tuple(row) for row in _rows(together, 0, table)} == {columns}
-
-
-def test_every_update_and_evaluation_is_recorded(together: Executed) -> None:
-    # 256 steps are 4 horizons of 64; with fewer than 20 updates each one is evaluated
+    Episodes of the one slot follow one another without a gap, but for the one that the budget cut off.
+    """
+    tables = {name: _rows(together, 0, name) for name in COLUMNS}
+    assert {name: {tuple(row) for row in rows} for name, rows in tables.items()} == {
+        name: {columns} for name, columns in COLUMNS.items()
+    }
     steps = [64, 128, 192, 256]
-    assert [row["step"] for row in _rows(together, 0, "metrics")] == steps
-    assert [row["step"] for row in _rows(together, 0, "evaluations")] == steps
-    assert all(row["episodes"] == 2 for row in _rows(together, 0, "evaluations"))
-
-
-def test_an_episode_ends_where_the_lengths_so_far_add_up_to(together: Executed) -> None:
-    """One slot: its episodes follow one another without a gap."""
-    episodes = _rows(together, 0, "episodes")
-    assert [row["episode"] for row in episodes] == list(range(len(episodes)))
+    assert [row["step"] for row in tables["metrics"]] == steps
+    assert [(row["step"], row["episodes"]) for row in tables["evaluations"]] == [(step, 2) for step in steps]
     total = 0
-    for row in episodes:
+    for i, row in enumerate(tables["episodes"]):
         total += row["length"]
-        assert row["step"] == total <= 256
-        assert row["length"] <= 50
-    assert 256 - total < 50  # the one that was cut off by the budget
+        assert (row["episode"], row["step"]) == (i, total) and row["length"] <= 50
+    assert 256 - 50 < total <= 256
 
 
 def test_the_selection_is_recorded(together: Executed) -> None:
@@ -219,55 +190,48 @@ def test_progress_reaches_every_cell_and_ends_each_once(together: Executed) -> N
     assert sorted(ends) == [
         (condition, seed, "done", 256) for condition in ("one", "other") for seed in (0, 1)
     ]
-    steps = [p.step for p in together.progress if not p.status and not p.note]
-    assert steps and set(steps) <= {64, 128, 192, 256}
+    steps = {p.step for p in together.progress if not p.status and not p.note}
+    assert 0 in steps and steps <= {0, 64, 128, 192, 256}
 
 
-# --- The same run, the same bits -----------------------------------------------------------------
+# --- The same run, the same bits ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("file", [*RECORDS, "policy.safetensors", "run.json"])
 def test_a_run_ends_with_the_same_bits_alone_in_company_and_with_any_number_of_workers(
-    together: Executed, alone: tuple[Executed, Executed], seed: int, file: str
+    together: Executed, alone: tuple[Executed, Executed]
 ) -> None:
     """In the other folder seed 1 was trained alone, and seed 0 by a single worker."""
-    name = _run_id(together, seed)
-    assert alone[1].store.read_file(name, file) == together.store.read_file(name, file)
+    for file in (*RECORDS, "policy.safetensors", "run.json"):
+        here, there = (
+            [own.store.read_file(_run_id(together, seed), file) for seed in (0, 1)]
+            for own in (together, alone[1])
+        )
+        assert here == there and here[0] != here[1], file
 
 
-def test_different_seeds_end_with_different_bits(together: Executed) -> None:
-    first, second = (_run_id(together, seed) for seed in (0, 1))
-    for file in (*RECORDS, "policy.safetensors"):
-        assert together.store.read_file(first, file) != together.store.read_file(second, file)
+# --- What is trained, and when -----------------------------------------------------------------------
 
 
-# --- What is trained, and when -------------------------------------------------------------------
-
-
-def test_only_new_seeds_are_trained(alone: tuple[Executed, Executed]) -> None:
+def test_only_what_is_missing_is_trained(
+    together: Executed, alone: tuple[Executed, Executed], workers: list[subprocess.Popen[bytes]]
+) -> None:
     first, second = alone
-    assert [(o.cell.seed, o.trained) for o in first.outcomes] == [(1, True)]
-    assert [(o.cell.seed, o.trained) for o in second.outcomes] == [(0, True), (1, False)]
+    assert [(own.cell.seed, own.trained) for own in first.results] == [(1, True)]
+    assert [(own.cell.seed, own.trained) for own in second.results] == [(0, True), (1, False)]
     assert {p.cell.seed for p in second.progress} == {0}
-
-
-def test_a_second_time_nothing_is_trained(together: Executed, workers: list[subprocess.Popen[bytes]]) -> None:
-    assert _missing(together.plan, together.store) == {}
-    outcomes = _run(together.plan, together.store, 2, lambda _: pytest.fail("something happened"))
-    assert [(o.status.name, o.trained) for o in outcomes] == [("done", False)] * 4
+    again = _run(together.plan, together.store, 2, lambda _: pytest.fail("something happened"))
+    assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
     assert workers == []
 
 
 def test_a_damaged_run_is_trained_again_to_the_same_bits(alone: tuple[Executed, Executed]) -> None:
     executed = alone[0]
-    name = _run_id(executed, 1)
-    path = executed.store.run_folder(name) / "metrics.parquet"
+    path = executed.store.run_folder(_run_id(executed, 1)) / "metrics.parquet"
     whole = path.read_bytes()
     path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     try:
-        (outcome,) = _run(executed.plan, executed.store, 1, lambda _: None)
-        assert outcome.trained
+        (result,) = _run(executed.plan, executed.store, 1, lambda _: None)
+        assert result.trained
         assert path.read_bytes() == whole
     finally:
         path.write_bytes(whole)  # other tests look at this folder too
@@ -280,54 +244,30 @@ def test_an_environment_that_cannot_be_made_is_told_before_anything_is_written(t
     assert os.listdir(tmp_path) == ["tiny.toml"]
 
 
-# --- When a worker goes --------------------------------------------------------------------------
+# --- When a worker goes ------------------------------------------------------------------------------
 
 
 def test_a_worker_killed_once_is_tried_again_and_twice_is_told(
     tmp_path: Path, workers: list[subprocess.Popen[bytes]]
 ) -> None:
-    long = 64 * 200  # not over before it is killed
-    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=long)
+    plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), steps=64 * 200)  # not over before
     store, name = Store(tmp_path / "results"), plan.cells[0].run_id
-    seen: list[Progress] = []
+    seen: list[CellProgress] = []
 
-    def kill_whoever_trains(progress: Progress) -> None:
+    def kill_whoever_trains(progress: CellProgress) -> None:
         seen.append(progress)
         if progress.step:
             os.kill(workers[-1].pid, signal.SIGKILL)
 
-    (outcome,) = _run(plan, store, 1, kill_whoever_trains)
-    assert (outcome.status.name, outcome.trained) == ("killed", True)
-    assert len(workers) == 2
+    (result,) = _run(plan, store, 1, kill_whoever_trains)
+    assert (result.status.name, result.trained, len(workers)) == ("killed", True, 2)
     assert any("killed by SIGKILL" in progress.note for progress in seen)
     assert seen[-1].status == "killed"
     assert b"killed by SIGKILL" in store.read_file(name, "error.txt")
-    assert json.loads(store.read_file(name, "run.json"))["run"] == as_settings(plan.cells[0].run)
 
-    (outcome,) = _run(plan, store, 1, lambda _: None)
-    assert (outcome.status.name, outcome.status.step, outcome.trained) == ("done", 64 * 200, True)
+    (result,) = _run(plan, store, 1, lambda _: None)
+    assert (result.status.name, result.status.step, result.trained) == ("done", 64 * 200, True)
     assert {path.name for path in store.run_folder(name).iterdir()} == FILES
-    assert len(workers) == 3
-
-
-def test_a_worker_that_dies_before_it_reads_its_job_is_a_crash(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = tmp_path / "python"
-    script.write_text("#!/bin/sh\necho no such interpreter >&2\nexit 3\n")
-    script.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(script))
-    begin = subprocess.Popen.__init__
-
-    def begin_and_end(process: subprocess.Popen[bytes], *arguments: Any, **options: Any) -> None:
-        begin(process, *arguments, **options)
-        process.wait()
-
-    monkeypatch.setattr(subprocess.Popen, "__init__", begin_and_end)
-    executed = _execute(tiny_plan(tmp_path, conditions=("one",)), tmp_path, workers=1)
-    assert [outcome.status.name for outcome in executed.outcomes] == ["crashed", "crashed"]
-    error = executed.store.read_file(_run_id(executed, 0), "error.txt")
-    assert b"code 3" in error and b"no such interpreter" in error
 
 
 def test_an_interrupt_ends_the_workers_and_leaves_nothing_half(
@@ -336,24 +276,42 @@ def test_an_interrupt_ends_the_workers_and_leaves_nothing_half(
     plan = tiny_plan(tmp_path, conditions=("one",), steps=64 * 40)
     store = Store(tmp_path / "results")
 
-    def interrupt(_: Progress) -> None:
+    def interrupt(_: CellProgress) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         _run(plan, store, 2, interrupt)
-    assert len(workers) == 2
-    assert all(process.poll() is not None for process in workers)
-    assert len(_missing(plan, store)) == 2
+    assert len(workers) == 2 and all(process.poll() is not None for process in workers)
+    assert len(prepare(plan, store).runs) == 2
     left = {path.name for path in (tmp_path / "results").glob("runs/*/[!.]*")}
     assert left <= {"checkpoints", "run.json"}
 
 
+def test_what_had_ended_before_ctrl_c_is_told_as_trained_and_what_is_published_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, store = tiny_plan(tmp_path, seeds=(0, 1, 2), conditions=("one",)), Store(tmp_path / "results")
+    first, _, elsewhere = plan.cells
+    plan = replace(plan, published=frozenset({elsewhere.run_id}))
+
+    def stop(*_: object) -> None:
+        store.save_run(first.run_id, Status("done", 640), {"run.json": run_document(first.run, first.run_id)})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pneuma.study.execute.execute", stop)
+    code = study_run.train(plan, store, Supervision(1), retry_failed=False, json=True, quiet=True)
+    rows = [
+        (row["seed"], row["status"], row["trained"]) for row in json.loads(capsys.readouterr().out)["runs"]
+    ]
+    assert (code, rows) == (130, [(0, "done", True), (1, "planned", False)])
+
+
 def test_a_run_whose_numbers_explode_has_diverged_and_not_crashed(tmp_path: Path) -> None:
-    """Design section 4: a non-finite parameter is a result, and its records are kept."""
+    """A parameter that is not finite is a result, and its records are kept."""
     explosive = {"optimizer": "sgd", "learning_rate": 100, "gradient_limit": None, "epochs": 10}
     plan = tiny_plan(tmp_path, seeds=(0,), conditions=("one",), settings={**explosive, "activation": "relu"})
     executed = _execute(plan, tmp_path, workers=1)
-    assert executed.outcomes[0].status.name == "diverged"
+    assert executed.results[0].status.name == "diverged"
     assert tuple(_rows(executed, 0, "metrics")[0]) == METRIC_COLUMNS
 
 
@@ -374,8 +332,3 @@ def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
     paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
     prepare(second, store)
     assert study_record(store, str(paths[1]), None)["path"] == str(paths[1])
-
-
-def test_a_shipped_file_is_shipped_however_its_path_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(studies_folder().parent)
-    assert load_study(f"{studies_folder().name}/activation.toml").own_path is None

@@ -1,37 +1,50 @@
-"""The local executor beside workers that are none: what they say is never taken for an event."""
+"""Supervision of workers, some of which are no workers at all, and how signals are counted."""
 
 from __future__ import annotations
 
-import math
 import os
+import select
+import signal
 import sys
-import time
+import threading
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 
-from pneuma.config import make_run
-from pneuma.study.compiling import COMPILES, WAITS
+from pneuma.config import Run, make_run
 from pneuma.study.executors import local, supervisor
 from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.executors.supervisor import Interrupts
 from pneuma.study.identity import run_id
 from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Store
 
-RUN = make_run({"steps": 2048})
+RUN = make_run({"steps": 512, "evaluation_episodes": 1})
+TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
+
+
+def train(runs: dict[str, Run], folder: Path, how: Supervision = Supervision(1)) -> list[Event]:  # noqa: B008
+    events: list[Event] = []
+    local.run_groups([runs], Store(folder / "results"), how, events.append)
+    return events
+
+
+def no_worker(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    """Put a shell's script in the place of workers."""
+    program = folder / "no-worker"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
 
 
 def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker takes half a second of a core to find the lock taken; once was enough."""
-    store, name = Store(tmp_path / "results"), run_id(RUN)
-    begun, asked = list[object](), list[Path]()
-    start = local.LocalProcess
+    begun, asked, start = list[object](), list[Path](), local.LocalProcess
 
     def note(job: Any) -> Any:
         begun.append(job)
@@ -46,34 +59,21 @@ def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
     monkeypatch.setattr(local, "LocalProcess", note)
     monkeypatch.setattr(supervisor, "is_held", ask)
     monkeypatch.setattr(supervisor, "BUSY_SECONDS", 0.05)
-    events: list[Event] = []
     with ExitStack() as other:
-        assert other.enter_context(RunLock(store.run_folder(name)))
-        local.run_groups([{name: RUN}], store, Supervision(1), events.append)
+        assert other.enter_context(RunLock(Store(tmp_path / "results").run_folder(run_id(RUN))))
+        events = train({run_id(RUN): RUN}, tmp_path)
     assert len(begun) == 2 and len(asked) == 3  # one that found it busy, one that trained it
     assert [event["status"] for event in events if event["event"] == "end"] == ["done"]
 
 
 @pytest.mark.parametrize(
-    "line",
-    [
-        "Welcome!",
-        "3",
-        "null",
-        '{"event": "step"}',
-        '{"event": "end", "run_id": "another", "status": "done", "step": 1}',
-    ],
+    "line", ["Welcome!", "3", '{"event": "step"}', '{"event": "end", "run_id": "another", "status": "done"}']
 )
 def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = tmp_path / "no-worker"
-    program.write_text(f"#!/bin/sh\necho '{line}'\nexec sleep 60\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(program))
-    events: list[Event] = []
-    local.run_groups([{run_id(RUN): RUN}], Store(tmp_path / "results"), Supervision(1), events.append)
-    note, end = events
+    no_worker(tmp_path, monkeypatch, f"echo '{line}'\nexec sleep 60")
+    note, end = train({run_id(RUN): RUN}, tmp_path)
     assert "was killed by SIGKILL" in note["text"] and note["text"].endswith("tried once more")
     assert (end["event"], end["run_id"], end["status"]) == ("end", run_id(RUN), "killed")
 
@@ -82,70 +82,44 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker of two dies in the first; then each of them dies alone, and the second once more."""
-    runs = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
-    program = tmp_path / "no-worker"
-    told = '{"event": "note", "run_id": "%s", "text": "begun"}'
-    program.write_text(
-        f'#!/bin/sh\nread group\necho "$group" >> {tmp_path}/begun\n'
-        f"case $group in *{list(runs)[0]}*) echo '{told % list(runs)[0]}';; esac\nexit 3\n"
-    )
-    program.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(program))
-    events: list[Event] = []
-    local.run_groups([runs], Store(tmp_path / "results"), Supervision(1), events.append)
+    no_worker(tmp_path, monkeypatch, f'read group\necho "$group" >> {tmp_path}/begun\necho why >&2\nexit 3')
+    events = train(TWO, tmp_path)
     notes = [event["run_id"] for event in events if event["event"] == "note" and "once more" in event["text"]]
-    assert sorted(notes) == sorted(runs)  # of the second when it was alone
+    assert sorted(notes) == sorted(TWO)  # of the second when it was alone
     assert [event["status"] for event in events if event["event"] == "end"] == ["crashed", "crashed"]
     assert len((tmp_path / "begun").read_text().splitlines()) == 4
+    error = Store(tmp_path / "results").read_file(run_id(RUN), "error.txt")
+    assert error == b"the worker process ended with code 3\nwhy\n"
 
 
-def test_waiting_for_what_another_compiles_is_no_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The time-out is counted from the first update; 300 s may go before it, and 600 more while it waits."""
-    clock = iter([100.0, 150.0])
-    monkeypatch.setattr("pneuma.study.executors.supervisor.time.monotonic", lambda: next(clock))
-    worker = supervisor._Worker(Mock(), Mock(), started=0.0, waits=0.0)
-    assert worker.deadline(3.0) == 303.0
-    worker.note_time({"event": "passing", "run_id": "x", "text": WAITS})
-    assert worker.deadline(3.0) == 903.0
-    worker.note_time({"event": "passing", "run_id": "x", "text": COMPILES})
-    assert worker.deadline(3.0) == 100.0 + 303.0
-    worker.note_time({"event": "step", "run_id": "x", "step": 64})
-    assert worker.deadline(3.0) == 153.0
+# --- Signals -----------------------------------------------------------------------------------------
 
 
-def test_waiting_for_a_node_takes_no_time_of_a_run() -> None:
-    worker = supervisor._Worker(Mock(), Mock(), started=0.0, waits=math.inf)
-    assert worker.deadline(3.0) == math.inf
-    worker.note_time({"event": "passing", "run_id": "x", "text": "starts on the node 10.0.0.2"})
-    assert worker.deadline(3.0) == pytest.approx(time.monotonic() + 303.0, abs=10)
+@pytest.mark.parametrize(("nohup", "counted"), [(False, 1), (True, 0)])
+def test_a_closed_terminal_is_one_interrupt_however_often_it_is_told(nohup: bool, counted: int) -> None:
+    handler = signal.SIG_IGN if nohup else signal.SIG_DFL
+    before = signal.signal(signal.SIGHUP, handler)
+    try:
+        with Interrupts() as interrupts:
+            for _ in range(3):
+                signal.raise_signal(signal.SIGHUP)
+            assert interrupts.count == counted
+            signal.raise_signal(signal.SIGINT)
+            assert interrupts.count == counted + 1
+        assert signal.getsignal(signal.SIGHUP) == handler
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
-def test_a_run_whose_time_is_up_is_waited_for_as_long_as_its_slow_updates_take(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Its only update so far came after a minute; one that takes as long, and is evaluated, is no hang."""
-    clock = {"now": 0.0}
-    monkeypatch.setattr("pneuma.study.executors.supervisor.time.monotonic", lambda: clock["now"])
-    wakeup, other_end = os.pipe()
-    how = Supervision(1, timeout_seconds=4.0)
-    interrupts = Mock(count=0, wakeup=wakeup)
-    supervised = supervisor.Supervisor([], Mock(), how, Mock(), interrupts, Mock())
-    process = Mock()
-    worker = supervisor._Worker(process, Mock(), started=0.0, waits=0.0)
-    monkeypatch.setattr(supervised, "_workers", lambda: [worker])
-
-    def look(now: float) -> tuple[bool, bool]:
-        """Return whether the run has been asked to stop, and whether it has been killed."""
-        clock["now"] = now
-        supervised._end_overdue()
-        return process.ask_to_stop.called, process.kill.called
-
-    clock["now"] = 60.0
-    worker.note_time({"event": "step", "run_id": "x", "step": 64})
-    assert [look(now) for now in (63.0, 65.0, 96.0, 300.0)] == [
-        (False, False), (True, False), (True, False), (True, False),
-    ]  # fmt: skip
-    assert supervised._patience() == pytest.approx(65 + 600 + 30 - 300, abs=1)
-    assert look(65 + 600 + 31) == (True, True)
-    os.close(other_end)
-    os.close(wakeup)
+def test_one_that_another_thread_takes_wakes_the_wait() -> None:
+    # Like a thread of a mathematical library, it does not block what the main thread does.
+    other = threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGTERM])
+    with Interrupts() as interrupts:
+        other.start()
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+        try:
+            assert select.select([interrupts.wakeup], [], [], 5)[0]
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+            other.join()
+        assert interrupts.count == 1

@@ -5,15 +5,15 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
-import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from pneuma.study import locks
 from pneuma.study.locks import STALE_SECONDS, RunLock, is_held
+from pneuma.study.store import Store
 
 
 def test_one_holder_at_a_time(tmp_path: Path) -> None:
@@ -67,14 +67,23 @@ def test_where_there_are_no_locks_nobody_is_kept_out(tmp_path: Path, monkeypatch
         assert mine and not is_held(tmp_path)
 
 
-def test_a_link_in_the_locks_place_is_not_followed(tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    folder.mkdir()
-    (folder / ".lock").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(OSError, match="symbolic links"), RunLock(folder):
-        pass
+def test_a_link_a_pipe_or_a_folder_in_the_locks_place_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    store, name = Store(tmp_path), "0123456789abcdef"
+    folder = store.run_folder(name)
+    folder.mkdir(parents=True)
+    path = folder / ".lock"
+    cases: list[tuple[Callable[[], object], Callable[[], object], str]] = [
+        (lambda: path.symlink_to(tmp_path / "elsewhere"), path.unlink, "symbolic links"),
+        (lambda: os.mkfifo(path), path.unlink, "is no ordinary file; remove it"),
+        (path.mkdir, path.rmdir, "directory"),
+    ]
+    for make, undo, why in cases:
+        make()
+        with pytest.raises(OSError, match=why), RunLock(folder):
+            pass
+        assert not is_held(folder) and store.status(name).name == "planned"
+        undo()
     assert not (tmp_path / "elsewhere").exists()
-    assert not is_held(folder)
 
 
 @pytest.mark.parametrize(
@@ -127,13 +136,3 @@ def test_who_breaks_a_dead_machines_lock_leaves_that_of_who_broke_it_first(
     first.__exit__()
     dead.__exit__()
     assert not is_held(tmp_path)
-
-
-def test_a_hundred_locks_take_one_thread_that_goes_with_the_last(tmp_path: Path) -> None:
-    before = {*threading.enumerate()}
-    with ExitStack() as held:
-        for i in range(100):
-            assert held.enter_context(RunLock(tmp_path / f"{i}"))
-        (renewing,) = {*threading.enumerate()} - before
-    renewing.join(timeout=10)
-    assert not renewing.is_alive()

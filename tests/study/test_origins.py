@@ -1,25 +1,18 @@
-"""Which runs were trained on something else than most, and how fast each kind of processor was."""
+"""Which runs were trained on something else than most."""
 
 from __future__ import annotations
 
 import json
 import tracemalloc
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pneuma.cli import main, study_run
-from pneuma.config import Run, as_settings, make_run
-from pneuma.errors import UserError
-from pneuma.study import calibration, foresight
+from pneuma.cli import main
 from pneuma.study.execute import selection_record
-from pneuma.study.files import seal
-from pneuma.study.identity import run_id
 from pneuma.study.origins import stored_origins, unusual_origins
-from pneuma.study.plan import Cell, Plan, Selection, make_plan
-from pneuma.study.provenance import machine
+from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
 
@@ -120,141 +113,3 @@ def test_status_and_show_tell_the_mark(
     assert "other processor than most runs of study activation" in capsys.readouterr().out
     assert main(["run", "show", planned.cells[0].run_id, "--results", str(tmp_path)]) == 0
     assert "than most" not in capsys.readouterr().out
-
-
-def test_paces_are_of_this_kind_of_processor_where_it_is_known(tmp_path: Path, planned: Plan) -> None:
-    here, store = {**MILAN, "cpu": machine(1)["cpu"]}, Store(tmp_path)
-    seconds = planned.cells[0].run.steps * 0.001  # a millisecond a step
-    told = [origin(here, seconds=seconds), *(origin(XEON, seconds=n * seconds) for n in (4, 5, 6))]
-    save(store, planned, told)
-    statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
-    measured = foresight.measured_runs(planned, statuses, store)
-    paces = foresight.known_paces(measured, store)
-    assert [pace.per_step for pace in paces.values()] == [pytest.approx(0.001)]
-    paces = foresight.known_paces(measured[1:], store)
-    assert [pace.per_step for pace in paces.values()] == [pytest.approx(0.005)]
-    speeds = foresight.processor_speeds(planned, measured)
-    assert set(speeds) == {"tanh", "relu"}
-    assert {name: (round(speed), runs) for name, (speed, runs) in speeds["tanh"].items()} == {
-        here["cpu"]: (1000, 1),
-        "Intel Xeon": (200, 3),
-    }
-
-
-def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path, planned: Plan) -> None:
-    """Of a diverged run they are fewer than its budget; of a fork, without its parent's."""
-    store, cells = Store(tmp_path), planned.cells[:2]
-    fork = make_run({**as_settings(cells[1].run), "parent": "a" * 16, "fork_step": cells[1].run.steps - 256})
-    runs = {cells[0].run_id: (cells[0].run, "diverged", 512), run_id(fork): (fork, "done", fork.steps)}
-    for name, (run, status, step) in runs.items():
-        files = {"run.json": run_document(run, name), "provenance.json": to_json(origin(MILAN, seconds=2.56))}
-        store.save_run(name, Status(status, step), files)
-    plan = replace(planned, cells=(cells[0], Cell("fork", 0, fork, run_id(fork))))
-    statuses = {name: store.status(name) for name in runs}
-    rates = [each.per_step for each in foresight.measured_runs(plan, statuses, store)]
-    assert rates == [pytest.approx(2.56 / 512), pytest.approx(2.56 / 256)]
-
-
-def test_what_other_machines_measured_is_kept(
-    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store, told = Store(tmp_path), list[str]()
-    monkeypatch.setattr(calibration, "_measure", lambda run: (foresight.Pace(1.0, 0.5), False))
-    runs = [planned.cells[0].run]
-    calibration.calibrate(runs, store, {}, told.append)
-    monkeypatch.setattr(foresight, "_machine", lambda: "another")
-    assert foresight.known_paces([], store) == {}
-    calibration.calibrate(runs, store, {}, told.append)
-    monkeypatch.undo()
-    assert foresight.known_paces([], store) == {foresight.kind(runs[0]): foresight.Pace(1.0, 0.5)}
-    assert told == ["measuring how fast this machine trains (1 of 1) …"] * 2
-
-
-def test_where_a_pace_cannot_be_kept_a_plan_names_the_option_that_needs_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(store: Store) -> None:
-        raise UserError(f"{store.root}: cannot be written")
-
-    monkeypatch.setattr(Store, "check_writable", refuse)
-    with pytest.raises(UserError, match="cannot be written; or plan without measuring: --no-calibrate"):
-        study_run._calibrated([make_run({})], Store(tmp_path), {})
-
-
-@pytest.mark.parametrize("told_so", [True, False])  # else it is what the start took that shows it
-def test_a_start_that_compiled_is_measured_again(
-    tmp_path: Path, planned: Plan, told_so: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Every run of a plan would otherwise be told to take a compilation longer than it does."""
-    run = replace(planned.cells[0].run, steps=1024)
-    compiled, loaded = foresight.Pace(31.0, 0.01), foresight.Pace(2.0, 0.01)
-    paces = iter([(compiled, told_so), (loaded, False)])
-    monkeypatch.setattr(calibration, "_measure", lambda run: next(paces))
-    told: list[str] = []
-    assert calibration.calibrate([run], Store(tmp_path), {}, told.append) == {foresight.kind(run): loaded}
-    assert told[1:] == ["it had to compile first; measuring once more …"]
-
-
-def test_a_start_that_a_run_hardly_feels_is_measured_once(
-    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A big network's first update comes after minutes, which another measurement would cost once more."""
-    run = replace(planned.cells[0].run, steps=40_192)
-    asked: list[Run] = []
-
-    def measure(run: Run) -> tuple[foresight.Pace, bool]:
-        asked.append(run)
-        return foresight.Pace(60.0, 0.03), True
-
-    monkeypatch.setattr(calibration, "_measure", measure)
-    monkeypatch.setattr(calibration, "_with_evaluations", lambda run, pace: pace)
-    found = calibration.calibrate([run], Store(tmp_path), {}, lambda text: None)
-    assert found == {foresight.kind(run): foresight.Pace(60.0, 0.03)}
-    assert asked == [run]
-
-
-def test_a_run_too_slow_to_come_to_an_evaluation_is_told_its_evaluations(
-    tmp_path: Path, planned: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A start of 3 s, updates of 2 s, and 20 evaluations, every one of which takes 10."""
-    run = replace(planned.cells[0].run, steps=256 * 100)
-    asked: list[tuple[int, float | None]] = []
-
-    def watch(run: Run, seconds: float | None) -> calibration._Timed:
-        asked.append((run.steps, seconds))
-        if seconds:
-            return calibration._Timed(100.0, [(105.0, 256), (107.0, 512)])
-        return calibration._Timed(200.0, [(218.0, 256), (230.0, 512)])  # 3 s more were spent once
-
-    monkeypatch.setattr(calibration, "_time", watch)
-    (pace,) = calibration.calibrate([run], Store(tmp_path), {}, lambda text: None).values()
-    assert asked == [(run.steps, calibration.MEASURED_SECONDS), (512, None)]
-    assert pace.seconds(run.steps) == pytest.approx(3 + 100 * 2 + 20 * 10)
-
-
-def test_runs_of_other_budgets_have_other_paces(planned: Plan) -> None:
-    """All are evaluated as often, so that a step of a short run takes longer."""
-    run = planned.cells[0].run
-    assert foresight.kind(run) == foresight.kind(replace(run, seed=7))
-    assert foresight.kind(run) != foresight.kind(replace(run, steps=2 * run.steps))
-
-
-def test_a_run_that_changed_processors_times_neither(tmp_path: Path, planned: Plan) -> None:
-    store = Store(tmp_path)
-    save(store, planned, [origin(XEON, MILAN)])
-    statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
-    assert foresight.measured_runs(planned, statuses, store) == []
-
-
-def test_a_pace_leaves_out_what_waited_for_a_compilation_and_nothing_else() -> None:
-    """Steps of 0.001 s, an evaluation that doubles one of them, and one that waited 20 s."""
-    seconds = [0.256, 0.256, 0.512, 20.0, 0.256]
-    moments = [(sum(seconds[:i]), 256 * i) for i in range(6)]
-    assert calibration._usual_pace(moments) == pytest.approx((4 * 0.256 + 0.256) / 4 / 256)
-
-
-@pytest.mark.parametrize("strange", [3, {"here": 3}, {"here": {"kind": 3}}, {"here": {"kind": ["a", "b"]}}])
-def test_a_strangers_calibrations_are_none(strange: object, tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    store.write(foresight._calibration_path(store), seal({"paces": strange}))
-    assert not any(foresight._all_calibrations(store).values())

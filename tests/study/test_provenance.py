@@ -1,10 +1,12 @@
-"""What produced a run: every attempt keeps its machine, and what differs between two is told."""
+"""What produced a run: every attempt keeps its machine, and differences between two are reported."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,32 +16,31 @@ from pneuma.study import provenance
 from pneuma.study.provenance import Attempt, _read_cpu, differences, finished_provenance, machine
 
 
-def attempt() -> Attempt:
-    return Attempt(datetime(2026, 1, 2, tzinfo=UTC), time.perf_counter(), threads=1)
+def attempt(start: int = 0) -> Attempt:
+    """Return one that begins at noon in Tokyo, which is nine hours ahead."""
+    noon = datetime(2026, 1, 2, 12, tzinfo=timezone(timedelta(hours=9)))
+    return Attempt(noon, time.perf_counter(), threads=1, start=start)
 
 
 def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:
     elsewhere = {**machine(1), "cpu": "abacus", "commit": "0" * 40}
-    earlier = {
-        "started": "2026-01-01T00:00:00+00:00",
-        "wall_seconds": 100.0,
-        "step": 512,
-        "machine": elsewhere,
-    }
+    began = "2026-01-01T00:00:00+00:00"
+    earlier = {"started": began, "wall_seconds": 100.0, "step": 512, "machine": elsewhere}
     about = finished_provenance(attempt(), {"attempts": [earlier], "resumes": [{"step": 512}]}, 1024)
-    assert about["started"] == earlier["started"]
+    assert about["started"] == began
     assert 100 <= about["wall_seconds"] < 110
     assert {key: about[key] for key in machine(1)} == machine(1)
     first, last = about["attempts"]
     assert first == earlier
-    assert (last["started"], last["step"], last["machine"]) == ("2026-01-02T00:00:00+00:00", 1024, machine(1))
+    assert (last["started"], last["step"], last["machine"]) == ("2026-01-02T03:00:00+00:00", 1024, machine(1))
+    assert datetime.fromisoformat(last["started"]).tzinfo == UTC
 
 
 def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytest.MonkeyPatch) -> None:
     """20 s of compiling and 2 s of the first 100 steps, then 6 s of 300: 2 s each, so 8 s."""
     clock = [1000.0]
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
-    own = Attempt(datetime(2026, 1, 2, tzinfo=UTC), clock[0], 1, start=600)
+    own = attempt(start=600)
     clock[0] += 22
     own = own.updated(700)
     assert own.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
@@ -56,7 +57,7 @@ def test_what_else_ran_on_the_core_shows(monkeypatch: pytest.MonkeyPatch) -> Non
     clock, used = [1000.0], [10.0]
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
     monkeypatch.setattr(time, "process_time", lambda: used[0])
-    own = Attempt(datetime(2026, 1, 2, tzinfo=UTC), clock[0], 1).updated(100)
+    own = attempt().updated(100)
     assert own.so_far(100)["processor_share"] is None
     clock[0], used[0] = clock[0] + 6, used[0] + 4.5
     told = own.so_far(400)
@@ -67,32 +68,31 @@ def test_what_else_ran_on_the_core_shows(monkeypatch: pytest.MonkeyPatch) -> Non
     assert finished_provenance(own, {"attempts": [older], "resumes": []}, 400)["processor_share"] is None
 
 
-def test_a_run_without_a_stop_has_one_attempt() -> None:
-    about = finished_provenance(attempt(), {"attempts": [], "resumes": []})
-    assert [each["started"] for each in about["attempts"]] == [about["started"]]
-
-
 def test_a_gpu_is_told_by_its_name_and_apart_from_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "jax", raising=False)
     before = machine(1)
     assert before["device"] == "cpu"
     gpu = SimpleNamespace(device_kind="Abacus 3000")
-    fake = SimpleNamespace(default_backend=lambda: "gpu", devices=lambda: [gpu])
-    monkeypatch.setitem(sys.modules, "jax", fake)
-    assert machine(1)["device"] == "gpu: Abacus 3000"
+    monkeypatch.setitem(
+        sys.modules, "jax", SimpleNamespace(default_backend=lambda: "gpu", devices=lambda: [gpu])
+    )
     assert differences(before) == ["device (cpu, now gpu: Abacus 3000)"]
 
 
-@pytest.mark.parametrize("commit", ["b" * 40, "a" * 40 + "-dirty", None])
-def test_another_commit_is_told(commit: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("commit", "told"), [("b" * 40, "bbbbbbb"), ("a" * 40 + "-dirty", "aaaaaaa-dirty"), (None, "none")]
+)
+def test_another_commit_is_told_by_its_first_digits(
+    commit: str | None, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(provenance, "_commit", lambda: "a" * 40)
     here = machine(1)
     assert differences(here) == []
-    assert differences({**here, "commit": commit}) == [f"commit ({commit}, now {'a' * 40})"]
+    assert differences({**here, "commit": commit}) == [f"commit ({told}, now aaaaaaa)"]
 
 
 @pytest.mark.parametrize("earlier", [{}, {"packages": 3, "threads": "x"}, {"packages": ["torch"]}])
-def test_a_strangers_nonsense_only_differs(earlier: dict[str, Any]) -> None:
+def test_untrusted_nonsense_only_differs(earlier: dict[str, Any]) -> None:
     assert any(told.startswith("torch (none, now ") for told in differences(earlier))
 
 
@@ -109,8 +109,19 @@ def test_a_strangers_nonsense_only_differs(earlier: dict[str, Any]) -> None:
             "ARM implementer 0x41, part 0xd0c, variant 0x3, revision 1",
         ),
         ("processor\t: 0\n", ""),
-        ("", ""),
     ],
 )
 def test_a_processor_is_told_apart_by_its_model_or_on_arm_by_its_numbers(text: str, told: str) -> None:
     assert _read_cpu(text) == told
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"), [("max 100000\n", 8), ("150000 100000\n", 2), ("900000 100000\n", 8), ("1 0", 8)]
+)
+def test_a_container_may_have_fewer_cores_than_its_machine(
+    told: str, expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cpu.max").write_text(told)
+    monkeypatch.setattr(provenance, "QUOTA", tmp_path / "cpu.max")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    assert provenance.available_cores() == expected

@@ -164,7 +164,7 @@ def test_a_cluster_that_is_not_fit_is_refused(tmp_path: Path, cluster: Nodes) ->
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
-    command = {"versions": ray.versions(), "results": str(tmp_path / "elsewhere")}
+    command = ray.Command(ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere"))
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
         next(ray.Node().train({"results": "/shared/results"}, False, command))
 

@@ -7,10 +7,10 @@ need. Whatever one does, it keeps these promises:
 
 - A run ends in the store with the same files as `local` leaves, but for its provenance, and meanwhile its
   newest checkpoint lies there. Files appear whole or not at all.
-- Whoever trains a run holds its lock in the store; what another process holds is left to it, and said.
+- Whoever trains a run holds its lock in the store; what another process holds is left to it, and reported.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
-- A run that crashes, or whose process or node goes, is tried once more before that counts; a time-out counts
-  at once. A job of Slurm's that is lost with its node is put back into the queue by Slurm itself.
+- A run that crashes, or whose process or node goes, is tried once more before that counts. A job of Slurm's
+  that is lost with its node is put back into the queue by Slurm itself.
 - After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
   once. Either way the same command goes on, with this executor or another, to the same bits. Where jobs
   outlive the command, as in Slurm's queue, it is only left: `Detached`.
@@ -19,34 +19,25 @@ need. Whatever one does, it keeps these promises:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol, cast
 
 from pneuma.config import Run
-from pneuma.errors import UserError
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Status, Store
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
 
 LOCAL, RAY, SLURM = "local", "ray", "slurm"
-EXECUTORS = {
-    LOCAL: "pneuma.study.executors.local",
-    RAY: "pneuma.study.executors.ray",
-    SLURM: "pneuma.study.executors.slurm",
-}
+EXECUTORS = {name: f"pneuma.study.executors.{name}" for name in (LOCAL, RAY, SLURM)}
 """The module of every executor."""
-
-TRIES = 2
-"""How often a run is begun or gone on with before a crash counts."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where runs are trained: an executor's name, and what it alone is told.
+    """Where runs are trained: an executor's name, and what it alone needs to know.
 
     Attributes:
         executor: one of `EXECUTORS`.
@@ -66,12 +57,11 @@ HERE = Place()
 
 @dataclass(frozen=True)
 class Supervision:
-    """How runs are looked after.
+    """How runs are supervised.
 
     Attributes:
         workers: how many train at once.
         checkpoint_seconds: between two checkpoints of a run.
-        timeout_seconds: after which a run is asked to stop; None for never.
         keep_checkpoints: how many of each run to keep for forks.
         place: where they are trained.
         on_gpu: ids of the runs that are to have a GPU each, where the executor hands them out.
@@ -79,7 +69,6 @@ class Supervision:
 
     workers: int
     checkpoint_seconds: float = 15.0
-    timeout_seconds: float | None = None
     keep_checkpoints: int = 0
     place: Place = HERE
     on_gpu: frozenset[str] = frozenset()
@@ -135,34 +124,9 @@ class Executor(Protocol):
         """
 
 
-def read_event(line: bytes) -> Event | None:
-    """Return the event that a line tells; None for any other, whose writer has gone astray or was killed."""
-    try:
-        event = json.loads(line)
-    except ValueError:
-        return None
-    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None
-
-
-def note_event(name: str, text: str) -> Event:
-    """Return the event that tells people something about a run."""
-    return {"event": "note", "run_id": name, "text": text}
-
-
 def end_event(name: str, status: Status) -> Event:
     """Return the event of the end of a run that was trained."""
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
-
-
-def save_end(store: Store, name: str, run: Run, status: Status, message: bytes, on_event: OnEvent) -> None:
-    """Store how a run ended that did not store it itself, unless another process trains it by now."""
-    files = {"run.json": run_document(run, name), **({"error.txt": message} if message else {})}
-    try:
-        with store.lock(name) as mine:
-            if mine:
-                store.save_run(name, status, files)
-    except (UserError, OSError) as error:
-        on_event(note_event(name, str(error)))
 
 
 def load_executor(place: Place) -> Executor:

@@ -19,11 +19,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from pneuma.config import Run
-from pneuma.study.cores import available_cores
 from pneuma.study.executors.base import OnEvent, Place, Supervision
-from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.executors.supervisor import Death, Supervisor
-from pneuma.study.provenance import machine
+from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
+from pneuma.study.provenance import available_cores, machine
 from pneuma.study.store import Store
 
 SOURCE = str(Path(__file__).parents[3])
@@ -34,14 +32,13 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NU
 def one_thread_environment() -> dict[str, str]:
     """Return environment variables for a child that computes on one thread and imports this code."""
     path = os.pathsep.join(filter(None, [SOURCE, os.environ.get("PYTHONPATH", "")]))
-    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     own = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
         "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "
         "--xla_gpu_deterministic_ops=true",
         "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU too, whose default is less
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers share a GPU
-        "JAX_COMPILATION_CACHE_DIR": str(Path(cache) / "pneuma" / "jax"),  # compiled once for all workers
+        "JAX_COMPILATION_CACHE_DIR": str(_cache() / "jax"),  # compiled once for all workers
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONPATH": path,
     }
@@ -54,11 +51,14 @@ def prepare_node(gpu: bool) -> None:
     Compiled programs are kept apart by processor: nodes differ, and often share a home. GPUs are hidden
     where none was asked for, which neither Ray nor every Slurm does.
     """
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     processor = hashlib.sha256(machine(1)["cpu"].encode()).hexdigest()[:8]
-    os.environ["XDG_CACHE_HOME"] = str(cache / "pneuma" / "nodes" / processor)
+    os.environ["XDG_CACHE_HOME"] = str(_cache() / "nodes" / processor)
     if not gpu:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pneuma"
 
 
 def most_workers(place: Place) -> int:
@@ -67,7 +67,7 @@ def most_workers(place: Place) -> int:
 
 
 def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Accept all runs: whatever can be planned can be trained here."""
+    """Always accept: local runs need no checks."""
     return ""
 
 
@@ -87,8 +87,6 @@ def run_groups(
 
 class LocalProcess:
     """A worker's process on this machine, in a session of its own: Ctrl-C reaches its parent alone."""
-
-    waits = 0.0
 
     def __init__(self, job: Mapping[str, Any]) -> None:
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)

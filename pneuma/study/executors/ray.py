@@ -9,13 +9,13 @@ versions. Without an address, a cluster of this machine's own is started for the
 from __future__ import annotations
 
 import json
-import math
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -23,12 +23,10 @@ from typing import IO, Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
-from pneuma.study.cores import available_cores
 from pneuma.study.executors.base import OnEvent, Place, Supervision
-from pneuma.study.executors.interrupts import Interrupts
 from pneuma.study.executors.local import LocalProcess, prepare_node
-from pneuma.study.executors.supervisor import Death, Supervisor
-from pneuma.study.provenance import CARRIED_CODE, carried_code, machine
+from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
+from pneuma.study.provenance import CARRIED_CODE, available_cores, carried_code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
 
@@ -56,14 +54,16 @@ def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
     """
     join(supervision.place.address)
     wanted = ["CPU", "GPU"] if any(name in supervision.on_gpu for name in runs) else ["CPU"]
-    for kind in wanted:
-        if not _room(kind):
+    rooms = {kind: _room(kind) for kind in wanted}
+    for kind, room in rooms.items():
+        if not room:
             raise UserError(
                 f"--executor ray: no node of the cluster has a {kind} to give; start one with "
                 "`ray start --address HOST:PORT --num-cpus N --num-gpus N`"
             )
     where = supervision.place.address or "this machine"
-    return f"runs go to the Ray cluster of {where}: {' and '.join(counted(_room(k), k) for k in wanted)}"
+    told = " and ".join(counted(room, kind) for kind, room in rooms.items())
+    return f"runs go to the Ray cluster of {where}: {told}"
 
 
 def run_groups(
@@ -78,12 +78,7 @@ def run_groups(
     join(supervision.place.address)
     store.root.mkdir(parents=True, exist_ok=True)
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
-        command = {
-            "versions": versions(),
-            "code": carried_code(),
-            "folder": os.getcwd(),
-            "results": mark.name,
-        }
+        command = Command(versions(), carried_code(), os.getcwd(), mark.name)
 
         def start(job: Mapping[str, Any]) -> NodeProcess:
             return NodeProcess(job, any(name in supervision.on_gpu for name in job["runs"]), command)
@@ -110,9 +105,11 @@ def join(address: str | None) -> None:
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     try:
         import ray
+        from ray._private import worker
     except ImportError:
         raise UserError(f"--executor ray needs Ray: {install_extra('ray')}") from None
-    _silence()
+    if hasattr(worker, "print_to_stdstream"):  # else Ray writes on standard output, where --json does
+        worker.print_to_stdstream = lambda *_, **__: None
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
@@ -145,17 +142,6 @@ def _refuse_unreachable(address: str) -> None:
     )
 
 
-def _silence() -> None:
-    """Keep what Ray has to say of its nodes off standard output, which it has no option for.
-
-    A lost node is told by an event; `--json` promises one document.
-    """
-    from ray._private import worker
-
-    if hasattr(worker, "print_to_stdstream"):
-        worker.print_to_stdstream = lambda *_, **__: None
-
-
 def _room(resource: str) -> int:
     """Return how many CPUs, or GPUs beside a CPU, all nodes have together."""
     import ray
@@ -167,6 +153,16 @@ def _room(resource: str) -> int:
 # --- Workers on nodes ---------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Command:
+    """What asks a node for a worker: its versions, its code and folder, and a file in its results folder."""
+
+    versions: Mapping[str, str]
+    code: str
+    folder: str
+    mark: str
+
+
 class Node:
     """Runs the process of one worker on the node that Ray makes this on."""
 
@@ -174,13 +170,8 @@ class Node:
         """Let the runs come to a checkpoint and end."""
         self._process.ask_to_stop()
 
-    def train(self, job: Mapping[str, Any], gpu: bool, command: Mapping[str, Any]) -> Iterator[bytes | Death]:
-        """Start the worker; yield its lines, then how it ended.
-
-        Args:
-            job: what the worker is to do.
-            gpu: whether it has one.
-            command: what asks for it: its `versions`, its `code`, its `folder`, a file in its `results`.
+    def train(self, job: Mapping[str, Any], gpu: bool, command: Command) -> Iterator[bytes | Death]:
+        """Start the worker, with a GPU or without; yield its lines, then how it ended.
 
         Raises:
             UserError: where runs cannot be trained on this node.
@@ -188,19 +179,20 @@ class Node:
         import ray
 
         node = ray.util.get_node_ip_address()
-        if (here := versions()) != command["versions"]:
-            lacking = [f"{name} {own}" for name, own in command["versions"].items() if here.get(name) != own]
+        here = versions()
+        lacking = [f"{name} {own}" for name, own in command.versions.items() if here.get(name) != own]
+        if lacking:
             raise UserError(
                 f"--executor ray: the node {node} lacks {', '.join(lacking)}, which the command has"
             )
-        if not Path(command["results"]).exists():
+        if not Path(command.mark).exists():
             raise UserError(
                 f"--executor ray: the node {node} does not see {job['results']}: all must share that folder"
             )
         die_with(os.getppid())  # Ray's own process here, without which it lets us go on unheard
-        os.environ[CARRIED_CODE] = command["code"]
+        os.environ[CARRIED_CODE] = command.code
         with suppress(OSError):
-            os.chdir(command["folder"])  # from which people's own rewards and levels are read
+            os.chdir(command.folder)  # from which people's own rewards and levels are read
         prepare_node(gpu)
         self._process = LocalProcess(job)
         first = {"event": "passing", "run_id": next(iter(job["runs"])), "text": f"starts on the node {node}"}
@@ -212,9 +204,7 @@ class Node:
 class NodeProcess:
     """The process of a worker on some node, as the supervisor in the command sees it."""
 
-    waits = math.inf
-
-    def __init__(self, job: Mapping[str, Any], gpu: bool, command: Mapping[str, Any]) -> None:
+    def __init__(self, job: Mapping[str, Any], gpu: bool, command: Command) -> None:
         self._node: Any = None
         self._begun = self._ended = False
         self._death = Death(True, "its node was lost")
@@ -245,7 +235,7 @@ class NodeProcess:
         self.events.close()
         return self._death
 
-    def _relay(self, writer: int, job: Mapping[str, Any], gpu: bool, command: Mapping[str, Any]) -> None:
+    def _relay(self, writer: int, job: Mapping[str, Any], gpu: bool, command: Command) -> None:
         """Write what a node tells into the pipe, to its end; one that is gone before it begins is none."""
         import ray
 

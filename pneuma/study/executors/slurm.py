@@ -25,15 +25,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Detached, Event, OnEvent, Place, Supervision, end_event
-from pneuma.study.executors.interrupts import Interrupts
-from pneuma.study.executors.supervisor import Supervisor
+from pneuma.study.executors.supervisor import Interrupts, Supervisor
 from pneuma.study.files import replace_file, to_json
 from pneuma.study.store import Status, Store
 
@@ -50,6 +48,8 @@ MOST_REQUEUES = 10_000
 OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
 """What a job is made of here, and nobody else sets."""
 NOTE = "groups.json"
+SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
+"""Of the end of a job's time, and of its node or of `scancel`."""
 
 
 def most_workers(place: Place) -> int:
@@ -58,7 +58,7 @@ def most_workers(place: Place) -> int:
 
 
 def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Accept all runs: sbatch refuses jobs when they are submitted."""
+    """Always accept: sbatch refuses jobs when they are submitted."""
     return ""
 
 
@@ -115,25 +115,19 @@ class Training:
         local.prepare_node(self.gpu)
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
-        how, told, seen = replace(self.supervision, workers=cores), set[str](), set[int]()
+        how, steps = replace(self.supervision, workers=cores), dict[str, set[int]]()
 
         def note(event: Event) -> None:
-            told.add(event["event"])
+            if event["event"] == "step":
+                steps.setdefault(event["run_id"], set()).add(event["step"])
 
-        def stop(number: int, frame: FrameType | None) -> None:
-            seen.add(number)
-            if not interrupts.count:  # a second one would end all at once
-                interrupts.interrupt()
-
-        with Interrupts() as interrupts:
-            requeue: Any = signal.signal(signal.SIGUSR2, stop)
-            signal.signal(signal.SIGTERM, stop)
+        with Interrupts(SIGNALS, patient=True) as interrupts:
             Supervisor(shares, self.store, how, note, interrupts, _start_shielded).work()
-        if signal.SIGUSR2 in seen and "step" not in told:
-            raise RuntimeError("no run came to a checkpoint in the job's time: give it more by --slurm time=")
-        if signal.SIGUSR2 in seen:
-            requeue(signal.SIGUSR2, None)
-        if seen:
+        if signal.SIGUSR2 in interrupts.seen:
+            if not any(len(own) > 1 for own in steps.values()):  # only where runs began
+                raise RuntimeError("no run came to a checkpoint in the job's time: raise it by --slurm time=")
+            signal.raise_signal(signal.SIGUSR2)  # submitit's, which puts the job back into the queue
+        if interrupts.seen:
             raise SystemExit(128 + signal.SIGTERM)
 
     def checkpoint(self) -> Any:
@@ -143,12 +137,11 @@ class Training:
 
 def _start_shielded(job: Mapping[str, Any]) -> local.LocalProcess:
     """Start a worker that does not hear the signals that Slurm sends to all processes of a job."""
-    signals = signal.SIGUSR2, signal.SIGTERM
-    signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # which it inherits
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # which it inherits
     try:
         return local.LocalProcess(job)
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 # --- In the command -----------------------------------------------------------------------------------

@@ -3,49 +3,91 @@
     groups of runs → `Supervisor` → processes that speak as `pneuma.study.worker` does, one a group → store
                                   ← their events
 
-What crashes is tried once more, what takes too long is stopped, what another process trains is waited for,
-and after Ctrl-C every run comes to a checkpoint. The local executor starts processes on this machine, that
-for Ray on the nodes of a cluster.
+What crashes is tried once more, what another process trains is waited for, and after Ctrl-C every run comes
+to a checkpoint. The local executor starts processes on this machine, that for Ray on the nodes of a cluster.
 """
 
 from __future__ import annotations
 
-import math
+import json
+import os
 import selectors
-import time
-from collections import deque
+import signal
+import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import IO, Any, Protocol
 
 from pneuma.config import Run, as_settings
 from pneuma.errors import UserError
-from pneuma.study.compiling import WAITS
-from pneuma.study.executors.base import (
-    TRIES,
-    Event,
-    OnEvent,
-    Supervision,
-    end_event,
-    note_event,
-    read_event,
-    save_end,
-)
-from pneuma.study.executors.interrupts import Interrupts
+from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.locks import is_held
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Status, Store, run_document
 
+TRIES = 2
+"""How often a run is begun or gone on with before a crash counts."""
 BUSY_SECONDS = 1.0
-"""How long to wait before asking again for a run that another process holds."""
-START_SECONDS = 300.0
-"""How long a worker may take to its first update before its time-out begins all the same: the biggest
-networks take about a minute."""
-WAIT_SECONDS = 600.0
-"""How long it may take besides where it waits for what another compiles."""
-STOP_SECONDS = 30.0
-"""How long a run past its time-out may take to come to a checkpoint, besides its update."""
-STOP_UPDATES = 10.0
-"""How many times as long as the slowest update before that one may take; it may be evaluated as well."""
+"""How long to wait before looking again for a run that another process holds."""
+STOPPING = "Stopping after this step; again to stop now."
+HANGUP = getattr(signal, "SIGHUP", None)
+"""Of a terminal that was closed; the system and a shell may each send one."""
+SIGNALS = tuple(number for number in (signal.SIGINT, signal.SIGTERM, HANGUP) if number)
+
+
+class Interrupts:
+    """Collects signals within a `with` block instead of letting them end it; of the main thread alone.
+
+    Args:
+        signals: which.
+        patient: whether any number of them counts as one.
+
+    Attributes:
+        seen: the signals that came.
+        wakeup: a file descriptor that can be read from once one has come, for a selector.
+    """
+
+    def __init__(self, signals: Iterable[int] = SIGNALS, patient: bool = False) -> None:
+        self.seen: list[int] = []
+        self._signals = signals
+        self._patient = patient
+        self.wakeup, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._before: dict[int, Any] = {}
+        self._woken_before = -1
+
+    @property
+    def count(self) -> int:
+        """How many came."""
+        return min(len(self.seen), 1) if self._patient else len(self.seen)
+
+    def __enter__(self) -> Interrupts:
+        """Begin to collect.
+
+        The kernel may hand a signal to a thread of a mathematical library, which does not interrupt the main
+        thread's wait: the interpreter's own wake-up does.
+        """
+        if threading.current_thread() is threading.main_thread():
+            ignored = [HANGUP] if HANGUP and signal.getsignal(HANGUP) == signal.SIG_IGN else []  # by `nohup`
+            taken = [number for number in self._signals if number not in ignored]
+            self._before = {number: signal.signal(number, self._note) for number in taken}
+            self._woken_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give the signals back."""
+        if self._before:
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
+            signal.set_wakeup_fd(self._woken_before)
+        os.close(self.wakeup)
+        os.close(self._writer)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if number != HANGUP or not self.seen:
+            self.seen.append(number)
 
 
 @dataclass(frozen=True)
@@ -66,13 +108,7 @@ class Death:
 
 
 class Process(Protocol):
-    """The process of a worker.
-
-    Attributes:
-        waits: how many seconds may go by before it tells anything, and do not count as training.
-    """
-
-    waits: float
+    """The process of a worker."""
 
     @property
     def events(self) -> IO[bytes]:
@@ -88,75 +124,29 @@ class Process(Protocol):
         """Wait until it has gone, let go of its files and return how it ended."""
 
 
-Start = Callable[[Mapping[str, Any]], Process]
-"""Starts a process for a job, the document that `pneuma.study.worker` reads."""
-
-
 @dataclass
 class _Task:
-    """A group of runs that waits to be trained, from some time on.
+    """A group of runs, by id, that waits to be trained.
 
     Attributes:
-        group: the runs, by id.
-        tries: how often they have been tried, this time counted.
-        not_before: on the monotonic clock.
-        waits_for_another: whether it is a single run that another process was training.
+        tries: how often it was begun, this time counted.
+        busy: whether it is a single run that another process was training.
     """
 
     group: Mapping[str, Run]
     tries: int = 1
-    not_before: float = 0.0
-    waits_for_another: bool = False
+    busy: bool = False
 
 
 @dataclass
 class _Worker:
+    """A process with its task, and the runs of it that ended, crashed or were busy."""
+
     process: Process
     task: _Task
-    started: float
-    waits: float
-    begun: float | None = None
-    updated: float | None = None
-    slowest_update: float = 0.0
     ended: set[str] = field(default_factory=set)
     crashed: dict[str, Event] = field(default_factory=dict)
-    late: dict[str, int] = field(default_factory=dict)
     busy: set[str] = field(default_factory=set)
-    asked_to_stop: float | None = None
-    timed_out: bool = False
-
-    def note_time(self, event: Event) -> None:
-        """Note when its first update came, how long updates take, and whether it waits for something."""
-        if event["event"] == "step":
-            now = time.monotonic()
-            self.begun = self.begun or now
-            self.slowest_update = max(self.slowest_update, now - (self.updated or self.started))
-            self.updated = now
-        elif self.waits:
-            self.started = time.monotonic()
-        self.waits = WAIT_SECONDS if event.get("text") == WAITS else 0.0
-
-    def deadline(self, seconds: float) -> float:
-        """Return when its time is up, counted from its first update."""
-        if self.begun is not None:
-            return self.begun + seconds
-        return self.started + START_SECONDS + seconds + self.waits
-
-    def last_deadline(self) -> float:
-        """Return when to stop waiting for a run's checkpoint, which comes between two updates."""
-        assert self.asked_to_stop is not None
-        return self.asked_to_stop + STOP_UPDATES * self.slowest_update + STOP_SECONDS
-
-    @property
-    def final(self) -> bool:
-        """Whether a crash is the end of its runs."""
-        return self.task.tries >= TRIES
-
-    def ask_to_stop(self) -> None:
-        """Ask it, once, to take a checkpoint and end."""
-        if self.asked_to_stop is None:
-            self.asked_to_stop = time.monotonic()
-            self.process.ask_to_stop()
 
 
 class Supervisor:
@@ -165,10 +155,10 @@ class Supervisor:
     Args:
         groups: of runs, by id.
         store: where workers put them.
-        supervision: how many are busy at once, and how long.
+        supervision: how many are busy at once.
         on_event: takes every event.
         interrupts: the first lets every run come to a checkpoint, the second ends all at once.
-        start: starts a worker's process.
+        start: starts a worker's process for a job, the document that `pneuma.study.worker` reads.
     """
 
     def __init__(
@@ -178,14 +168,15 @@ class Supervisor:
         supervision: Supervision,
         on_event: OnEvent,
         interrupts: Interrupts,
-        start: Start,
+        start: Callable[[Mapping[str, Any]], Process],
     ) -> None:
-        self._tasks = deque(_Task(group) for group in groups)
+        self._tasks = [_Task(group) for group in groups]
         self._store = store
         self._how = supervision
         self._on_event = on_event
         self._interrupts = interrupts
         self._start_process = start
+        self._heeded = 0
         self._told_busy: set[str] = set()
         self._selector = selectors.DefaultSelector()
         self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
@@ -195,9 +186,9 @@ class Supervisor:
         try:
             while self._tasks or self._workers():
                 self._start_what_may()
-                for key, _ in self._selector.select(self._patience()):
-                    self._read(key.data) if key.data else self._interrupts.wake()
-                self._end_overdue()
+                waits = self._tasks and len(self._workers()) < self._how.workers
+                for key, _ in self._selector.select(BUSY_SECONDS if waits else None):
+                    self._read(key.data) if key.data else os.read(self._interrupts.wakeup, 4096)
                 self._heed_interrupts()
         finally:
             for worker in self._workers():
@@ -209,63 +200,37 @@ class Supervisor:
         return [key.data for key in self._selector.get_map().values() if key.data is not None]
 
     def _heed_interrupts(self) -> None:
-        if self._interrupts.count:
-            self._tasks.clear()
+        """Ask all workers to stop after the first interrupt, and kill them after the second."""
+        count = self._interrupts.count
+        if count == self._heeded:
+            return
+        if not self._heeded:
+            with suppress(OSError):  # the terminal was closed
+                print(STOPPING, file=sys.stderr, flush=True)
+        self._heeded = count
+        self._tasks.clear()
         for worker in self._workers():
-            if self._interrupts.count > 1:
+            if count > 1:
                 worker.process.kill()
-            elif self._interrupts.count:
-                worker.ask_to_stop()
+            else:
+                worker.process.ask_to_stop()
 
     def _start_what_may(self) -> None:
-        now = time.monotonic()
-        for task in [task for task in self._tasks if task.not_before <= now]:
+        for task in [*self._tasks]:
             if len(self._workers()) >= self._how.workers:
                 return
-            if task.waits_for_another and is_held(self._store.run_folder(next(iter(task.group)))):
-                task.not_before = now + BUSY_SECONDS  # a worker would cost half a second to find that out
-                continue
+            if task.busy and is_held(self._store.run_folder(next(iter(task.group)))):
+                continue  # a worker would cost half a second to find that out
             self._tasks.remove(task)
-            process = self._start_process(self._job(task))
-            worker = _Worker(process, task, time.monotonic(), process.waits)
-            self._selector.register(process.events, selectors.EVENT_READ, worker)
-
-    def _job(self, task: _Task) -> dict[str, Any]:
-        return {
-            "results": str(self._store.root.resolve()),
-            "runs": {name: as_settings(run) for name, run in task.group.items()},
-            "checkpoint_seconds": self._how.checkpoint_seconds,
-            "keep": self._how.keep_checkpoints,
-            "final": task.tries >= TRIES,
-        }
-
-    def _patience(self) -> float | None:
-        """Return how long nothing but an event can be of interest, in seconds."""
-        if self._interrupts.count:
-            return None
-        now = time.monotonic()
-        due = []
-        for worker in self._workers():
-            if worker.timed_out:
-                due.append(worker.last_deadline())
-            elif self._how.timeout_seconds is not None:
-                due.append(worker.deadline(self._how.timeout_seconds))
-        if len(self._workers()) < self._how.workers:
-            due += [task.not_before for task in self._tasks]
-        first = min(due, default=math.inf)
-        return max(0.0, first - now) + 0.01 if first < math.inf else None
-
-    def _end_overdue(self) -> None:
-        """Ask runs past their time-out for a checkpoint; kill those that have not come to one in time."""
-        if self._how.timeout_seconds is None or self._interrupts.count:
-            return
-        now = time.monotonic()
-        for worker in self._workers():
-            if not worker.timed_out and now >= worker.deadline(self._how.timeout_seconds):
-                worker.timed_out = True
-                worker.ask_to_stop()
-            elif worker.timed_out and now >= worker.last_deadline():
-                worker.process.kill()
+            job = {
+                "results": str(self._store.root.resolve()),
+                "runs": {name: as_settings(run) for name, run in task.group.items()},
+                "checkpoint_seconds": self._how.checkpoint_seconds,
+                "keep": self._how.keep_checkpoints,
+                "final": task.tries >= TRIES,
+            }
+            worker = _Worker(self._start_process(job), task)
+            self._selector.register(worker.process.events, selectors.EVENT_READ, worker)
 
     def _read(self, worker: _Worker) -> None:
         """Take one event line of a worker, or note that it has gone."""
@@ -274,34 +239,23 @@ class Supervisor:
             self._selector.unregister(worker.process.events)
             self._bury(worker)
             return
-        event = read_event(line)
+        event = _read_event(line)
         if event is None or event["run_id"] not in worker.task.group:
             worker.process.kill()  # it has gone astray; reading on finds its end
-        elif event["event"] == "busy":
-            self._wait_for_another(worker, event["run_id"])
-        elif event["event"] == "end":
-            self._end(worker, event)
-        else:
-            worker.note_time(event)
-            self._on_event(event)
-
-    def _wait_for_another(self, worker: _Worker, name: str) -> None:
-        """Note that another process holds a run, and say so the first time."""
-        worker.busy.add(name)
-        if name not in self._told_busy:
-            self._told_busy.add(name)
-            self._on_event(note_event(name, "another process trains this run; waiting for it"))
-
-    def _end(self, worker: _Worker, event: Event) -> None:
-        """Take the end of a run; crashes and time-outs are judged when the worker, and its lock, has gone."""
-        name, status = event["run_id"], event["status"]
-        worker.ended.add(name)
-        if status == "crashed":
-            worker.crashed[name] = event
-        elif status == "stopped" and worker.timed_out:
-            worker.late[name] = event["step"]
-        else:
-            self._on_event(event)
+            return
+        name = event["run_id"]
+        if event["event"] == "busy":
+            worker.busy.add(name)
+            if name not in self._told_busy:
+                self._told_busy.add(name)
+                self._note(name, "another process trains this run; waiting for it")
+            return
+        if event["event"] == "end":
+            worker.ended.add(name)
+            if event["status"] == "crashed":  # judged when the worker, and its lock, has gone
+                worker.crashed[name] = event
+                return
+        self._on_event(event)
 
     def _bury(self, worker: _Worker) -> None:
         """Reap a worker; see to its runs that were busy, crashed, or went with it.
@@ -312,42 +266,48 @@ class Supervisor:
         death = worker.process.bury()
         if death.refusal:
             raise death.refusal
-        lost = [name for name in worker.task.group if name not in worker.ended | worker.busy]
-        for name, step in worker.late.items():
-            self._end_unsaid(worker, name, Status("timeout", step))
+        group, tries = worker.task.group, worker.task.tries
+        lost = [name for name in group if name not in worker.ended | worker.busy]
+        begun = {*lost[:1], *worker.crashed}  # a group is trained in its order
         if not self._interrupts.count:
-            self._try_again(worker, worker.busy, worker.task.tries, others=True)
-        if worker.final or worker.timed_out or self._interrupts.count:
-            for event in worker.crashed.values():
-                self._on_event(event)
-            for name in lost:
-                self._end_lost(worker, name, death)
-            return
-        tried = {*lost[:1], *worker.crashed}  # a group is trained in its order: the others were not begun
+            self._tasks += [_Task({name: group[name]}, tries, busy=True) for name in worker.busy]
         for name in (*lost, *worker.crashed):
-            self._try_again(worker, [name], worker.task.tries + (name in tried))
-            if name not in tried:
-                continue
             crash = worker.crashed.get(name)
-            what = f"crashed ({crash['reason']})" if crash else death.why
-            self._on_event(note_event(name, f"{what}; tried once more"))
+            if self._interrupts.count:
+                self._on_event(crash or end_event(name, Status("stopped")))
+            elif name not in begun:
+                self._tasks.append(_Task({name: group[name]}, tries))
+            elif tries < TRIES:  # alone: one that crashes takes no other along again
+                self._tasks.append(_Task({name: group[name]}, tries + 1))
+                why = f"crashed ({crash['reason']})" if crash else death.why
+                self._note(name, f"{why}; tried once more")
+            elif crash:
+                self._on_event(crash)
+            else:
+                self._end_lost(name, group[name], Status("killed" if death.killed else "crashed"), death)
 
-    def _try_again(self, worker: _Worker, names: Iterable[str], tries: int, others: bool = False) -> None:
-        for name in names:  # each alone: one that crashes takes no other along again
-            seconds = BUSY_SECONDS if others else 0.0
-            self._tasks.append(
-                _Task({name: worker.task.group[name]}, tries, time.monotonic() + seconds, others)
-            )
-
-    def _end_lost(self, worker: _Worker, name: str, death: Death) -> None:
-        """End a run whose worker went without a word of it."""
-        if self._interrupts.count:
-            return self._on_event(end_event(name, Status("stopped")))
-        status = "timeout" if worker.timed_out else "killed" if death.killed else "crashed"
-        message = f"{death.why}\n".encode() + death.last_words
-        return self._end_unsaid(worker, name, Status(status), message)
-
-    def _end_unsaid(self, worker: _Worker, name: str, status: Status, message: bytes = b"") -> None:
-        """Store and tell how a run ended that did not store it itself."""
-        save_end(self._store, name, worker.task.group[name], status, message, self._on_event)
+    def _end_lost(self, name: str, run: Run, status: Status, death: Death) -> None:
+        """Store and report how a run ended whose worker went without a word, unless another trains it now."""
+        files = {
+            "run.json": run_document(run, name),
+            "error.txt": f"{death.why}\n".encode() + death.last_words,
+        }
+        try:
+            with self._store.lock(name) as mine:
+                if mine:
+                    self._store.save_run(name, status, files)
+        except (UserError, OSError) as error:
+            self._note(name, str(error))
         self._on_event(end_event(name, status))
+
+    def _note(self, name: str, text: str) -> None:
+        self._on_event({"event": "note", "run_id": name, "text": text})
+
+
+def _read_event(line: bytes) -> Event | None:
+    """Return the event in a line; None for any other, whose writer has gone astray or was killed."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None

@@ -1,0 +1,55 @@
+"""A hook of MkDocs: pages of the site that no file in docs/ holds, made when the site is built.
+
+The front page is the README, the commands' reference comes from the program itself, and the reference of
+modules from their docstrings. Pictures that pages show are taken along.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import typer.cli
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+from typer.main import get_command
+
+from pneuma.cli import app
+
+ROOT = Path(__file__).parents[1]
+PICTURES = "paper_figures"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made, and the pictures."""
+    made = {"index.md": _front_page(), "commands.md": _commands(), "api.md": _modules()}
+    for name, text in made.items():
+        files.append(File.generated(config, name, content=text))
+    for path in sorted((ROOT / PICTURES).glob("*.png")):
+        files.append(File.generated(config, f"{PICTURES}/{path.name}", abs_src_path=str(path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Let links to pictures lead into the site."""
+    return markdown.replace(f"](../{PICTURES}/", f"]({PICTURES}/")
+
+
+def _front_page() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
+
+
+def _commands() -> str:
+    command = get_command(app)
+    text = typer.cli.get_docs_for_click(
+        obj=command, ctx=typer.Context(command, info_name="pneuma"), name="pneuma"
+    )
+    return re.sub("^# .*", "# Commands", text, count=1)
+
+
+def _modules() -> str:
+    """Return a page of the modules that docs/python.md calls."""
+    calls = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    names = sorted({*re.findall(r"^from (pneuma[\w.]*) import", calls, re.MULTILINE)})
+    return "# Modules\n\n" + "\n".join(f"::: {name}\n" for name in names)

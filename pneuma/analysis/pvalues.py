@@ -1,0 +1,362 @@
+"""P-values of one arm of runs, or of two: means, ratios of deviations, shares.
+
+Each test of two arms takes many samples at once, one a row, so that the verdicts on claims and their
+calibration (`pneuma bench calibration`) are the same code. Which test is used for what, and what it supposes,
+is in docs/evidence.md.
+
+Relabelings are counted out where there are few and drawn at random where there are many. The one that was
+seen is always among them, so that no p-value is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from pneuma.analysis.estimates import welch_error
+
+MOST_COUNTED = 200_000
+"""More relabelings than this are drawn and not counted out; of ten runs against ten there are 184,756."""
+DRAWS = 100_000
+"""A verdict hardly depends on which are drawn: a list of 170 contrasts needs p-values of 3e-4."""
+FEW_COUNTED = 20_000
+"""Up to so many are counted out, however few draws are asked for."""
+_AT_ONCE = 20_000
+"""Relabelings drawn at once, which bounds the memory of their keys."""
+
+_SLACK = 1e-9
+"""How far a statistic may fall short of the seen one and still count as extreme: sums in another order
+differ in their last bits."""
+ROUNDING = 1e-13
+"""Values that lie closer together than this part of the greatest magnitude are equal but for rounding."""
+LEAST_VARIANCE = 1e-13
+"""Of values scaled to at most 1: below it, a variance is rounding, and the arm has no spread."""
+SHARES = 201
+"""On how many common shares the greatest chance of a table is looked for."""
+
+OneSided = tuple[np.ndarray, np.ndarray]
+"""P-values of above and of below, each (samples,)."""
+
+
+class PValues(NamedTuple):
+    """One-sided p-values, each (samples,).
+
+    Attributes:
+        greater, less: the effect is above no difference, or below it.
+        equivalent: it is within the margin on both sides; 1 where there is no margin.
+        far_greater, far_less: it is beyond the margin, above or below; likewise.
+    """
+
+    greater: np.ndarray
+    less: np.ndarray
+    equivalent: np.ndarray
+    far_greater: np.ndarray
+    far_less: np.ndarray
+
+
+def p_values(at_zero: OneSided, at_margin: OneSided | None = None, below: OneSided | None = None) -> PValues:
+    """Combine p-values of an effect being above, and below, zero, the margin, and minus the margin."""
+    if at_margin is None or below is None:
+        none = np.ones_like(at_zero[0])
+        return PValues(*at_zero, none, none, none)
+    equivalent = np.maximum(at_margin[1], below[0])
+    return PValues(*at_zero, equivalent, at_margin[0], below[1])
+
+
+def by_shift(p_greater: np.ndarray, p_less: np.ndarray, samples: int) -> PValues:
+    """Sort p-values of samples that were shifted by nothing, down by the margin, and up by it."""
+    greater, less = p_greater.reshape(-1, samples), p_less.reshape(-1, samples)
+    return p_values(*zip(greater, less, strict=True))
+
+
+def shifts(margin: float | None) -> list[float]:
+    """Return what `by_shift` expects the first arm to be shifted by."""
+    return [0.0] if margin is None else [0.0, -margin, margin]
+
+
+# --- Relabelings -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Relabelings:
+    """Which runs are called arm a, in every relabeling.
+
+    Attributes:
+        in_a: (relabelings, runs) 1.0 or 0.0; the first is what was seen.
+        exact: whether these are all there are.
+    """
+
+    in_a: np.ndarray
+    exact: bool
+
+    @property
+    def smallest_p(self) -> float:
+        """The smallest one-sided p-value that they can give."""
+        return 1 / len(self.in_a)
+
+
+def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> Relabelings:
+    """Return all ways to call so many runs a and the others b, or the seen one and that many draws."""
+    if comb(size_a + size_b, size_a) <= _most_counted(draws):
+        return Relabelings(_every(size_a, size_b), exact=True)
+    in_a = np.zeros((1 + draws, size_a + size_b))
+    in_a[0, :size_a] = 1.0
+    for first in range(1, 1 + draws, _AT_ONCE):
+        rows = in_a[first : first + _AT_ONCE]
+        keys = generator.random(rows.shape)
+        rows[:] = keys <= np.partition(keys, size_a - 1, axis=1)[:, size_a - 1 : size_a]
+    return Relabelings(in_a, exact=False)
+
+
+def _most_counted(draws: int) -> int:
+    return MOST_COUNTED if draws >= DRAWS else FEW_COUNTED
+
+
+@lru_cache(maxsize=8)  # 30 MB of ten runs against ten
+def _every(size_a: int, size_b: int) -> np.ndarray:
+    chosen = np.array(list(combinations(range(size_a + size_b), size_a)))
+    in_a = np.zeros((len(chosen), size_a + size_b))
+    np.put_along_axis(in_a, chosen, 1.0, axis=1)
+    in_a.flags.writeable = False
+    return in_a
+
+
+def sign_flips(runs: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
+    """Return all ways to turn the signs of so many values, or drawn ones, (flips, runs); the seen first."""
+    if 2**runs <= _most_counted(draws):
+        return 1.0 - 2.0 * (np.arange(2**runs)[:, None] >> np.arange(runs) & 1)
+    drawn = generator.integers(0, 2, (draws, runs)) * 2.0 - 1.0
+    return np.concatenate([np.ones((1, runs)), drawn])
+
+
+def tails(statistics: np.ndarray) -> OneSided:
+    """Return the shares of relabelings at least and at most as great as the seen one, each (samples,).
+
+    Args:
+        statistics: (relabelings, samples), the seen one first.
+    """
+    seen = statistics[0]
+    slack = _SLACK * (1 + np.abs(seen))
+    return (statistics >= seen - slack).mean(axis=0), (statistics <= seen + slack).mean(axis=0)
+
+
+def scaled(samples: np.ndarray) -> np.ndarray:
+    """Return each row less its mean and over its greatest magnitude; all zero where it is constant.
+
+    Values that differ by rounding alone, such as 0.3 and 0.1 + 0.2, count as constant.
+    """
+    centred = samples - samples.mean(axis=1, keepdims=True)
+    size = np.abs(centred).max(axis=1, keepdims=True)
+    differs = size > ROUNDING * np.abs(samples).max(axis=1, keepdims=True)
+    return np.divide(centred, size, out=np.zeros_like(centred), where=differs)
+
+
+def _moments(values: np.ndarray, labels: Relabelings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return difference of means, and variance of a and of b, in every relabeling: (relabelings, samples)."""
+    size_a = labels.in_a[0].sum()
+    size_b = values.shape[1] - size_a
+    sum_a, squares_a = labels.in_a @ values.T, labels.in_a @ (values**2).T
+    sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
+    variance_a = (squares_a - sum_a**2 / size_a) / (size_a - 1)
+    variance_b = (squares_b - sum_b**2 / size_b) / (size_b - 1)
+    return sum_a / size_a - sum_b / size_b, variance_a, variance_b
+
+
+# --- Means -----------------------------------------------------------------------------------------
+
+
+def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
+    """Test differences of means by Welch's t, by relabelings and by Student's distribution.
+
+    The greater p-value counts. Relabelings are exact for arms alike but for a shift, and far off their
+    level where the smaller arm spreads more; Student's distribution allows for that, if means are normal.
+
+    Args:
+        a: (samples, runs) of arm a.
+        b: (samples, runs) of arm b.
+        margin: within what a difference counts as none, or None.
+        labels: relabelings of both arms' runs.
+    """
+    rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts(margin)])
+    relabeled = tails(_welch(rows, labels))
+    error, freedom, difference = _error(*np.split(scaled(rows), [a.shape[1]], axis=1))
+    by_student = student_tails(difference, error, freedom)
+    p_greater, p_less = map(np.maximum, relabeled, by_student)
+    return by_shift(p_greater, p_less, len(a))
+
+
+def _welch(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
+    """Return Welch's t of arm a against arm b in every relabeling, (relabelings, samples)."""
+    size_a = labels.in_a[0].sum()
+    difference, variance_a, variance_b = _moments(scaled(samples), labels)
+    variance = variance_a / size_a + variance_b / (samples.shape[1] - size_a)
+    return difference / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
+
+
+def _error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return *welch_error(a, b), a.mean(axis=1) - b.mean(axis=1)
+
+
+def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | float) -> OneSided:
+    """Return p-values of effects by Student's distribution, each (samples,); 0 where nothing spreads."""
+    sure = error**2 > LEAST_VARIANCE
+    t = np.divide(effect, error, out=np.zeros_like(error), where=sure)
+    p_less = np.where(sure, special.stdtr(freedom, t), 0.0)
+    p_greater = np.where(sure, special.stdtr(freedom, -t), 0.0)
+    return p_greater, p_less
+
+
+def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> PValues:
+    """Test means against 0 by turning signs, and by Student's distribution: the greater p-value counts.
+
+    Turned signs suppose that values lie alike to both sides of their mean, Student's distribution that they
+    are normal.
+
+    Args:
+        samples: (samples, runs).
+        margin: within what a mean counts as 0, or None.
+        flips: (flips, runs) of `sign_flips`.
+    """
+    rows = np.concatenate([samples + shift for shift in shifts(margin)])
+    size = np.abs(rows).max() or 1.0  # so that units do not matter to what counts as equal
+    deviation = samples.std(axis=1, ddof=1)
+    deviation[deviation <= ROUNDING * np.abs(samples).max(axis=1)] = 0  # equal but for rounding
+    errors = np.tile(deviation, len(rows) // len(samples)) / np.sqrt(samples.shape[1]) / size
+    by_student = student_tails(rows.mean(axis=1) / size, errors, samples.shape[1] - 1)
+    p_greater, p_less = map(np.maximum, tails(flips @ (rows / size).T), by_student)
+    return by_shift(p_greater, p_less, len(samples))
+
+
+# --- Spread ----------------------------------------------------------------------------------------
+
+
+def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
+    """Test ratios of standard deviations by permutation of their logs.
+
+    The arms may differ in level, so each is set off from its median first. That alone finds too much where a
+    few runs lie far from the rest, for an arm may have none of them by chance. So a test of the runs as they
+    are must find it too. Where the number of runs is even, the test is made with both middle runs instead of
+    the median, since between them may be a gap. The greatest p-value counts.
+
+    Args:
+        a: (samples, runs) of arm a, none of equal runs.
+        b: (samples, runs) of arm b, the same.
+        margin: the ratio above 1 within which, either way, deviations count as alike, or None.
+        labels: relabelings of both arms' runs.
+    """
+    scales = [1.0] if margin is None else [1.0, margin**-0.5, margin**0.5]
+    found = []
+    for middle_a, middle_b, apart in _middles(a, b):
+        rows = [np.hstack([(a - middle_a) * scale + apart, (b - middle_b) / scale]) for scale in scales]
+        found.append(tails(_log_ratios(np.concatenate(rows), labels)))
+    p_greater, p_less = np.max(found, axis=0)
+    return by_shift(p_greater, p_less, len(a))
+
+
+def _middles(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+    """Yield what to set the runs of either arm off from, and how far to leave the arms apart."""
+    ranked_a, ranked_b = np.sort(a, axis=1), np.sort(b, axis=1)
+    lower, upper = (
+        [ranked[:, (ranked.shape[1] - odd) // 2, None] for ranked in (ranked_a, ranked_b)] for odd in (1, 0)
+    )
+    middle_a, middle_b = (np.median(arm, axis=1, keepdims=True) for arm in (a, b))
+    yield middle_a, middle_b, middle_a - middle_b
+    yield lower[0], lower[1], 0.0
+    if a.shape[1] % 2 == 0 or b.shape[1] % 2 == 0:
+        yield upper[0], upper[1], 0.0
+
+
+def _log_ratios(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
+    """Return the log ratio of variances of arm a and arm b in every relabeling, (relabelings, samples)."""
+    level = samples.mean(axis=1, keepdims=True)
+    values = (samples - level) / np.abs(samples - level).max(axis=1, keepdims=True)
+    _, variance_a, variance_b = _moments(values, labels)
+    return np.log(np.maximum(variance_a, LEAST_VARIANCE) / np.maximum(variance_b, LEAST_VARIANCE))
+
+
+# --- Shares ----------------------------------------------------------------------------------------
+
+
+def incidence_p_values(
+    counts_a: np.ndarray, runs_a: int, counts_b: np.ndarray, runs_b: int, margin: float | None
+) -> PValues:
+    """Test differences of shares exactly, given the (samples,) counts of runs with the event."""
+
+    def above(difference: float) -> np.ndarray:
+        return p_share_greater(counts_a, runs_a, counts_b, runs_b, difference)
+
+    def below(difference: float) -> np.ndarray:  # a below b by more: b above a by more
+        return p_share_greater(counts_b, runs_b, counts_a, runs_a, difference)
+
+    at_zero = above(0.0), below(0.0)
+    if margin is None or margin >= 1:
+        return p_values(at_zero)
+    return p_values(at_zero, (above(margin), below(-margin)), (above(-margin), below(margin)))
+
+
+def p_share_greater(
+    counts_a: np.ndarray, runs_a: int, counts_b: np.ndarray, runs_b: int, difference: float = 0.0
+) -> np.ndarray:
+    """Return the p-values that the share of a exceeds that of b by more than a difference, (samples,).
+
+    The test is exact and unconditional (Barnard 1945): tables are ordered by a score, and the p-value is the
+    chance of one as extreme, at that common share which makes it greatest.
+    """
+    return share_table(runs_a, runs_b, difference)[counts_a, counts_b]
+
+
+@lru_cache(maxsize=256)
+def share_table(runs_a: int, runs_b: int, difference: float = 0.0) -> np.ndarray:
+    """Return the p-value of every table, (runs_a + 1, runs_b + 1)."""
+    score = _score(runs_a, runs_b, difference).ravel()
+    order = np.argsort(-score, kind="stable")
+    share_b = np.linspace(max(0.0, -difference), min(1.0, 1.0 - difference), SHARES)
+    chance_a = count_chances(runs_a, np.clip(share_b + difference, 0, 1))  # (shares, runs_a + 1)
+    chance_b = count_chances(runs_b, share_b)
+    both = (chance_a[:, :, None] * chance_b[:, None, :]).reshape(SHARES, -1)[:, order]
+    greatest = np.minimum(both.cumsum(axis=1).max(axis=0), 1.0)
+    ranked = score[order]
+    last = np.searchsorted(-ranked, -ranked + 1e-9, side="right") - 1  # ties count together
+    table = np.empty_like(score)
+    table[order] = greatest[last]
+    return table.reshape(runs_a + 1, runs_b + 1)
+
+
+def _score(runs_a: int, runs_b: int, difference: float) -> np.ndarray:
+    """Return how far each table lies beyond the difference, in standard errors, (runs_a + 1, runs_b + 1).
+
+    Half a run is added to either outcome in the error, so that no table has an error of zero.
+    """
+    a, b = np.arange(runs_a + 1)[:, None], np.arange(runs_b + 1)[None, :]
+    error_a, error_b = ((k + 0.5) * (n - k + 0.5) / (n + 1) ** 2 / n for k, n in ((a, runs_a), (b, runs_b)))
+    return (a / runs_a - b / runs_b - difference) / np.sqrt(error_a + error_b)
+
+
+def count_chances(runs: int, share: np.ndarray) -> np.ndarray:
+    """Return the binomial chances of every count, (shares, runs + 1)."""
+    count = np.arange(runs + 1)
+    log_ways = special.gammaln(runs + 1) - special.gammaln(count + 1) - special.gammaln(runs - count + 1)
+    logs = special.xlogy(count, share[:, None]) + special.xlog1py(runs - count, -share[:, None])
+    return np.exp(log_ways + logs)
+
+
+def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: float | None) -> PValues:
+    """Test shares of one arm against a constant by the exact binomial test, given the (samples,) counts."""
+
+    def one_sided(share: float) -> OneSided:  # beyond an end of the scale no share can be
+        if not 0 <= share <= 1:
+            sure, never = np.zeros(counts.shape), np.ones(counts.shape)
+            return (sure, never) if share < 0 else (never, sure)
+        above = np.where(counts > 0, special.bdtrc(np.maximum(counts - 1, 0), runs, share), 1.0)
+        return above, special.bdtr(counts, runs, share)
+
+    if margin is None:
+        return p_values(one_sided(value))
+    return p_values(one_sided(value), one_sided(value + margin), one_sided(value - margin))

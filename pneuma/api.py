@@ -1,0 +1,223 @@
+"""What scripts and notebooks call: a study trained and opened, a policy taken up to play, an agent judged.
+
+    run_study(study)      as `pneuma study run` does
+    open_data(study)      a study's runs as `pneuma.analysis` takes them
+    load_policy(run_id)   a stored run's policy, and what environment it plays in
+    evaluate(agent)       how well any agent plays, on the scale on which runs are judged
+
+docs/python.md shows them at work.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
+from pneuma.errors import UserError, unknown_name
+from pneuma.study import execute, plan, spec
+from pneuma.study.executors.base import HERE, Supervision, load_executor
+from pneuma.study.store import Store
+from pneuma.study.stored_runs import find_run, stored_run
+from pneuma.study.trust import own_things
+from pneuma.worlds import TEXT, check_world, in_world
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
+    from pneuma.engines.own_agent import Act
+    from pneuma.engines.policy import Policy
+    from pneuma.engines.team import Team
+
+Where = str | os.PathLike[str]
+
+
+def run_study(
+    study: Where,
+    results: Where | None = None,
+    *,
+    preset: str | None = None,
+    seeds: int | Sequence[int] | None = None,
+    steps: int | None = None,
+    conditions: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    world: str | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[execute.CellProgress], None] = lambda progress: None,
+) -> StudyData:
+    """Train what a study lacks, and open it. Runs that are stored are not trained again.
+
+    Args:
+        study: a shipped study's name, or the path of a file of one's own.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        preset: one of the study's, or several joined by +; quick when left out.
+        seeds: how many, or which, instead of the preset's.
+        steps: agent steps of each run, instead of the preset's.
+        conditions: names; all when left out.
+        settings: fields of the run that every condition gets.
+        world: of `pneuma.worlds.WORLDS`; the study's usual one when left out.
+        workers: how many runs train at once, each in a process of one thread; a core each when left out.
+        on_progress: told of each run's steps.
+
+    Raises:
+        UserError: for a study, selection or world that there is not, or when a run crashed or was killed.
+        KeyboardInterrupt: after Ctrl-C; the same call goes on where runs were stopped.
+    """
+    for name, count in (("steps", steps), ("workers", workers)):
+        if count is not None and count < 1:
+            raise UserError(f"{name} = {count} is not allowed: at least 1")
+    selection = plan.Selection(
+        preset=preset,
+        seeds=None if seeds is None else _seeds(seeds),
+        steps=steps,
+        conditions=(conditions,) if isinstance(conditions, str) else tuple(conditions),
+        settings=settings,
+    )
+    planned, store = plan.make_plan(spec.load_study(os.fspath(study), world), selection), _store(results)
+    how = Supervision(
+        workers=workers or load_executor(HERE).most_workers(HERE),
+        keep_checkpoints=planned.study.keep_checkpoints,
+    )
+    todo = execute.prepare(planned, store, supervision=how)
+    outcomes = execute.execute(planned, todo.runs, store, how, on_progress)
+    if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
+        cell, status = unwell[0].cell, unwell[0].status
+        raise UserError(
+            f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
+            f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
+        )
+    from pneuma.analysis.run_index import open_study
+
+    return open_study(store, execute.selection_record(planned))
+
+
+def open_data(study: Where, results: Where | None = None, *, world: str | None = None) -> StudyData:
+    """Open the latest selection of a study that was run, imported or forked, or else what is published of it.
+
+    Args:
+        study: its name, or the path of its file.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        world: of `pneuma.worlds.WORLDS`; the usual one when left out.
+
+    Raises:
+        UserError: when the folder has nothing of it, or no run has finished.
+    """
+    from pneuma.analysis.published import published_studies
+    from pneuma.analysis.run_index import RunIndex, open_study
+
+    check_world(world)
+    store, path = _store(results), Path(study)
+    is_file = path.suffix == ".toml"
+    name = in_world(path.stem if is_file else os.fspath(study), world or TEXT)
+    index = RunIndex(store)
+    if record := index.record(name):
+        if is_file:
+            execute.check_same_file(record, path, store)
+    elif (damaged := store.selection_path(name)).exists():
+        raise UserError(f"{damaged}: damaged; run, import or fork it anew")
+    else:
+        known = sorted({*store.studies(), *published_studies(store)})
+        raise unknown_name(f"study in {store.root}", name, known)
+    return open_study(index, record)
+
+
+def load_policy(
+    run_id: str, results: Where | None = None, *, trust: bool = False
+) -> tuple[Policy | Team, str, dict[str, Any]]:
+    """Take up the policy that a stored run ended with.
+
+    Args:
+        run_id: the run's id, or a prefix of four digits or more.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        trust: whether a level, characters or a reward of the run's owner may be opened.
+
+    Returns:
+        The policy, or a team of one for each player; the id of its environment; and this one's settings,
+        as `gymnasium.make(id, **settings)` takes them.
+
+    Raises:
+        UserError: for no such run, one without a policy, or one that is to be trusted first.
+    """
+    from pneuma.engines.team import policy_names, read_policies
+
+    store = _store(results)
+    found = find_run(store, run_id)
+    run = stored_run(store, found).settings
+    names = policy_names(store.file_names(found))
+    if not names:
+        raise UserError(f"run {found} left no policy")
+    settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
+    if (own := own_things(settings)) and not trust:
+        raise UserError(
+            f"run {found} would {' and '.join(own.values())}: pass trust=True if you trust its source"
+        )
+    return read_policies([store.read_file(found, name) for name in names]), str(run.get("env")), settings
+
+
+def evaluate(
+    agent: Policy | Team | Act,
+    env_id: str = ENVIRONMENTS[0],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    best: Act | None = None,
+    seed: int = 0,
+    episodes: int = 50,
+) -> dict[str, float]:
+    """Play an agent as the runs of a seed are evaluated, by random streams that training never draws from.
+
+    Every world plays one episode, all at once; the agent is asked for all of them at every step, in the same
+    order, until the last has ended. Of several players each has an observation: row i is player i % players.
+
+    Args:
+        agent: a policy of a stored run, or any function from observations, (N, features) float32, to
+            actions, (N,) whole numbers.
+        env_id: one of `pneuma.config.ENVIRONMENTS`.
+        settings: the environment's own, as `gymnasium.make` takes them.
+        best: the function's counterpart without exploration or memory, played once from every start place.
+            (A policy has its own.)
+        seed: of the runs; their random player and hunter are the ends of the score's scale.
+        episodes: played with `agent`; a study's runs have 50.
+
+    Returns:
+        The columns of a run's evaluations: share_killed, score, return, length, died and the rest; those that
+        begin with `argmax` where best actions were played.
+
+    Raises:
+        UserError: for an environment or world that there is not, or actions that are none.
+    """
+    from pneuma.engines.evaluation import Evaluation
+    from pneuma.engines.own_agent import OwnAgent
+    from pneuma.engines.policy import Policy
+    from pneuma.engines.team import Team, check_fits
+
+    own = not isinstance(agent, Policy | Team)
+    if own and not callable(agent):
+        raise UserError(
+            f"agent = {type(agent).__name__} is not allowed: a stored policy, or a function from "
+            "observations to actions (of Stable-Baselines3: lambda seen: learner.predict(seen)[0])"
+        )
+    if best is not None and not (own and callable(best)):
+        raise UserError("best: must be a function, beside an agent that is one; a stored policy has its own")
+    if episodes < 1:
+        raise UserError(f"episodes = {episodes} is not allowed: at least 1")
+    world = asdict(make_env_config(dict(settings or {}), env_id))
+    run = make_run({**world, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
+    evaluation = Evaluation(run)
+    if isinstance(agent, Policy | Team):
+        check_fits(agent, evaluation.worlds)
+        return evaluation.evaluate(agent, 0)
+    row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)
+    return row if best else {name: value for name, value in row.items() if not name.startswith("argmax")}
+
+
+def _store(results: Where | None) -> Store:
+    return Store(os.environ.get("PNEUMA_RESULTS", "results") if results is None else results)
+
+
+def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
+    try:
+        return spec.read_seeds(seeds if isinstance(seeds, int) else list(seeds))
+    except (ValueError, TypeError, UserError):
+        raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None

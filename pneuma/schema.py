@@ -1,0 +1,263 @@
+"""The one place between pydantic and people: a file's mistake in one line that says what to mend.
+
+    TOML file → read_toml → read_model(SomeTable, file) → the model, checked
+    pydantic's error → UserError "mine.toml, line 7: [run] gamma = 2 is not allowed: at most 1"
+
+A model of a table derives from `Table`. What its types cannot say its validators raise as `wrong(…)`.
+Lists are tuples in models; whole numbers may be written as 1e6.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from pneuma.errors import UserError, nearest_name, unknown_name
+
+Where = tuple[str, ...]
+"""The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
+
+CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Table(BaseModel):
+    """A table of a file: no keys but its fields, and every value of its type."""
+
+    model_config = CONFIG
+
+    @model_validator(mode="before")
+    @classmethod
+    def _only_known_keys(cls, data: Any) -> Any:
+        if cls.model_config.get("extra") == "forbid":
+            refuse_unknown(data, cls.model_fields)
+        return data
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+# --- For models ------------------------------------------------------------------------------------
+
+
+def wrong(message: str, key: str = "") -> PydanticCustomError:
+    """Return what a validator raises: a message in its own words, and the key of the table it is about."""
+    return PydanticCustomError("wrong", "{message}", {"message": message, "key": key})
+
+
+def refuse_unknown(data: Any, known: Iterable[str], what: str = "key") -> None:
+    """Refuse the first key of a table that is none of those known."""
+    for key in data if isinstance(data, Mapping) else ():
+        if key not in (names := tuple(known)):
+            raise wrong(str(unknown_name(what, key, names)), key)
+
+
+def passes(check: Callable[[Any], object]) -> AfterValidator:
+    """Return a validator that keeps a value which a function takes without a `UserError`."""
+
+    def validate(value: Any) -> Any:
+        try:
+            check(value)
+        except UserError as error:
+            raise wrong(str(error)) from None
+        return value
+
+    return AfterValidator(validate)
+
+
+def plain(value: Any) -> Any:
+    """Return a value as models take it: lists as tuples, whole numbers as int, NumPy's as Python's."""
+    if isinstance(value, Mapping):
+        return {key: plain(own) for key, own in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(map(plain, value))
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if type(value).__module__ == "numpy" and getattr(value, "ndim", None) == 0:
+        value = value.item()
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+# --- Files -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TomlFile:
+    """A parsed file with its text, so that errors can name a line."""
+
+    path: Path
+    text: str
+    data: dict[str, Any]
+
+    def mistake(self, where: Where, message: str, key: str = "") -> UserError:
+        """Build an error that names file, line, table and what is wrong with it or one of its keys."""
+        line = _line_of(self.text, (*where, key) if key else where)
+        place = f"{self.path}, line {line}" if line else str(self.path)
+        table = f"[{'.'.join(where)}] " if where else ""
+        return UserError(f"{place}: {table}{message}")
+
+
+def read_toml(path: Path) -> TomlFile:
+    """Read a TOML file.
+
+    Raises:
+        UserError: when it cannot be read or is not TOML, naming the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise UserError(f"{path}: cannot be read: {reason}") from None
+    try:
+        return TomlFile(path, text, tomllib.loads(text))
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
+        raise UserError(f"{path}: not TOML: {error}") from None
+
+
+def read_model(model: type[Model], file: TomlFile, where: Where = ()) -> Model:
+    """Check a table of a file, the whole file by default.
+
+    Raises:
+        UserError: naming file, line, key, value and what is allowed.
+    """
+    data = file.data
+    for key in where:
+        data = data.get(key, {})
+    try:
+        return model.model_validate(plain(data))
+    except ValidationError as error:
+        inside, key, message = complaint(error, data)
+        raise file.mistake((*where, *inside), message, key) from None
+
+
+# --- From pydantic's errors to words ---------------------------------------------------------------
+
+_ALLOWED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "string_too_short": "a text that is not empty",
+    "tuple_type": "a list",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+    "allowed": "{allowed}",
+}
+"""What is allowed, by the type of pydantic's error and what it has in its context."""
+
+
+def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, str, str]:
+    """Return the first mistake in some data: the table it is in, its key there, and what is wrong."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    context = first.get("ctx", {})
+    if first["type"] == "missing":
+        (*where, key) = map(str, first["loc"])
+        return tuple(where), "", f"the key {key!r} is missing"
+    if first["loc"][-1:] == ("[key]",):  # a table's name, where only some are known
+        (*where, key) = map(str, first["loc"][:-1])
+        return tuple(where), key, str(unknown_name("key", key, _names(first)))
+    path, value = _followed(first, data)
+    if isinstance(value, Mapping) and first["type"] == "wrong":
+        return path, context["key"], context["message"]
+    (*where, key) = path
+    if first["type"] == "wrong":
+        return tuple(where), key, f"{key}: {context['message']}"
+    if first["type"] in ("dict_type", "model_type", "mappings_type"):
+        return tuple(where), key, f"{key} must be a table, not {shown(value)}"
+    return tuple(where), key, f"{key} = {shown(value)} is not allowed{_allowed(first, value)}"
+
+
+def _followed(error: ErrorDetails, data: Any) -> tuple[Where, Any]:
+    """Return the path of keys to what an error is about, and the value there; a list is not looked into."""
+    path: Where = ()
+    for key in error["loc"]:
+        if not isinstance(data, Mapping) or key not in data:
+            break
+        path, data = (*path, str(key)), data[key]
+    return path, data
+
+
+def _allowed(error: ErrorDetails, value: Any) -> str:
+    """Return ': ' and what is allowed in place of a value, after the nearest name if there is one."""
+    names = _names(error)
+    words = value if isinstance(value, list | tuple) else [value]
+    hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
+    if error["type"] == "literal_error":
+        allowed = "one of " + ", ".join(name for name in names if name)
+    else:
+        context = {key: _bound(own) for key, own in error.get("ctx", {}).items()}
+        allowed = _ALLOWED.get(error["type"], error["msg"]).format(**context)
+    return f"{next(filter(None, hints), '')}: {allowed}"
+
+
+def _names(error: ErrorDetails) -> list[str]:
+    context = error.get("ctx", {})
+    return [*context.get("names", re.findall(r"'([^']*)'", str(context.get("expected", ""))))]
+
+
+def _bound(value: Any) -> Any:
+    return f"{value:g}" if isinstance(value, float) else value
+
+
+def shown(value: object) -> str:
+    """Return a value about as it stands in the file."""
+    return json.dumps(value, default=str, ensure_ascii=False)
+
+
+# --- Lines -----------------------------------------------------------------------------------------
+
+
+def _line_of(text: str, wanted: Where) -> int | None:
+    """Return the line, from 1, where `wanted` is set or begins, or else the closest table around it."""
+    best, best_depth = None, 0
+    for number, path in _paths(text):
+        shared = min(len(path), len(wanted))
+        depth = shared if path[:shared] == wanted[:shared] else 0
+        if depth > best_depth:
+            best, best_depth = number, depth
+    return best
+
+
+def _paths(text: str) -> Iterator[tuple[int, Where]]:
+    """Yield the line and full path of every header and key; texts over several lines are passed over."""
+    table: Where = ()
+    inside = ""  # the quotes of a text that goes on
+    for number, line in enumerate(text.splitlines(), start=1):
+        opened = inside
+        for quotes in ('"""', "'''"):
+            if line.count(quotes) % 2 and inside in ("", quotes):
+                inside = "" if inside else quotes
+        if opened:
+            continue
+        if line.lstrip().startswith("["):
+            table = _nesting(line) or table
+            yield number, table
+        elif "=" in line and (own := _nesting(f"{line.partition('=')[0]} = 0")):
+            yield number, table + own
+
+
+def _nesting(line: str) -> Where:
+    """Return the path of the one key or table that a line of TOML sets."""
+    try:
+        value: Any = tomllib.loads(line)
+    except tomllib.TOMLDecodeError:
+        return ()
+    path: Where = ()
+    while isinstance(value, dict) and value:
+        key, value = next(iter(value.items()))
+        path += (key,)
+    return path

@@ -1,0 +1,171 @@
+"""Checkpoints of a run in the store: when they are taken, which are kept, and where a run goes on."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.config import make_run
+from pneuma.engines.base import Progress
+from pneuma.engines.checkpoint import Checkpoint, CheckpointError
+from pneuma.engines.records import Records
+from pneuma.errors import UserError
+from pneuma.study import checkpoints, provenance
+from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files, file_name
+from pneuma.study.provenance import Attempt
+from pneuma.study.store import Store
+
+NAME = "0123456789abcdef"
+RUN = make_run({"steps": 2560})  # 10 updates of 256
+
+
+class _Clock:
+    """Time that passes only when told to."""
+
+    now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
+    clock = _Clock()
+    monkeypatch.setattr(checkpoints, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path)
+
+
+def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunCheckpoints:
+    return RunCheckpoints(store, NAME, RUN, 15.0, keep, (said if said is not None else list[str]()).append)
+
+
+def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:
+    attempt = Attempt(datetime.now(UTC), 0.0, 1)
+    own.update(Progress(RUN, step, Records(), lambda: Checkpoint(step, {})), attempt, at_once)
+
+
+def steps(store: Store) -> list[int]:
+    return [file.step for file in checkpoint_files(store.run_folder(NAME))]
+
+
+def test_a_checkpoint_is_taken_when_it_is_time_and_two_are_kept(store: Store, clock: _Clock) -> None:
+    own = begin(store)
+    tell(own, 256)
+    assert steps(store) == []
+    tell(own, 256, at_once=True)
+    for step in (512, 768, 1024):
+        clock.now += 15.0
+        tell(own, step)
+    assert steps(store) == [1024, 768]
+    own.finish()
+    assert not (store.run_folder(NAME) / "checkpoints").exists()
+
+
+def test_what_takes_long_to_write_is_written_less_often(
+    store: Store, clock: _Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At least 40 times as far apart as the last write took: 2 s to write, 80 s until the next."""
+
+    def slowly(*_: Any, **__: Any) -> bytes:
+        clock.now += 2.0
+        return b""
+
+    monkeypatch.setattr(checkpoints, "encode", slowly)
+    own = begin(store)
+    for seconds, step in ((15.0, 256), (79.0, 512), (1.0, 768)):
+        clock.now += seconds
+        tell(own, step)
+    assert steps(store) == [768, 256]
+
+
+def test_those_that_a_study_keeps_stay(store: Store, clock: _Clock) -> None:
+    own = begin(store, keep=2)  # at 1,280 and 2,560, and the first update's
+    for step in range(256, 2561, 256):
+        clock.now += 15.0 if step in (256, 512, 768) else 0.0
+        tell(own, step)
+    own.finish()
+    assert steps(store) == [2560, 1280, 256]
+
+
+def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) -> None:
+    for step in (256, 512):
+        tell(begin(store), step, at_once=True)
+    path = checkpoint_files(store.run_folder(NAME))[0].path
+    path.write_bytes(path.read_bytes()[:-1])
+    said: list[str] = []
+    checkpoint = begin(store, said=said).latest()
+    assert checkpoint is not None and checkpoint.step == 256
+    assert said == [
+        "the checkpoint at step 512 is damaged: going on from the one before",
+        "goes on from step 256",
+    ]
+    checkpoint_files(store.run_folder(NAME))[0].path.write_bytes(b"")
+    assert begin(store).latest() is None  # it starts anew
+    assert steps(store) == []
+
+
+def test_a_folder_in_the_place_of_a_checkpoint_or_a_temporary_file_is_swept(store: Store) -> None:
+    folder = store.run_folder(NAME)
+    tell(begin(store), 256, at_once=True)
+    there = (folder / ".run.json.x", folder / "checkpoints" / file_name(512, b""))
+    for path in there:
+        (path / "deeper").mkdir(parents=True)
+    (folder / "checkpoints" / ".half.written").write_bytes(b"half")
+    checkpoint = begin(store).latest()
+    assert checkpoint is not None and checkpoint.step == 256
+    assert [path.name for path in folder.rglob("*") if path.is_file()] == [
+        checkpoint_files(folder)[0].path.name
+    ]
+    assert not any(path.exists() for path in there)
+
+
+def test_one_that_the_engine_refuses_is_given_up_aloud(store: Store) -> None:
+    for step in (256, 512):
+        tell(begin(store), step, at_once=True)
+    said: list[str] = []
+    own = begin(store, said=said)
+    assert own.give_up(CheckpointError("another layout"))
+    assert steps(store) == [256] and said == ["the checkpoint at step 512 is given up: another layout"]
+    assert own.give_up(CheckpointError("another layout")) and not own.give_up(CheckpointError("none"))
+
+
+def test_what_cannot_be_written_is_said_and_tried_again(
+    store: Store, clock: _Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise UserError("no room")
+
+    said: list[str] = []
+    own = begin(store, said=said)
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write", refuse)
+        tell(own, 256, at_once=True)
+    assert said == ["no checkpoint at step 256: no room"]
+    clock.now += 15.0
+    tell(own, 512)
+    assert steps(store) == [512]
+
+
+def test_another_package_or_commit_is_flagged_where_a_run_goes_on(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = {**provenance.machine(1), "commit": "a" * 40}
+    monkeypatch.setattr(provenance, "machine", lambda threads: here)
+    tell(begin(store), 256, at_once=True)
+    changed = {**here, "commit": "b" * 40 + "-dirty", "packages": {**here["packages"], "torch": "1.0"}}
+    monkeypatch.setattr(provenance, "machine", lambda threads: changed)
+    said: list[str] = []
+    own = begin(store, said=said)
+    assert own.latest() is not None
+    told = ["commit (aaaaaaa, now bbbbbbb-dirty)", f"torch ({here['packages']['torch']}, now 1.0)"]
+    (went_on,) = own.history["resumes"]
+    assert (went_on["step"], went_on["differences"]) == (256, told)
+    assert said[1] == f"goes on with another {', '.join(told)}: it may end with other bits"

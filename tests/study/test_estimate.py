@@ -1,0 +1,100 @@
+"""The runtime estimate: from runs like it, else from a table, times this machine's slowness."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.config import Run, as_settings, make_run
+from pneuma.study import estimate
+from pneuma.study.estimate import START_SECONDS, Paces, stored_paces, total_seconds
+from pneuma.study.identity import run_id
+from pneuma.study.provenance import machine
+from pneuma.study.store import Status, Store, run_document, to_json
+
+RUN = make_run({"steps": 2560})
+HERE = {"cpu": machine(1)["cpu"], "device": "cpu"}
+XEON = {"cpu": "Intel Xeon", "device": "cpu"}
+
+
+def save(store: Store, run: Run, step: int, seconds: float, *machines: dict[str, Any]) -> None:
+    """Store a run that took so long for its steps, on the last of some machines."""
+    attempts = [{"machine": each, "step": step} for each in machines]
+    about = {"wall_seconds": seconds + 9, "training_seconds": seconds, **machines[-1], "attempts": attempts}
+    files = {"run.json": run_document(run, run_id(run)), "provenance.json": to_json(about)}
+    store.save_run(run_id(run), Status("done", step), files)
+
+
+def pace(store: Store, run: Run = RUN) -> float:
+    """Return the seconds that a step of a run is estimated to take."""
+    return (stored_paces(store, []).seconds(run, 1000) - START_SECONDS) / 1000
+
+
+def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path: Path) -> None:
+    """Runs on two processors tell nothing, those of another processor only where there are no others."""
+    store = Store(tmp_path)
+    save(store, replace(RUN, seed=1), 2560, 2560 * 0.004, XEON)
+    save(store, replace(RUN, seed=2), 2560, 2560 * 0.9, HERE, XEON)
+    assert pace(store) == pytest.approx(0.004)
+    save(store, replace(RUN, seed=3), 2560, 2560 * 0.001, HERE)
+    assert pace(store) == pytest.approx(0.001)
+
+
+def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
+    """Of a diverged run they are fewer than its budget; of a fork, without its parent's."""
+    store = Store(tmp_path)
+    save(store, RUN, 512, 2.56, HERE)
+    assert pace(store) == pytest.approx(2.56 / 512)
+    fork = make_run({**as_settings(RUN), "horizon": 128, "parent": "a" * 16, "fork_step": 2304})
+    save(store, fork, 2560, 2.56, HERE)
+    assert pace(store, fork) == pytest.approx(2.56 / 256)
+
+
+def test_a_run_unlike_all_takes_the_tables_time_as_often_as_this_machine_is_slower() -> None:
+    paces, big = Paces(), replace(RUN, actor=(512, 512), critic=(512, 512))
+    by_table = paces.seconds(big, 1000) - START_SECONDS
+    usual = paces.seconds(RUN, 1000) - START_SECONDS
+    assert 0 < usual < by_table
+    paces.add(as_settings(RUN), 3 * usual / 1000)
+    assert paces.knows(replace(RUN, seed=7)) and not paces.knows(big)
+    assert paces.seconds(RUN, 1000) - START_SECONDS == pytest.approx(3 * usual)
+    assert paces.seconds(big, 1000) - START_SECONDS == pytest.approx(3 * by_table)
+
+
+def test_nonsense_in_a_results_folder_times_nothing(tmp_path: Path) -> None:
+    store, odd = Store(tmp_path), [{"steps": "x"}, {"engine": "mine", "fork_step": 0}, [], {"fork_step": 0}]
+    for i, settings in enumerate(odd):
+        about = {"cpu": HERE["cpu"], "wall_seconds": 1.0, "attempts": [{"step": 64, "machine": HERE}]}
+        files = {"run.json": to_json({"run": settings}), "provenance.json": to_json(about)}
+        store.save_run(f"{i:016}", Status("done", 1), files)
+    assert stored_paces(store, []) == Paces()
+
+
+def test_calibrating_measures_what_is_unknown_and_leaves_out_what_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Steps of a millisecond, an evaluation that doubles one of five updates, and one that waited 20 s."""
+    clock = {"now": 0.0}
+
+    def train(groups: object, store: object, how: object, on_event: Any) -> None:
+        for update, seconds in enumerate([0.0, 30.0, 0.256, 0.256, 0.512, 0.256, 20.0]):
+            clock["now"] += seconds
+            on_event({"event": "step", "run_id": "x", "step": 256 * update})
+
+    monkeypatch.setattr(estimate, "run_groups", train)
+    monkeypatch.setattr(time, "monotonic", lambda: clock["now"])
+    paces, said = Paces(), list[str]()
+    estimate.calibrate([RUN, replace(RUN, seed=1)], paces, said.append)
+    assert len(said) == 1
+    assert paces.seconds(RUN, 1000) - START_SECONDS == pytest.approx(1.25)  # 5 updates' time for 4
+
+
+def test_runs_share_workers() -> None:
+    assert total_seconds([4, 3, 2], 1) == 9
+    assert total_seconds([4, 3, 2], 2) == 4.5
+    assert total_seconds([9, 1], 2) == 9
+    assert total_seconds([], 2) == 0

@@ -1,0 +1,371 @@
+"""An untrusted results folder: nothing in it is run, and nothing leads out of it."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save
+
+import pneuma
+from pneuma.analysis.tables import StudyData
+from pneuma.cli import study_plot
+from pneuma.config import as_settings, make_run
+from pneuma.engines.checkpoint import Checkpoint
+from pneuma.errors import UserError
+from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
+from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.executors.local import run_groups
+from pneuma.study.files import checksum, seal
+from pneuma.study.identity import run_id
+from pneuma.study.plan import Selection
+from pneuma.study.store import Status, Store, to_json
+
+from ..cli.calls import call
+
+NAME = "0123456789abcdef"
+SETTINGS: dict[str, object] = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 512}
+CELL: dict[str, object] = {"run_id": NAME, "condition": "a", "seed": 0, "run": SETTINGS}
+RECORD: dict[str, object] = {
+    "study": "mine", "title": "Mine", "figure": "mine", "baseline": "a", "same": [], "runs": [],
+    "selection": {},
+}  # fmt: skip
+PACKAGE = Path(pneuma.__file__).parent
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    store.save_run(NAME, Status("done", 512), {"run.json": b"{}\n"})
+    return store
+
+
+@pytest.mark.parametrize("name", ["../secret", "/etc/passwd", "..", "a/b.json", "", ".lock"])
+def test_a_status_that_names_a_file_elsewhere_is_damaged_and_nothing_is_read(
+    store: Store, tmp_path: Path, name: str
+) -> None:
+    secret = b"secret"
+    (tmp_path / "results" / "runs" / "secret").write_bytes(secret)
+    manifest = {"status": "done", "step": 512, "files": {name: checksum(secret)}}
+    (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
+    assert store.status(NAME).name == "damaged"
+    with pytest.raises(UserError, match="missing or damaged"):
+        store.read_file(NAME, name)
+
+
+@pytest.mark.parametrize("name", ["../../elsewhere", "..", "", "0123456789ABCDEF", NAME + "/", NAME + "0"])
+def test_what_is_no_run_id_leads_nowhere(store: Store, name: str) -> None:
+    with pytest.raises(UserError, match="is no run's id"):
+        store.status(name)
+
+
+def test_a_link_in_a_files_place_is_replaced_and_its_target_left_alone(store: Store, tmp_path: Path) -> None:
+    target = tmp_path / "precious"
+    target.write_text("mine")
+    (store.root / "studies").mkdir()
+    for link in (store.root / "studies" / "mine.json", store.run_folder(NAME) / "error.txt"):
+        link.symlink_to(target)
+    store.save_selection("mine", RECORD)
+    store.save_run(NAME, Status("done", 1024), {"run.json": b"{}\n", "error.txt": b"now a file"})
+    assert target.read_text() == "mine"
+    assert not (store.root / "studies" / "mine.json").is_symlink()
+
+
+def test_a_folder_that_is_a_link_out_of_the_results_is_not_written_to(store: Store, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    other = "f" * 16
+    (store.root / "runs" / other).symlink_to(elsewhere)
+    with pytest.raises(UserError, match="leads out of the results folder"):
+        store.save_run(other, Status("done", 1), {"run.json": b"{}\n"})
+    with pytest.raises(UserError, match="leads out of the results folder"):
+        store.write(store.run_folder(other) / "checkpoints" / "one", b"data")
+    assert os.listdir(elsewhere) == []
+
+
+RUNS_CODE = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "yaml"}
+
+
+OWN_PROCESSES = {PACKAGE / "env" / "agreement.py"}
+"""Modules that pickle what they hand to a process of their own; they read no file."""
+MODULES = sorted(set(PACKAGE.rglob("*.py")) - OWN_PROCESSES)
+READS_TEXT = {"tomllib.load", "json.load"}
+
+
+def test_no_module_can_unpickle() -> None:
+    """Nor load what torch, NumPy, pandas or an algorithm pickled: only text and safetensors are loaded."""
+    for path in MODULES:
+        tree = [*ast.walk(ast.parse(path.read_text()))]
+        imported = {alias.name for node in tree if isinstance(node, ast.Import) for alias in node.names}
+        imported |= {node.module or "" for node in tree if isinstance(node, ast.ImportFrom)}
+        assert not {name.split(".")[0] for name in imported} & RUNS_CODE, path
+        calls = {ast.unparse(node.func) for node in tree if isinstance(node, ast.Call)}
+        assert not calls & {"eval", "exec"}, path
+        loads = {name for name in calls if name.split(".")[-1] in ("load", "read_pickle")} - READS_TEXT
+        assert loads <= ({"load"} if "safetensors.numpy" in imported else set()), path
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": 5}, {"files": {"run.json": 3}}, {"step": None}, {"step": "text"}, {"status": ["done"]},
+        {"status": "well"},
+    ],
+)  # fmt: skip
+def test_a_sealed_status_that_makes_no_sense_is_damage(store: Store, change: dict[str, object]) -> None:
+    manifest = {"status": "done", "step": 512, "files": {}, **change}
+    (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
+    assert store.status(NAME).name == "damaged"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"runs": 5}, {"runs": [5]}, {"runs": [{**CELL, "run_id": "../.."}]},
+        {"runs": [{**CELL, "condition": 3}]}, {"runs": [{**CELL, "seed": "0"}]},
+        {"runs": [{**CELL, "run": None}]}, {"selection": None},
+        *({"runs": [{**CELL, "run": {**SETTINGS, key: []}}]} for key in SETTINGS),
+        *({key: 3} for key in ("study", "title", "figure", "baseline", "same")),
+        {"same": [3]}, {"same": [[3]]},
+    ],
+)  # fmt: skip
+def test_a_sealed_record_that_makes_no_sense_is_none(store: Store, change: dict[str, object]) -> None:
+    (store.root / "studies").mkdir()
+    (store.root / "studies" / "mine.json").write_bytes(seal(RECORD))
+    assert store.selection("mine") is not None
+    (store.root / "studies" / "mine.json").write_bytes(seal({**RECORD, **change}))
+    assert store.selection("mine") is None
+
+
+@pytest.mark.parametrize("part", ["", "checkpoints"])
+def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_swept(
+    store: Store, tmp_path: Path, part: str
+) -> None:
+    run, theirs = make_run({"steps": 256}), tmp_path / "theirs"
+    theirs.mkdir()
+    for name in (".lock", ".netrc.bak"):
+        (theirs / name).write_text("mine")
+    folder = store.run_folder(run_id(run)) / part
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.symlink_to(theirs)
+    events = list[Event]()
+    run_groups([{run_id(run): run}], store, Supervision(1), events.append)
+    (end,) = [event for event in events if event["event"] == "end"]
+    assert end["status"] == "crashed" and "is a link; remove it" in end["reason"]
+    assert {path.name: path.read_text() for path in theirs.iterdir()} == {
+        ".lock": "mine", ".netrc.bak": "mine",
+    }  # fmt: skip
+
+
+def test_a_pipe_or_a_device_is_no_file_to_read(store: Store) -> None:
+    folder = store.run_folder("fedcba9876543210")
+    folder.mkdir(parents=True)
+    os.mkfifo(folder / "status.json")
+    assert store.status("fedcba9876543210").name == "damaged"
+    (folder / "status.json").unlink()
+    (folder / "status.json").symlink_to("/dev/zero")
+    assert store.status("fedcba9876543210").name == "damaged"
+
+
+# --- Checkpoints -----------------------------------------------------------------------------------
+
+
+WHOLE = Checkpoint(64, {"weights": np.arange(3.0)})
+ATTEMPT = {"started": "2026-01-01T00:00:00+00:00", "wall_seconds": 1.0, "step": 64, "machine": {}}
+
+
+def a_file(folder: Path, data: bytes, step: int = 64) -> CheckpointFile:
+    """Put bytes where a run's checkpoint is looked for, under the name that fits them."""
+    path = folder / NAME / "checkpoints" / file_name(step, data)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(data)
+    (file,) = checkpoint_files(folder / NAME)
+    return file
+
+
+def test_a_checkpoint_of_the_run_is_read(tmp_path: Path) -> None:
+    history = {"attempts": [ATTEMPT], "resumes": []}
+    read = read_checkpoint(a_file(tmp_path, encode(WHOLE, history, NAME)))
+    assert read is not None and read[0].step == 64 and read[1] == history
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", b"text", b"\xff" * 64, len(b"[]").to_bytes(8, "little") + b"[]", save({}),
+        save({}, metadata={"pneuma": "{"}), save({}, metadata={"pneuma": "{}"}),
+        save({}, metadata={"pneuma": '{"schema": 1, "step": 64, "shapes": {}, "numbers": {}}'}),
+        encode(WHOLE, {}).replace(b'\\"schema\\": 1', b'\\"schema\\": 2'),
+        encode(replace(WHOLE, step=128), {}),
+        encode(WHOLE, {}, "f" * 16),
+        encode(WHOLE, {"attempts": [1]}), encode(WHOLE, {"attempts": 1}), encode(WHOLE, {"resumes": [1]}),
+    ],
+)  # fmt: skip
+def test_what_is_no_checkpoint_of_that_run_and_step_counts_as_damaged(tmp_path: Path, data: bytes) -> None:
+    assert read_checkpoint(a_file(tmp_path, data)) is None
+
+
+# --- Code and files that are named -----------------------------------------------------------------
+
+
+@pytest.fixture
+def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A reward that leaves a mark when its module is imported, in the current folder; return the mark."""
+    here = tmp_path / "here"
+    here.mkdir()
+    (here / "evil_reward.py").write_text(
+        f"open({str(here / 'mark')!r}, 'w')\ndef reward(events, players, stats): return events['xp_gained']\n"
+    )
+    monkeypatch.chdir(here)
+    monkeypatch.delitem(sys.modules, "evil_reward", raising=False)
+    return here / "mark"
+
+
+def called(*arguments: str | Path) -> tuple[int, str]:
+    """Return a command's exit code and all that it printed."""
+    code, out, err = call(*arguments)
+    return code, out + err
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"reward": "evil_reward:reward"}, "would run the reward evil_reward:reward; --trust allows it"),
+        ({"level": "/nowhere/level"}, "would read the level /nowhere/level; --trust"),
+        ({"characters": "/nowhere/c.toml"}, "would read the characters /nowhere/c.toml; --trust"),
+    ],
+)
+def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
+    store: Store, evil: Path, settings: dict[str, object], words: str
+) -> None:
+    document = {"run": as_settings(make_run(settings))}
+    store.save_run(NAME, Status("done", 50_176), {"run.json": to_json(document)})
+    code, told = called("run", "fork", NAME, "--at", "512", "--set", "gamma=0.9", "--results", store.root)
+    assert (code, words in told) == (2, True)
+    assert not evil.exists()
+
+
+def record_of(study: Path | str, store: Store) -> None:
+    """Record a study of a stranger's in a results folder, under its file's name and with its path."""
+    path = Path(study)
+    cells = [{**CELL, "condition": name, "seed": seed} for name in ("a", "b") for seed in (0, 1)]
+    selection = {**asdict(Selection()), "settings": {"reward": "evil_reward:reward"}}
+    about = {"study": path.stem, "path": str(path), "selection": selection, "runs": cells}
+    store.save_selection(path.stem, {**RECORD, **about})
+
+
+@pytest.mark.parametrize("command", ["status", "plot", "export", "publish"])
+@pytest.mark.parametrize("study", ["theirs", "activation"])
+@pytest.mark.parametrize("option", [("--seeds", "2"), ("--condition", "a"), ("--steps", "512")])
+def test_selecting_from_a_record_runs_nothing_that_it_names(
+    store: Store, evil: Path, command: str, study: str, option: tuple[str, str]
+) -> None:
+    path = evil.parent / f"{study}.toml"
+    path.write_text(
+        'title = "A"\nbase = "table-6-2"\n[conditions.a]\nreward = "evil_reward:reward"\n[conditions.b]\n'
+        "[presets.quick]\nseeds = 1\nsteps = 512\n"
+    )
+    record_of(path, store)
+    more = ("--table", "metrics", "--out", "-") if command == "export" else ()
+    code, told = called("study", command, study, *option, *more, "--results", store.root)
+    assert not evil.exists()
+    if option[0] == "--steps":
+        assert code == 2 and "--condition and --seeds alone" in told
+    elif command == "status":
+        assert code == 0 and told.startswith(f"{study}: ")
+    else:
+        assert code == 2 and "missing or damaged; run the study again" in told  # it came as far as the runs
+
+
+def test_a_record_cannot_pose_as_a_file_that_a_person_names(store: Store, evil: Path) -> None:
+    (evil.parent / "own.toml").write_text(
+        'title = "A"\nbase = "table-6-2"\n[conditions.a]\nreward = "evil_reward:reward"\n'
+        "[presets.quick]\nseeds = 1\nsteps = 512\n"
+    )
+    store.save_selection("own.toml", RECORD)
+    code, told = called("study", "status", "--seeds", "2", "--results", store.root)
+    assert not evil.exists()
+    assert code == 0 and told.startswith("No study was run in ")
+
+
+@pytest.mark.parametrize("posing", ["../../mine", "m" * 300])
+def test_a_record_cannot_pose_as_another_study(store: Store, posing: str) -> None:
+    """Its name would become that of tables and figures."""
+    store.save_selection("mine", {**RECORD, "study": posing})
+    for command in (("study", "status", "mine"), ("study", "summary", "mine")):
+        code, told = called(*command, "--results", store.root)
+        assert code == 2 and "mine" in told and posing not in told
+
+
+def test_a_mistake_that_quotes_a_record_cannot_drive_the_terminal(store: Store) -> None:
+    store.save_selection("mine", {**RECORD, "runs": [{**CELL, "condition": "a\x1b]0;owned\x07"}]})
+    code, told = called("study", "status", "mine", "--condition", "c", "--results", store.root)
+    assert (code, "owned" in told, "\x1b" in told) == (2, True, False)
+
+
+def test_condition_and_seeds_pick_from_a_record(store: Store) -> None:
+    record_of("/nowhere/theirs.toml", store)
+    code, told = called(
+        "study", "status", "theirs", "--seeds", "1", "--condition", "b", "--results", store.root
+    )
+    assert code == 0
+    assert [line.split()[:3] for line in told.splitlines()[1:]] == [["b", "seed", "0"]]
+
+
+def test_a_strangers_texts_cannot_drive_the_terminal(store: Store) -> None:
+    wild = "\x1b]0;owned\x07"
+    cell = {**CELL, "condition": f"a{wild}"}
+    store.save_selection("mine", {**RECORD, "title": f"T{wild}", "baseline": f"b{wild}", "runs": [cell]})
+    for command in ("show", "status"):
+        code, told = called("study", command, "mine", "--results", store.root)
+        assert (code, "owned" in told) == (0, True)
+        assert "\x1b" not in told and "\x07" not in told
+
+
+def test_a_figure_replaces_a_link_and_leaves_what_it_leads_to(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`plot` into the results folder; what draws is beside the point."""
+    precious = tmp_path / "precious.png"
+    precious.write_bytes(b"mine")
+    (store.root / "figures").mkdir()
+    (store.root / "figures" / "mine.png").symlink_to(precious)
+    store.save_selection("mine", {**RECORD, "runs": [CELL]})
+
+    def draw(data: StudyData, folder: Path, *_: object) -> tuple[list[Path], dict[str, str]]:
+        (folder / "mine.png").write_bytes(b"drawn")
+        return [folder / "mine.png"], {"figure": "curves"}
+
+    monkeypatch.setattr(study_plot, "_files", lambda *_: ["mine.png"])
+    monkeypatch.setattr(study_plot, "_draw_curves", draw)
+    assert called("study", "plot", "mine", "--results", store.root)[0] == 0
+    assert precious.read_bytes() == b"mine"
+    assert (store.root / "figures" / "mine.png").read_bytes() == b"drawn"
+    shutil.rmtree(store.root / "figures")
+    (store.root / "figures").symlink_to(tmp_path)
+    code, told = called("study", "plot", "mine", "--results", store.root)
+    assert (code, "leads out of the results folder" in told) == (2, True)
+    assert sorted(os.listdir(tmp_path)) == ["precious.png", "results"]
+
+
+@pytest.mark.parametrize("part", ["runs", "studies"])
+def test_a_part_that_is_a_link_out_or_a_file_is_told_before_anything_is_trained(
+    tmp_path: Path, part: str
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / part).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="a link leads out of the results folder"):
+        Store(tmp_path / "results").check_writable()
+    (tmp_path / "results" / part).unlink()
+    (tmp_path / "results" / part).write_text("")
+    with pytest.raises(UserError, match="a file in place of the folder"):
+        Store(tmp_path / "results").check_writable()
+    (tmp_path / "whole").symlink_to(tmp_path / "elsewhere")  # the folder itself may be one
+    Store(tmp_path / "whole").check_writable()

@@ -1,0 +1,189 @@
+"""docs/python.md does what it says, and its functions refuse what cannot be done in a line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.published import published_path
+from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.run_index import open_study
+from pneuma.api import evaluate, load_policy, open_data, run_study
+from pneuma.config import as_settings, make_env_config, make_run, stream_seed
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import EVALUATION_COLUMNS
+from pneuma.engines.team import Team
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+from pneuma.study.store import Status, Store
+
+from .analysis.published_runs import CELLS, RECORD, save_run
+from .pages import BLOCK
+
+PAGE = Path(__file__).parents[1] / "docs" / "python.md"
+
+
+@pytest.mark.slow
+def test_the_pages_python_runs(tmp_path: Path) -> None:
+    blocks = [*BLOCK.finditer(PAGE.read_text(encoding="utf-8"))]
+    for block in blocks:
+        if block["file"]:
+            (tmp_path / block["file"]).write_text(block["text"])
+    code = [block["text"] for block in blocks if block["language"] == "python"]
+    (tmp_path / "page.py").write_text("\n".join([*code, "print(len(data.runs), int(action), env_id)"]))
+    command = [sys.executable, "-W", "error", "page.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    runs, action, env = done.stdout.split()
+    assert (runs, env) == ("4", "pneuma/Pneuma-v0") and 0 <= int(action) < 5
+    figures = {path.name for path in (tmp_path / "figures").iterdir()}
+    curves = {f"study-horizon-return-entropy-se.{form}" for form in ("png", "svg")}
+    assert figures == {*curves, "study-horizon-summary.pdf"}
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"seeds": [3, 3]}, "seeds = [3, 3] is not allowed: a count, or different whole numbers"),
+        ({"seeds": "3"}, "seeds = '3' is not allowed"),
+        ({"workers": 0}, "workers = 0 is not allowed: at least 1"),
+        ({"conditions": "tnh"}, "did you mean tanh?"),
+        ({"world": "godto"}, "did you mean godot?"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_and_nothing_is_written(
+    options: dict[str, Any], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PNEUMA_RESULTS", str(tmp_path / "results"))
+    with pytest.raises(UserError) as refused:
+        run_study("activation", **options)
+    assert told in str(refused.value)
+    with pytest.raises(UserError, match=f"unknown study in {tmp_path}/results.*activation"):
+        open_data("activation")
+    with pytest.raises(UserError, match="no run 'abcdef' in"):
+        load_policy("abcdef")
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.slow
+def test_a_run_that_crashes_is_told_with_where_to_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    body = "    assert players['attack'].max() < 20\n    return players['xp']\n"
+    (tmp_path / "breaking_pay.py").write_text(f"def pay(events, players, stats):\n{body}")
+    text = 'title = "T"\nbase = "table-6-2"\n[conditions.only]\nreward = "breaking_pay:pay"\n'
+    (tmp_path / "mine.toml").write_text(f"{text}[presets.quick]\nseeds = 1\nsteps = 1024\n")
+    with pytest.raises(UserError, match="1 of 1 runs did not end: only seed 0 crashed.*; see .*error.txt"):
+        run_study("mine.toml")
+
+
+def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> None:
+    store, run = Store(tmp_path), make_run({"level": "somebodys/isle"})
+    layers = ((np.zeros((60, 5), np.float32), np.zeros(5, np.float32)),)
+    critic = ((np.zeros((60, 1), np.float32), np.zeros(1, np.float32)),)
+    files = {
+        "run.json": json.dumps({"run": as_settings(run)}).encode(),
+        "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
+    }
+    store.save_run("0123456789abcdef", Status("done", run.steps), files)
+    with pytest.raises(UserError, match="would read the level somebodys/isle: pass trust=True"):
+        load_policy("0123", tmp_path)
+    policy, env, settings = load_policy("0123", tmp_path, trust=True)
+    assert isinstance(policy, Policy) and policy.best(np.zeros((1, 60), np.float32)).tolist() == [0]
+    assert (env, settings["level"]) == ("pneuma/Pneuma-v0", "somebodys/isle")
+
+
+def test_a_file_of_the_name_of_another_is_not_taken_for_it(tmp_path: Path) -> None:
+    one, other = tmp_path / "one" / "mine.toml", tmp_path / "other" / "mine.toml"
+    for path in (one, other):
+        path.parent.mkdir()
+        path.touch()
+    names = {"study": "mine", "title": "", "figure": "", "baseline": ""}
+    record = {**names, "path": str(one), "runs": [], "same": [], "selection": {}}
+    Store(tmp_path).save_selection("mine", record)
+    with pytest.raises(UserError, match="the runs of study mine in .* are of .*one/mine.toml"):
+        open_data(other, tmp_path)
+    Store(tmp_path).selection_path("mine").write_text("{")
+    with pytest.raises(UserError, match="mine.json: damaged; run, import or fork it anew"):
+        open_data("mine", tmp_path)
+
+
+def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for (_, seed), run_id in CELLS.items():
+        save_run(store, run_id, seed)
+    path = published_path(store, "mine-godot")
+    store.write(path, encode_study(open_study(store, {**RECORD, "study": "mine-godot"})))
+    shutil.rmtree(tmp_path / "runs")
+    data = open_data("mine", tmp_path, world="godot")
+    assert data.study == "mine-godot" and data.conditions == ["a", "b"]
+    one = data.of_conditions("b")
+    assert one.conditions == ["b"]
+
+
+LAYER = (np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32), np.zeros(5, np.float32))
+POLICY = Policy("tanh", (LAYER,), (LAYER,))
+
+
+def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
+    told = evaluate(POLICY, seed=3, episodes=12)
+    assert tuple(told) == EVALUATION_COLUMNS and told["length"] > 10
+    draws = np.random.default_rng(stream_seed("3", "evaluation-actions", 0))
+    asked = evaluate(lambda seen: POLICY.sample(seen, draws), best=POLICY.best, seed=3, episodes=12)
+    assert asked == pytest.approx(told)
+    assert evaluate(POLICY.best, seed=4, episodes=12)["random_share_killed"] != told["random_share_killed"]
+
+
+def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps_what_it_saw() -> None:
+    seen: list[np.ndarray] = []
+
+    def strike(observations: np.ndarray) -> np.ndarray:
+        seen.append(observations)
+        return np.full(len(observations), 4)
+
+    row = evaluate(strike, settings={"episode_steps": 30, "players": 2}, episodes=7)
+    assert not any(name.startswith("argmax") for name in row)
+    assert [len(observations) for observations in seen] == [14] * 30  # none is bitten to death that soon
+    assert row["length"] == 30
+    assert len({observations.tobytes() for observations in seen}) > 1  # each is as it was when it was shown
+
+
+def test_rows_are_the_players_of_a_world_side_by_side() -> None:
+    """Of every world the first player strikes and the second goes right; so does a team by its weights."""
+    biases = [np.eye(5, dtype=np.float32)[action] * 50 for action in (4, 2)]
+    features = Worlds(1, make_env_config({"players": 2})).observations.shape[2]
+    layers = [((np.zeros((features, 5), np.float32), bias),) for bias in biases]
+    team = Team(tuple(Policy("tanh", own, own) for own in layers))
+    settings = {"players": 2, "coast": "deadly", "episode_steps": 200}
+    told = evaluate(team, settings=settings, seed=3, episodes=6)
+    asked = evaluate(lambda seen: np.tile([4, 2], len(seen) // 2), settings=settings, seed=3, episodes=6)
+    assert asked == {name: value for name, value in told.items() if not name.startswith("argmax")}
+
+
+@pytest.mark.parametrize(
+    ("agent", "options", "told"),
+    [
+        (
+            lambda seen: np.zeros(len(seen)),
+            {},
+            "the agent gave float64 of shape .12,.: must be 12 whole numbers",
+        ),
+        (lambda seen: (np.zeros(len(seen), int), None), {}, "the agent gave a tuple: .*predict take .0."),
+        (lambda seen: np.full(len(seen), 5), {}, "gave actions 5 to 5: there are 0 to 4"),
+        ("ppo", {}, "agent = str is not allowed: a stored policy, or a function"),
+        (POLICY, {"best": POLICY.best}, "best: must be a function, beside an agent that is one"),
+        (POLICY.best, {"episodes": 0}, "^episodes = 0 is not allowed: at least 1"),
+        (POLICY, {"settings": {"perceive": "nearest:3"}}, "was trained on 60 features; these settings make"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_told(agent: Any, options: dict[str, Any], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        evaluate(agent, **{"episodes": 12, **options})

@@ -1,0 +1,97 @@
+"""A mistake in a file is one line: file, line, key, value, what is allowed and the nearest name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field
+
+from pneuma.errors import UserError, unknown_name
+from pneuma.schema import Table, passes, read_model, read_toml
+
+
+def _fruit(name: str) -> None:
+    if name not in ("apple", "pear"):
+        raise unknown_name("fruit", name, ("apple", "pear"))
+
+
+class Inner(Table):
+    share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    count: Annotated[int, Field(ge=2)] = 2
+    sizes: Annotated[tuple[Annotated[int, Field(le=9)], ...], Field(min_length=1)] = (1,)
+    fruit: Annotated[str, passes(_fruit)] = "pear"
+
+
+class Outer(Table):
+    title: str
+    colour: Literal["red", "green"] = "red"
+    inner: dict[str, Inner] = {}
+    amounts: dict[Literal["quick", "paper"], int] = {}
+
+
+def _read(folder: Path, text: str) -> Outer:
+    path = folder / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_model(Outer, read_toml(path))
+
+
+def test_what_is_right_is_read(tmp_path: Path) -> None:
+    read = _read(tmp_path, 'title = "t"\n[inner.a]\nshare = 1\ncount = 1e6\nsizes = [1, 2]\n')
+    assert read.inner["a"] == Inner(share=1.0, count=1_000_000, sizes=(1, 2))
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "message"),
+    [
+        ("", "", "the key 'title' is missing"),
+        ('title = "t"\ncolor = 3', ", line 2", "unknown key 'color' (did you mean colour?); known are "),
+        ("title = 3", ", line 1", "title = 3 is not allowed: a text"),
+        (
+            'title = "t"\ncolour = "gren"',
+            ", line 2",
+            'colour = "gren" is not allowed (did you mean green?)',
+        ),
+        ('title = "t"\ninner = 3', ", line 2", "inner must be a table, not 3"),
+        (
+            'title = "t"\n[inner.a]\nshare = 2.5',
+            ", line 3",
+            "[inner.a] share = 2.5 is not allowed: at most ",
+        ),
+        ('title = "t"\n[inner]\na.share = 0', ", line 3", "[inner.a] share = 0 is not allowed: above 0"),
+        ('title = "t"\n[inner.a]\ncount = "3"', ", line 3", "[inner.a] count = "),
+        (
+            'title = "t"\n[inner.a]\ncount = true',
+            ", line 3",
+            "[inner.a] count = true is not allowed: a wh",
+        ),
+        (
+            'title = "t"\n[inner.a]\nsizes = [3, 10]',
+            ", line 3",
+            "[inner.a] sizes = [3, 10] is not allowed: ",
+        ),
+        (
+            'title = "t"\n[inner.a]\nsizes = []',
+            ", line 3",
+            "[inner.a] sizes = [] is not allowed: a list",
+        ),
+        ('title = "t"\n[inner.a]\nfruit = "aple"', ", line 3", "[inner.a] fruit: unknown fruit 'aple' ("),
+        (
+            'title = "t"\n[amounts]\nquik = 1',
+            ", line 3",
+            "[amounts] unknown key 'quik' (did you mean q",
+        ),
+        ("title = ", "", "not TOML: "),
+    ],
+)
+def test_a_mistake_is_told_at_its_line(tmp_path: Path, text: str, line: str, message: str) -> None:
+    with pytest.raises(UserError) as caught:
+        _read(tmp_path, text)
+    assert str(caught.value).startswith(f"{tmp_path / 'mine.toml'}{line}: {message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="line 5: "):
+        _read(tmp_path, 'title = """\ncolour = "blue"\n[inner]\n"""\ncolour = "blue"\n')
