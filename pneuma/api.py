@@ -88,7 +88,7 @@ def run_study(
             f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
 
     return open_study(store, execute.selection_record(planned))
 
@@ -104,24 +104,23 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
     Raises:
         UserError: when the folder has nothing of it, or no run has finished.
     """
-    from pneuma.analysis.published import published_path, published_studies, read_published
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.published import published_studies
+    from pneuma.analysis.run_index import RunIndex, open_study
 
     check_world(world)
     store, path = _store(results), Path(study)
     is_file = path.suffix == ".toml"
     name = in_world(path.stem if is_file else os.fspath(study), world or TEXT)
-    if record := store.selection(name):
+    index = RunIndex(store)
+    if record := index.record(name):
         if is_file:
             execute.check_same_file(record, path, store)
-    elif published_path(store, name).exists():
-        record = read_published(store, name).record
     elif (damaged := store.selection_path(name)).exists():
         raise UserError(f"{damaged}: damaged; run, import or fork it anew")
     else:
         known = sorted({*store.studies(), *published_studies(store)})
         raise unknown_name(f"study in {store.root}", name, known)
-    return open_study(store, record)
+    return open_study(index, record)
 
 
 def load_policy(

@@ -18,9 +18,9 @@ import numpy as np
 
 from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.outcomes import HALF_A_MONSTER, PRIMARY, outcome_values
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.sequential import Stage, decide, looked_at, make_stages
-from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.analysis.verdicts import found
 from pneuma.config import stream_seed

@@ -14,7 +14,7 @@ import pytest
 
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.api import evaluate, load_policy, open_data, run_study
 from pneuma.config import as_fields, make_env_config, make_run, stream_seed
 from pneuma.engines.policy import Policy

@@ -47,6 +47,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what reads records, and what produced them:
     "pneuma.analysis": (
         "pneuma.study.store",
+        "pneuma.study.files",
         "pneuma.study.spec",
         "pneuma.study.tables",
         "pneuma.study.origins",

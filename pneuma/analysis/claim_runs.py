@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -11,15 +11,12 @@ import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
-from pneuma.analysis.partly_published import PartlyPublished
-from pneuma.analysis.published import PublishedRuns, published_path, published_studies, read_published
+from pneuma.analysis.published import published_studies
 from pneuma.analysis.pvalues import student_tails
-from pneuma.analysis.run_records import RunRecords
+from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.run_view import view
-from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_fields
-from pneuma.errors import UserError
 from pneuma.study.claimed import training_command
 from pneuma.study.origins import processors
 from pneuma.study.plan import Cell, Selection, make_plan
@@ -56,12 +53,11 @@ class ClaimRuns:
 
     def __init__(self, store: Store, claims: ClaimList) -> None:
         self._store = store
+        self._index = RunIndex(store)
         self._claims = claims
         self.study = cache(self._study)
         self._cells_of = cache(self._plan_cells)
         self._data = cache(self._open)
-        self._tables = cache(self._read_tables)
-        self._unread: list[str] = []
         self._arms: dict[tuple[str, str, str, str], Arm] = {}
 
     def hindrance(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
@@ -129,40 +125,10 @@ class ClaimRuns:
             for cell in self._cells(claim, world, condition)
         }
         record = _record(self.study(study, world), [*cells.values()])
-        own = self._of_study(record)
-        return own if own and not own.left_out else self._elsewhere(record, own)
-
-    def _of_study(self, record: Mapping[str, Any]) -> StudyData | None:
-        """Return what is finished of a record here and in its study's published table."""
-        published = published_path(self._store, record["study"])
-        try:
-            return open_study(self._store, record)
-        except UserError:
-            if published.exists():
-                read_published(self._store, record["study"])  # a damaged table is no lack of runs
+        records, budget = self._index.of_record(record, curves=False)
+        if not any(own.status.finished for own in records.values()):
             return None
-
-    def _elsewhere(self, record: Mapping[str, Any], own: StudyData | None) -> StudyData | None:
-        """Return what is had of a record where the tables of all studies count, if that is more.
-
-        A run is the same run in whichever study it was published. Curves are on one grid: tables of one
-        budget add up, with whatever is here.
-        """
-        tables: dict[int, list[PublishedRuns]] = {}
-        for table in self._tables():
-            tables.setdefault(table.head["budget"], []).append(table)
-        here = _stored(self._store, record)
-        found = [_joined(here, record, tables[budget], str(self._store.root)) for budget in sorted(tables)]
-        return max((own, *found), key=lambda data: len(data.runs) if data else 0)
-
-    def _read_tables(self) -> list[PublishedRuns]:
-        tables = []
-        for name in published_studies(self._store):
-            try:
-                tables.append(read_published(self._store, name))
-            except UserError as error:
-                self._unread.append(str(error))
-        return tables
+        return StudyData(records, {**record, "budget": budget} if budget else record, str(self._store.root))
 
     def _finished(self, claim: Claim, world: str, condition: str) -> dict[int, FinishedRun]:
         """Return the finished ones of a condition's runs, by seed."""
@@ -179,7 +145,7 @@ class ClaimRuns:
         if len(found) == len(cells):
             return ""
         steps = f"{cells[0].run.steps:,} steps"
-        steps += "".join(f" ({told})" for told in self._unread)
+        steps += "".join(f" ({told})" for told in self._index.damaged)
         if found:
             return f"too few seeds: {condition} has {len(found)} of the {len(cells)} fixed ones with {steps}"
         reached = self._reached(claim, world, condition, cells[0].run)
@@ -190,17 +156,15 @@ class ClaimRuns:
     def _reached(self, claim: Claim, world: str, condition: str, run: Run) -> int:
         """Return the largest budget below the claim's of a run that is finished here; 0 where none is."""
         name = self.study(claim.study, world).name
-        record: Mapping[str, Any] | None = self._store.selection(name)
-        status = self._store.status
-        if record is None and published_path(self._store, name).exists():
-            published = read_published(self._store, name)
-            record, status = published.record, published.status
+        record = self._index.record(name) or {"runs": []}
         lower = {
             own["run_id"]: own["run"]["steps"]
-            for own in (record or {"runs": []})["runs"]
+            for own in record["runs"]
             if own["condition"] == condition and own["run"]["steps"] < run.steps
         }
-        return max((steps for name, steps in lower.items() if status(name).finished), default=0)
+        table = self._index.table(name) if record.get("source") == "published" else None
+        known = table or self._index
+        return max((steps for own, steps in lower.items() if known(own).status.finished), default=0)
 
     def _machines(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
         """Refuse to compare times of different machines, or of one that had other work beside."""
@@ -208,11 +172,11 @@ class ClaimRuns:
             return ""
         data = self._data(*self._group(claim, world))
         runs = [run for name in names for run in self._finished(claim, world, name).values()]
-        found = [data.source.provenance(run) for run in runs] if data else []
+        found = [run.records.provenance() for run in runs] if data else []
         machines = {(on, str(own.get("threads"))) for own in found for on in processors(own)}
         if len(machines) > 1:
             return "timed on different machines"
-        shares = [data.source.processor_share(run) for run in runs] if data else []
+        shares = [run.records.processor_share for run in runs] if data else []
         least = min((share for share in shares if share is not None), default=1.0)
         return f"timed beside other work: on {least:.0%} of a core" if least < QUIET else ""
 
@@ -298,29 +262,6 @@ def _learned(data: StudyData, runs: Iterable[FinishedRun], at_step: float | None
     error = scores.std(ddof=1) / np.sqrt(scores.size)
     p_greater, _ = student_tails(scores.mean(), np.array(error), scores.size - 1)
     return bool(p_greater <= FLOOR_LEVEL) and bool(scores.mean() > 0)
-
-
-def _stored(store: Store, record: Mapping[str, Any]) -> StudyData | None:
-    """Return the runs of a record that are finished here; None without any."""
-    try:
-        return StudyData(RunRecords(store), record, str(store.root))
-    except UserError:
-        return None
-
-
-def _joined(
-    here: StudyData | None, record: Mapping[str, Any], tables: Sequence[PublishedRuns], where: str
-) -> StudyData | None:
-    """Return the runs that are here with those of a record in some tables of one budget; None without any."""
-    told = {**record, "budget": tables[0].head["budget"]}
-    found = StudyData(here.source, told, where) if here and here.budget <= told["budget"] else None
-    for table in tables:
-        have = {run.run_id for run in found.runs} if found else set()
-        added = [run["run_id"] for run in record["runs"] if run["run_id"] in table.finished - have]
-        if added:
-            source = PartlyPublished(found, table, added) if found else table
-            found = StudyData(source, told, where)
-    return found
 
 
 def _record(study: Study, cells: list[Cell]) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     """Diagnose a run, as it stood at a step where one is given."""
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
-    found, falls, losses = _clipped(data.source.signs(run), seen), _falls(seen, steps, shares), _losses(seen)
+    found, falls, losses = _clipped(run.records.signs(), seen), _falls(seen, steps, shares), _losses(seen)
     judged = {*found, *([LOSS] if losses is not None else [])}
     if falls or (len(steps) and not run.begun):  # a fork's best was its parent's
         judged.add(FALL)

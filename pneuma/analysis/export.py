@@ -48,7 +48,7 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     if "evaluations" in data.tables:
         curves["share_killed"] = evaluation_curves(data)
     if not curves:
-        raise UserError(f"study {data.study}: {data.source.what} holds no returns, and so no curves")
+        raise UserError(f"study {data.study}: {data.what} holds no returns, and so no curves")
     table = curves_table(curves, band)
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over

@@ -80,13 +80,8 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
     found = find_outcome(name)
     if ends_before(run, at_step):
         return NAN
-    kept = None if at_step is not None and at_step < run.budget else data.source.kept_outcome(run, name)
+    kept = None if at_step is not None and at_step < run.budget else run.records.kept_outcome(name)
     return found.measure(view(data, run, at_step)) if kept is None else kept
-
-
-def outcomes_of_curves(data: StudyData) -> list[str]:
-    """Return the names of all outcomes that are taken from the curves that a study has."""
-    return [name for name, found in OUTCOMES.items() if found.source in data.quantities]
 
 
 def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
@@ -125,11 +120,11 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
     if ends_before(run, at_step):
         return f"the run ends at step {run.end:,}, before the others are compared"
     if found.source == "times":
-        return f"{data.source.what} does not tell how long the run took"
+        return f"{data.what} does not tell how long the run took"
     if found.source == "signs":
         return _no_sign(data, run, name, at_step)
-    if data.source.kept_outcome(run, name) is None and found.source not in (*data.tables, *data.quantities):
-        return f"{data.source.what} holds no {found.source}"
+    if run.records.kept_outcome(name) is None and found.source not in (*data.tables, *data.quantities):
+        return f"{data.what} holds no {found.source}"
     early = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
     return f"{early} has no value of its {found.source} to take {name} from"
 
@@ -137,7 +132,7 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
 def _no_sign(data: StudyData, run: FinishedRun, name: str, at_step: float | None) -> str:
     found = diagnose(data, run, at_step)
     if found.blind:
-        return f"{data.source.what} holds no sign of collapse"
+        return f"{data.what} holds no sign of collapse"
     if found.collapsed:
         return f"no evaluation tells of {name}"
     early = at_step is not None and at_step < run.end
@@ -222,7 +217,7 @@ def _wall_seconds(seen: RunView) -> float:
 
 
 def _pace(seen: RunView) -> float:
-    seconds = seen.data.source.wall_seconds(seen.run)
+    seconds = seen.run.records.wall_seconds
     return (seen.run.end - seen.run.begun) / seconds if seconds else NAN
 
 

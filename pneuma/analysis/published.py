@@ -1,17 +1,17 @@
-"""The third source of a study's data: its published table, small enough to be kept under version control.
+"""A study's published table: its runs in one file, small enough to be kept under version control.
 
 results/published/STUDY.parquet holds a row for each run: what it was, how it ended, its curves on the
 study's grid in every window, final values, its evaluations whole, and what produced it. The same
 runs give the same bytes. Nothing is ever trained from it.
 
 The file's metadata holds the study's title and conditions, and a checksum over all other bytes,
-which is compared before anything else is read.
+which is compared before anything else is read. STUDY.times.json beside it tells how long the runs trained, on
+what machine: the clock has no place in the table.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,15 +19,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis import UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.checksums import is_whole
-from pneuma.analysis.packed import unpack_signs
-from pneuma.analysis.published_times import read_times
+from pneuma.analysis.records import QUANTITIES, Records, told_seconds
 from pneuma.analysis.signs import Stretch
-from pneuma.analysis.tables import FinishedRun, told_seconds, told_share
+from pneuma.analysis.windows import GRID_POINTS
 from pneuma.errors import UserError
-from pneuma.study.store import Status, Store, read_whole
+from pneuma.study.files import names_in, parse_json, read_json, read_whole
+from pneuma.study.store import FINISHED, Status, Store, is_record
 from pneuma.study.tables import from_parquet
 
 SCHEMA = 2
@@ -44,6 +45,7 @@ EVALUATIONS = "evaluations"
 PEAKS = "extreme"
 SIGNS = "signs"
 OUTCOME = "outcome "
+TEXTS = ("condition", "run_id", "status", "settings", "provenance", SIGNS)
 
 
 def published_path(store: Store, study: str) -> Path:
@@ -51,12 +53,24 @@ def published_path(store: Store, study: str) -> Path:
     return store.root / PUBLISHED / f"{study}{SUFFIX}"
 
 
+def times_path(store: Store, study: str) -> Path:
+    """Return where the times of a published study lie."""
+    return store.root / PUBLISHED / f"{study}.times.json"
+
+
 def published_studies(store: Store) -> list[str]:
     """Return the names of the studies that have a published table."""
-    return sorted(path.stem for path in (store.root / PUBLISHED).glob(f"*{SUFFIX}"))
+    return [name.removesuffix(SUFFIX) for name in names_in(store.root / PUBLISHED) if name.endswith(SUFFIX)]
 
 
-def read_published(store: Store, study: str) -> PublishedRuns:
+def read_times(store: Store, study: str) -> dict[str, dict[str, Any]]:
+    """Return what the file of times tells of each run whose time makes sense; nothing without such a file."""
+    told = (read_json(times_path(store, study)) or {}).get("runs")
+    runs = told.items() if isinstance(told, dict) else ()
+    return {name: own for name, own in runs if isinstance(own, dict) and told_seconds(own) is not None}
+
+
+def read_published(store: Store, study: str) -> PublishedTable:
     """Read a study's published table.
 
     Raises:
@@ -71,149 +85,194 @@ def read_published(store: Store, study: str) -> PublishedRuns:
         raise UserError(f"{path}: damaged; take it from version control again, or publish the study anew")
     try:
         table = from_parquet(data)
-        head = json.loads(table.schema.metadata[b"pneuma"])
-        schema = head["schema"]
-        runs = PublishedRuns(head, table, read_times(store, study)) if schema == SCHEMA else None
-    except (pa.ArrowException, TypeError, KeyError, ValueError):
-        raise UserError(f"{path}: is no published table of a study") from None
-    if runs is None:
-        raise UserError(f"{path}: of schema {schema}, which this version of Pneuma cannot read")
-    return runs
+        head = parse_json((table.schema.metadata or {}).get(b"pneuma", b""))
+        if head.get("schema") == SCHEMA:
+            _check(head, table)
+    except ValueError as error:
+        raise UserError(f"{path}: is no published table of a study ({error})") from None
+    if head.get("schema") != SCHEMA:
+        raise UserError(f"{path}: of schema {head.get('schema')}, which this version of Pneuma cannot read")
+    return PublishedTable(head, table, read_times(store, study))
 
 
-class PublishedRuns:
+class PublishedTable:
     """The runs of a published table.
 
     Attributes:
         head: what the file's metadata holds.
+        budget: the step at which its curves end.
         times: what the file of times beside it tells of each run.
+        columns: a row's cells of numbers, and what they hold, in order.
+        quantities: what it has curves of.
     """
-
-    what = "the published table"
 
     def __init__(self, head: Mapping[str, Any], table: pa.Table, times: Mapping[str, Any]) -> None:
         self.head = head
-        self._table = table
+        self.budget: int = head["budget"]
         self.times = times
-        self._frames: dict[str, pd.DataFrame] = {}
-        self._place = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
-        self.tables: tuple[str, ...] = tuple(head["tables"])
-        self.windows: tuple[str, ...] = tuple(head["windows"])
-        self.averaged_over: int | None = head["averaged_over"]
+        self.rows = table
+        self.columns = {field.name: field.type for field in table.schema if field.name not in NAMING}
+        first = head["windows"][0]
+        held = [name for name in QUANTITIES if {name, f"{name} {first}"} & {*table.column_names}]
+        self.quantities: tuple[str, ...] = tuple(held)
+        self._places = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
 
     @property
     def record(self) -> dict[str, Any]:
         """The study's record, in the form of `pneuma.study.execute.selection_record`."""
-        names = ("condition", "seed", "run_id", "settings")
-        rows = zip(*(self._table[name].to_pylist() for name in names), strict=True)
-        runs = [{"condition": c, "seed": s, "run_id": i, "run": json.loads(run)} for c, s, i, run in rows]
-        kept = [*("study", "title", "figure", "baseline", "same", "budget"), *({"adaptive"} & {*self.head})]
-        return {**{key: self.head[key] for key in kept}, "source": "published", "path": None, "runs": runs}
-
-    def status(self, run_id: str) -> Status:
-        """Return how a run ended; 'planned' where the table does not hold it."""
-        if run_id not in self._place:
-            return Status("planned")
-        return Status(self._cell(run_id, "status"), self._cell(run_id, "end") or 0)
-
-    @property
-    def run_ids(self) -> tuple[str, ...]:
-        """The runs of the table, each once."""
-        return tuple(self._place)
+        return _record(self.head, self.rows)
 
     @cached_property
     def finished(self) -> frozenset[str]:
-        """Those of them that have numbers."""
-        return frozenset(run_id for run_id in self._place if self.status(run_id).finished)
+        """The ids of those runs that have numbers."""
+        return frozenset(run_id for run_id in self._places if self(run_id).status.finished)
+
+    def __call__(self, run_id: str) -> PublishedRecords:
+        """Return what is held of one of the runs."""
+        return PublishedRecords(self, run_id, self._places[run_id])
+
+
+class PublishedRecords(Records):
+    """A run of a published table."""
+
+    what = "the published table"
+    published = True
+
+    def __init__(self, table: PublishedTable, run_id: str, place: int) -> None:
+        self._table = table
+        self._place = place
+        self.run_id = run_id
+        self.status = Status(self.cell("status"), self.cell("end") or 0)
+        self.tables = tuple(table.head["tables"])
+        self.windows = tuple(table.head["windows"])
+        self.averaged_over = table.head["averaged_over"]
+
+    def cell(self, column: str) -> Any:
+        """Return what the run's row has in a column."""
+        return self._table.rows[column][self._place].as_py()
 
     @property
-    def column_types(self) -> dict[str, pa.DataType]:
-        """The columns that runs have their numbers in, in order, and what they hold."""
-        return {field.name: field.type for field in self._table.schema if field.name not in NAMING}
+    def quantities(self) -> tuple[str, ...]:
+        """What is held, of every run of the table the same."""
+        return self._table.quantities
 
-    def rounds_as(self, rounding: bool) -> bool:
-        """Tell whether curves are rounded, or not, as is asked; older tables tell it by their types alone.
+    @cached_property
+    def _evaluations(self) -> pd.DataFrame:
+        fields = self._table.columns[EVALUATIONS].value_type
+        rows, kinds = self.cell(EVALUATIONS), {field.name: field.type.to_pandas_dtype() for field in fields}
+        return pd.DataFrame({own: np.array([row[own] for row in rows], kind) for own, kind in kinds.items()})
 
-        Of those without a curve of episodes nothing tells it, and either is taken for granted.
-        """
-        if "rounded" in self.head:
-            return bool(self.head["rounded"] == rounding)
-        kinds = [kind for name, kind in self.column_types.items() if name.endswith(f" {WINDOWS[0]}")]
-        return not kinds or (kinds[0].value_type == pa.float32()) == rounding
+    def table(self, name: str) -> pd.DataFrame:
+        """Return the run's evaluations, the one table that is kept."""
+        return self._evaluations
 
-    def row(self, run_id: str) -> dict[str, Any]:
-        """Return a run's cells in these columns, as they are kept."""
-        return {name: self._cell(run_id, name) for name in self.column_types}
-
-    def rows(self, run_ids: Iterable[str], columns: Iterable[str]) -> pa.Table:
-        """Return what names and counts these runs, each once, as a table of these columns."""
-        places = [self._place[run_id] for run_id in run_ids]
-        table = self._table.select([*NAMING, *columns]).take(pa.array(places, pa.int64()))
-        return table.replace_schema_metadata()
-
-    @property
-    def curve_names(self) -> tuple[str, ...]:
-        """The quantities whose curves the table has columns for."""
-        names = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
-        held = self._table.column_names
-        return tuple(name for name in names if {name, f"{name} {self.windows[0]}"} & {*held})
-
-    def quantities(self, run: FinishedRun) -> tuple[str, ...]:
-        """Return what is held of a run: of each the same."""
-        return self.curve_names
-
-    def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
-        """Return a run's evaluations, the one table that is kept; made once."""
-        if run.run_id not in self._frames:
-            rows = self._table[name][self._place[run.run_id]].as_py()
-            fields = self._table.schema.field(name).type.value_type
-            kinds = {field.name: field.type.to_pandas_dtype() for field in fields}
-            columns = {own: np.array([row[own] for row in rows], kind) for own, kind in kinds.items()}
-            self._frames[run.run_id] = pd.DataFrame(columns)
-        return self._frames[run.run_id]
-
-    def curve(self, run: FinishedRun, quantity: str, window: str, grid: np.ndarray) -> np.ndarray:
-        """Return a run's curve, (points,); the grid is the one that the study was published on."""
+    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
+        """Return a curve, (points,); the grid is the one that the study was published on."""
         column = quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
-        if column not in self._table.column_names:
+        if column not in self._table.columns:
             raise UserError(f"{self.what} holds {quantity} by the window {self.windows[0]} alone")
-        return np.array(self._cell(run.run_id, column), float)
+        return np.array(self.cell(column), float)
 
-    def final(self, run: FinishedRun, quantity: str) -> float:
-        """Return the mean of a run's last 100 episodes, or its last update's value."""
-        return float(self._cell(run.run_id, f"final_{quantity}"))
+    def final(self, quantity: str) -> float:
+        """Return the mean of the last 100 episodes, or the last update's value."""
+        return float(self.cell(f"final_{quantity}"))
 
-    def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
+    def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme update since each point before, (points,)."""
-        return np.array(self._cell(run.run_id, f"{quantity} {PEAKS}"), float)
+        return np.array(self.cell(f"{quantity} {PEAKS}"), float)
 
-    def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
+    def signs(self) -> dict[str, list[Stretch]]:
         """Return where signs of collapse hold."""
-        return unpack_signs(self._cell(run.run_id, SIGNS))
+        return unpack_signs(self.cell(SIGNS))
+
+    def kept_outcome(self, name: str) -> float | None:
+        """Return an outcome that was taken from curves before they were rounded or left out."""
+        return float(self.cell(OUTCOME + name)) if OUTCOME + name in self._table.columns else None
+
+    def provenance(self) -> dict[str, Any]:
+        """Return what produced the run, without when it did."""
+        return parse_json(self.cell("provenance"))
 
     @property
-    def kept_outcomes(self) -> frozenset[str]:
-        """The outcomes that were taken from curves before they were rounded or left out."""
-        return frozenset(name.removeprefix(OUTCOME) for name in self.column_types if name.startswith(OUTCOME))
-
-    def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
-        """Return one of `kept_outcomes`, None for another."""
-        if OUTCOME + name not in self._table.column_names:
-            return None
-        return float(self._cell(run.run_id, OUTCOME + name))
-
-    def wall_seconds(self, run: FinishedRun) -> float | None:
-        """Return how long a run trained, where the file of times beside the table tells."""
-        return told_seconds(self.times.get(run.run_id, {}))
-
-    def processor_share(self, run: FinishedRun) -> float | None:
-        """Return how much of a core it had, where that file tells."""
-        return told_share(self.times.get(run.run_id, {}))
-
-    def provenance(self, run: FinishedRun) -> dict[str, Any]:
-        """Return what produced a run, without when it did."""
-        found: dict[str, Any] = json.loads(self._cell(run.run_id, "provenance"))
+    def times(self) -> Mapping[str, Any]:
+        """What the file of times beside the table tells."""
+        found: Mapping[str, Any] = self._table.times.get(self.run_id, {})
         return found
 
-    def _cell(self, run_id: str, column: str) -> Any:
-        return self._table[column][self._place[run_id]].as_py()
+
+def unpack_signs(text: str) -> dict[str, list[Stretch]]:
+    """Return what `pneuma.analysis.publishing.pack_signs` was given.
+
+    Raises:
+        ValueError: for a text that it did not make.
+    """
+    packed = parse_json(text)
+    try:
+        found: dict[str, list[Stretch]] = {}
+        for sign, gaps in packed["signs"].items():
+            ends = (np.cumsum(gaps) * packed["unit"]).astype(float).tolist()
+            found[sign] = list(zip(ends[::2], ends[1::2], strict=True))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"signs of collapse that make no sense: {error}") from None
+    return found
+
+
+# --- Whether it is one -----------------------------------------------------------------------------
+
+
+def _record(head: Mapping[str, Any], table: pa.Table) -> dict[str, Any]:
+    names = ("condition", "seed", "run_id", "settings")
+    rows = zip(*(table[name].to_pylist() for name in names), strict=True)
+    runs = [{"condition": c, "seed": s, "run_id": i, "run": parse_json(run or "")} for c, s, i, run in rows]
+    kept = ("study", "title", "figure", "baseline", "same", "budget", "adaptive")
+    told = {key: head[key] for key in kept if key in head}
+    return {**told, "source": "published", "path": None, "runs": runs}
+
+
+def _check(head: Mapping[str, Any], table: pa.Table) -> None:
+    """Refuse a table, which may be anybody's, that is not what `encode_study` makes.
+
+    Raises:
+        ValueError: naming what is amiss.
+    """
+    windows, budget = head.get("windows") or (), head.get("budget")
+    sound = isinstance(windows, list) and all(own in WINDOWS for own in windows)
+    sound = sound and isinstance(budget, int) and budget > 0 and head.get("tables") in ([], [EVALUATIONS])
+    if not sound or not isinstance(head.get("averaged_over", ""), int | None):
+        raise ValueError("its metadata make no sense")
+    needed = {*NAMING, "settings", "end", "provenance", SIGNS, *head["tables"]}
+    if missing := needed - {*table.column_names}:
+        raise ValueError(f"column {min(missing)} is missing")
+    if not is_record(_record(head, table)):
+        raise ValueError("its runs make no sense")
+    rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))
+    for field in table.schema:
+        if not _is_column(field, rows[field.name]):
+            raise ValueError(f"column {field.name} makes no sense")
+    for name in ("provenance", SIGNS):
+        for text in rows[name].to_pylist():
+            unpack_signs(text) if name == SIGNS else parse_json(text)
+    held = {*table.column_names}
+    for name in QUANTITIES:
+        if f"final_{name}" not in held and held & {name, *(f"{name} {window}" for window in windows)}:
+            raise ValueError(f"column final_{name} is missing")
+
+
+def _is_column(field: pa.Field, finished: pa.ChunkedArray) -> bool:
+    """Tell whether a column has its type, and a value for every run that finished."""
+    kind = field.type
+    if field.name in NAMING or field.name in TEXTS or field.name == "end":
+        whole = pa.types.is_string(kind) if field.name in TEXTS else pa.types.is_integer(kind)
+        return whole and not finished.null_count
+    if not pa.types.is_list(kind):
+        return pa.types.is_floating(kind) and not finished.null_count
+    values = finished.combine_chunks().flatten()
+    if finished.null_count or values.null_count:
+        return False
+    if field.name == EVALUATIONS:
+        fields = list(kind.value_type) if pa.types.is_struct(kind.value_type) else []
+        numbers = all(pa.types.is_integer(own.type) or pa.types.is_floating(own.type) for own in fields)
+        return numbers and "step" in {own.name for own in fields}
+    lengths = pc.list_value_length(finished)
+    known = pa.types.is_floating(kind.value_type) and field.name.split(" ")[0] in QUANTITIES
+    return known and all(own == GRID_POINTS for own in lengths.to_pylist())

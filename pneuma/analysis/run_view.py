@@ -43,24 +43,25 @@ class RunView:
 
     def evaluations(self, column: str) -> Series:
         """Return a column of the evaluations; nothing where there is no such column."""
-        if "evaluations" not in self.data.tables:
+        if "evaluations" not in self.run.records.tables:
             return _nothing()
-        table = self.data.source.table(self.run, "evaluations")
+        table = self.run.records.table("evaluations")
         if column not in table:
             return _nothing()
         return self._finite(table["step"].to_numpy(float), table[column].to_numpy(float))
 
     def curve(self, quantity: str) -> Series:
         """Return a training curve's points that have a value; nothing where there is no such quantity."""
-        if quantity not in self.data.quantities:
+        records, grid = self.run.records, self.data.grid
+        if quantity not in records.quantities:
             return _nothing()
-        return self._finite(self.data.grid, self.data.curve(self.run, quantity))
+        return self._finite(grid, records.curve(quantity, self.data.windows[0], grid, self.run.slots))
 
     def peaks(self, quantity: str) -> Series:
         """Return, for each point, the extreme value of an update since the point before."""
-        if quantity not in self.data.quantities:
+        if quantity not in self.run.records.quantities:
             return _nothing()
-        return self._finite(self.data.grid, self.data.peaks(self.run, quantity))
+        return self._finite(self.data.grid, self.run.records.peaks(quantity, self.data.grid))
 
     def _finite(self, step: np.ndarray, values: np.ndarray) -> Series:
         kept = np.isfinite(values) & (step <= self.last_step)

@@ -1,8 +1,7 @@
 """A study's data: its finished runs, their tables and their curves, wherever these come from.
 
-There are four sources: the runs of a results folder, logs that were imported, a study's published
-table, and runs beside such a table. `StudyData` is what all further steps read; it asks one `Source`
-for one run at a time.
+`open_study` (`pneuma.analysis.run_index`) makes it; it is what all further steps read. What is held of a run
+tells its `Records`.
 """
 
 from __future__ import annotations
@@ -10,20 +9,19 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import LEARNERS_TABLE, WINDOWS
+from pneuma.analysis import LEARNERS_TABLE, RECORD_TABLES, WINDOWS
+from pneuma.analysis.records import Records
 from pneuma.analysis.sequential import looks_that_count
-from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import list_studies, run_command
-from pneuma.study.store import Status
 from pneuma.worlds import in_world, split_world
 
 
@@ -35,6 +33,7 @@ class FinishedRun:
         slots: players, over all worlds, that it collected from; None where that is not known.
         budget: agent steps that it was to train.
         end: agent steps that it trained; less than the budget where it diverged.
+        records: what is held of it.
         status: 'done' or 'diverged'.
         begun: agent steps with which it began: those of its parent, of a fork.
     """
@@ -45,97 +44,16 @@ class FinishedRun:
     slots: int | None
     budget: int
     end: int
+    records: Records = field(compare=False, repr=False)
     status: str = "done"
     begun: int = 0
-
-
-class Source(Protocol):
-    """Where the records of runs come from."""
-
-    @property
-    def what(self) -> str:
-        """What it is, for people."""
-
-    @property
-    def tables(self) -> tuple[str, ...]:
-        """Those of `RECORD_TABLES` that it holds."""
-
-    @property
-    def windows(self) -> tuple[str, ...]:
-        """Those of `WINDOWS` that its curves can be had with, the usual one first."""
-
-    @property
-    def averaged_over(self) -> int | None:
-        """Episodes that every return and length was already averaged over when it was recorded.
-
-        None where each is one episode's.
-        """
-
-    def status(self, run_id: str) -> Status:
-        """Return how a run stands; one that is not there, or not sound, is not finished."""
-        ...
-
-    def quantities(self, run: FinishedRun) -> tuple[str, ...]:
-        """Return what curves a run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
-        ...
-
-    def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
-        """Return one of its `tables` of a run."""
-        ...
-
-    def curve(self, run: FinishedRun, quantity: str, window: str, grid: np.ndarray) -> np.ndarray:
-        """Return one of a run's `quantities` on the grid, (points,), NaN where it has no value."""
-        ...
-
-    def final(self, run: FinishedRun, quantity: str) -> float:
-        """Return the mean of a run's last 100 episodes (of its last update, for what updates have)."""
-        ...
-
-    def peaks(self, run: FinishedRun, quantity: str, grid: np.ndarray) -> np.ndarray:
-        """Return the extreme of `PEAKED_QUANTITIES` since the point before, (points,), NaN for none."""
-        ...
-
-    def signs(self, run: FinishedRun) -> dict[str, list[Stretch]]:
-        """Return where each sign of collapse holds that it can tell of (`pneuma.analysis.signs`)."""
-        ...
-
-    def kept_outcome(self, run: FinishedRun, name: str) -> float | None:
-        """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
-        ...
-
-    def wall_seconds(self, run: FinishedRun) -> float | None:
-        """Return how long a run trained; None where that is not known."""
-        ...
-
-    def processor_share(self, run: FinishedRun) -> float | None:
-        """Return how much of a core a run's training had; 1: nothing else ran, None: not known."""
-        ...
-
-    def provenance(self, run: FinishedRun) -> dict[str, Any]:
-        """Return what produced a run."""
-        ...
-
-
-def told_seconds(provenance: Mapping[str, Any]) -> float | None:
-    """Return how long a run trained, as its provenance, which may be a stranger's, tells.
-
-    Without loading and compiling, where that is told apart.
-    """
-    seconds = provenance.get("training_seconds", provenance.get("wall_seconds"))
-    return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
-
-
-def told_share(provenance: Mapping[str, Any]) -> float | None:
-    """Return how much of a core a run's training had, as its provenance tells."""
-    share = provenance.get("processor_share")
-    return float(share) if isinstance(share, int | float) else None
 
 
 class StudyData:
     """The finished runs of a study's selection, and their records. `open_study` makes it.
 
     Args:
-        source: what holds the records.
+        index: what is held of each run of the record, by its id; more besides is passed over.
         record: a selection, as `pneuma.study.execute.selection_record` makes it.
         where: the results folder, for people.
 
@@ -144,8 +62,8 @@ class StudyData:
             a results folder may be a stranger's.
     """
 
-    def __init__(self, source: Source, record: Mapping[str, Any], where: str = "") -> None:
-        self.source = source
+    def __init__(self, index: Mapping[str, Records], record: Mapping[str, Any], where: str = "") -> None:
+        self.index = index
         self.record = record
         self._where = where
         self.study: str = record["study"]
@@ -179,16 +97,24 @@ class StudyData:
         return f"run `{run_command(self.study, path)}` with the same options"
 
     def _finished(self, run: Mapping[str, Any]) -> FinishedRun | None:
-        status = self.source.status(run["run_id"])
-        if not status.finished:
+        records, fields = self.index[run["run_id"]], run["run"]
+        if not records.status.finished:
             return None
-        slots, budget, players = run["run"]["slots"], run["run"]["steps"], run["run"].get("players", 1)
+        slots, players = fields["slots"], fields.get("players", 1)
         if isinstance(slots, int) and isinstance(players, int):
             slots *= players
-        return FinishedRun(
-            run["condition"], run["seed"], run["run_id"], slots, budget, status.step, status.name,
-            run["run"].get("fork_step") or 0,
-        )  # fmt: skip
+        told = run["condition"], run["seed"], run["run_id"], slots, fields["steps"], records.status.step
+        return FinishedRun(*told, records, records.status.name, fields.get("fork_step") or 0)
+
+    @property
+    def what(self) -> str:
+        """Where its runs are, for people."""
+        return " with ".join(dict.fromkeys(run.records.what for run in sorted(self.runs, key=_is_published)))
+
+    @property
+    def published(self) -> list[FinishedRun]:
+        """Those of its runs that are had from published tables."""
+        return [run for run in self.runs if _is_published(run)]
 
     def engines(self, condition: str) -> set[str]:
         """Return which engines trained a condition's runs, as far as it is known."""
@@ -210,7 +136,7 @@ class StudyData:
         """The step from which on every run has been evaluated; 0 where none was."""
         if "evaluations" not in self.tables:
             return 0.0
-        tables = (self.source.table(run, "evaluations") for run in self.runs)
+        tables = (run.records.table("evaluations") for run in self.runs)
         return max((float(table["step"].iloc[0]) for table in tables if len(table)), default=0.0)
 
     @property
@@ -218,25 +144,31 @@ class StudyData:
         """The steps at which curves have their points, (points,)."""
         return make_grid(self.budget)
 
-    @property
+    @cached_property
     def windows(self) -> tuple[str, ...]:
         """Those of `WINDOWS` that its curves can be had with, the usual one first."""
-        return self.source.windows
+        return tuple(name for name in WINDOWS if all(name in run.records.windows for run in self.runs))
 
-    @property
+    @cached_property
     def tables(self) -> tuple[str, ...]:
         """Those of `RECORD_TABLES` that there are."""
-        return self.source.tables
+        return tuple(name for name in RECORD_TABLES if all(name in run.records.tables for run in self.runs))
 
     @property
     def averaged_over(self) -> int | None:
         """Episodes that every return was already averaged over when it was recorded; None for none."""
-        return self.source.averaged_over
+        return next((own for run in self.runs if (own := run.records.averaged_over)), None)
 
     @cached_property
     def quantities(self) -> list[str]:
-        """What curves some run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
-        return list(dict.fromkeys(name for run in self.runs for name in self.source.quantities(run)))
+        """What curves some run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`.
+
+        Only those that published tables have where runs are had from such: a line over some of a
+        condition's runs would mislead.
+        """
+        held = {run.records.quantities for run in self.published}
+        some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
+        return [name for name in some if all(name in own for own in held)]
 
     @cached_property
     def _settings(self) -> dict[tuple[str, str], Mapping[str, Any]]:
@@ -267,7 +199,7 @@ class StudyData:
         same = [[name for name in group if name in names] for group in self.same]
         same = [group for group in same if len(group) > 1]
         record = {**self.record, "runs": runs, "same": same, "budget": self.budget}
-        some = StudyData(self.source, record, self._where)
+        some = StudyData(self.index, record, self._where)
         some.figure = self.figure
         return some
 
@@ -281,7 +213,7 @@ class StudyData:
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
 
         Raises:
-            UserError: where the source has no such table.
+            UserError: where there is no such table.
         """
         frames = []
         for run in self._runs_with(name):
@@ -295,14 +227,14 @@ class StudyData:
         """Return one of `RECORD_TABLES` of one run.
 
         Raises:
-            UserError: where the source has no such table.
+            UserError: where there is no such table.
         """
         if name not in (*self.tables, LEARNERS_TABLE if "metrics" in self.tables else ""):
             raise UserError(
-                f"study {self.study}: {self.source.what} holds no {name}; "
+                f"study {self.study}: {self.what} holds no {name}; "
                 f"there are {', '.join((*self.tables, 'curves'))}"
             )
-        return self.source.table(run, name).copy(deep=False)  # that of all who ask is not to be written on
+        return run.records.table(name).copy(deep=False)  # that of all who ask is not to be written on
 
     def _runs_with(self, table: str) -> list[FinishedRun]:
         """Return the finished runs that have a table.
@@ -330,9 +262,9 @@ class StudyData:
         """
         self._check(quantity)
         window = self.checked_window(window)
-        if quantity not in self.source.quantities(run):
+        if quantity not in run.records.quantities:
             return np.full(self.grid.shape, np.nan)
-        return self.source.curve(run, quantity, window, self.grid)
+        return run.records.curve(quantity, window, self.grid, run.slots)
 
     def final(self, run: FinishedRun, quantity: str) -> float:
         """Return the mean of a run's last 100 episodes (of its last update, for what updates have).
@@ -343,20 +275,7 @@ class StudyData:
             UserError: for a quantity that there is not.
         """
         self._check(quantity)
-        return self.source.final(run, quantity) if quantity in self.source.quantities(run) else float("nan")
-
-    def peaks(self, run: FinishedRun, quantity: str) -> np.ndarray:
-        """Return the extreme of a run's updates since each point before, (points,), NaN where none was.
-
-        The least of the entropy, and the greatest of the gradient norm: of `PEAKED_QUANTITIES`.
-
-        Raises:
-            UserError: for a quantity that there is not.
-        """
-        self._check(quantity)
-        if quantity not in self.source.quantities(run):
-            return np.full(self.grid.shape, np.nan)
-        return self.source.peaks(run, quantity, self.grid)
+        return run.records.final(quantity) if quantity in run.records.quantities else float("nan")
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`, the first for None.
@@ -370,7 +289,7 @@ class StudyData:
             raise unknown_name("window", window, WINDOWS)
         if window not in self.windows:
             raise UserError(
-                f"window {window} cannot be had of study {self.study}: {self.source.what} holds returns that "
+                f"window {window} cannot be had of study {self.study}: {self.what} holds returns that "
                 f"were averaged over {self.averaged_over} episodes; {', '.join(self.windows)} can"
             )
         return window
@@ -378,9 +297,11 @@ class StudyData:
     def _check(self, quantity: str) -> None:
         if quantity not in self.quantities:
             held = ", ".join(self.quantities) or "none"
-            raise UserError(
-                f"study {self.study}: {self.source.what} holds no {quantity}; its curves are: {held}"
-            )
+            raise UserError(f"study {self.study}: {self.what} holds no {quantity}; its curves are: {held}")
+
+
+def _is_published(run: FinishedRun) -> bool:
+    return run.records.published
 
 
 def tell_figures_apart(studies: Sequence[StudyData]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from pneuma.analysis.contrasts import compare
 from pneuma.analysis.corrections import holm
 from pneuma.analysis.outcomes import HALF_A_MONSTER, outcome_values
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed
 from pneuma.errors import UserError

@@ -17,8 +17,8 @@ from typing import Any
 
 from pneuma import __version__
 from pneuma.analysis.crossed import effects_table, study_effects
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.sources import open_study
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
@@ -335,7 +335,7 @@ def _origins(data: StudyData) -> list[tuple[dict[str, str], int]]:
 
 def _facts(data: StudyData, run: FinishedRun) -> dict[str, str]:
     try:
-        found = data.source.provenance(run)
+        found = run.records.provenance()
     except (UserError, ValueError):
         found = None
     if not isinstance(found, dict):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +39,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.analysis.published import PublishedRuns
+    from pneuma.analysis.published import PublishedTable
     from pneuma.analysis.tables import StudyData
 
 RESULTS = Path("results")
@@ -139,42 +139,40 @@ def publish(
     """Write a study's runs as one small table, from which it is drawn and judged without them.
 
     Runs of the selection that were published before and are not here stay in it as they are: a study
-    may thus be trained on several machines, or part by part. The same runs of other studies' tables
-    count, where they hold as much.
+    may thus be trained on several machines, or part by part. Runs that other studies have published are found
+    in their tables.
     """
     kept = _read_curves(curves)
     store = Store(results)
-    data = open_data(store, name, selection, world, mixed=False, tell=False)
-    from pneuma.analysis.published import PublishedRuns, published_path
-    from pneuma.analysis.published_times import encode_times, times_path
-    from pneuma.analysis.publishing import encode_study, runs_leaving, runs_staying
+    record = study_record(store, name, selection, world)
+    from pneuma.analysis.published import published_path, times_path
+    from pneuma.analysis.publishing import encode_study, encode_times
+    from pneuma.analysis.run_index import open_study
 
-    if isinstance(data.source, PublishedRuns):
+    path = published_path(store, record["study"])
+    own = _published_before(store, record["study"], replace)
+    data = open_study(store, record, mixed=own is not None, others=False)
+    new = len(data.runs) - len(data.published)
+    if not new:
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
-    path = published_path(store, data.study)
-    own = _published_before(store, data, replace)
-    leaving = runs_leaving(data, own) if own else []
-    before = _with_other_studies(store, data, own, kept, rounding)
-    staying = runs_staying(data, before)
-    elsewhere = len(staying) - len(runs_staying(data, own))
-    tell_left_out(data, len(staying))
-    if not replace:
-        _refuse_losses(data.study, own, leaving, kept)
-    encoded = encode_study(data, kept, rounding, before)
+    leaving = own.finished - {run.run_id for run in data.runs} if own else frozenset()
+    if own and not replace:
+        _refuse_losses(data, own, leaving, kept)
+    tell_left_out(data)
+    encoded = encode_study(data, kept, rounding, own)
     store.write(path, encoded)
-    times = {run_id: before.times[run_id] for run_id in staying if run_id in before.times} if before else {}
-    store.write(times_path(store, data.study), encode_times(data, times))
+    store.write(times_path(store, data.study), encode_times(data))
+    staying = len(data.published)
     if json:
-        counts = {"runs": len(data.runs), "staying": len(staying), "of_other_studies": elsewhere}
+        counts = {"runs": new, "staying": staying, "leaving": len(leaving)}
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
-        return print_json({**document, **counts, "leaving": len(leaving)})
-    sources = {"as they were published before": len(staying) - elsewhere, "of other studies": elsewhere}
-    more = "".join(f", {count} {source}" for source, count in sources.items() if count)
-    print(f"wrote {plain(str(path))}: {len(data.runs)} runs from here{more}; {len(encoded) / 1000:.0f} kB")
+        return print_json({**document, **counts})
+    more = f", {staying} as they were published before" if staying else ""
+    print(f"wrote {plain(str(path))}: {new} runs from here{more}; {len(encoded) / 1000:.0f} kB")
     return None
 
 
-def _published_before(store: Store, data: StudyData, replace: bool) -> PublishedRuns | None:
+def _published_before(store: Store, study: str, replace: bool) -> PublishedTable | None:
     """Return what was published of a study before; None where that cannot be read and is to be replaced.
 
     Raises:
@@ -182,9 +180,9 @@ def _published_before(store: Store, data: StudyData, replace: bool) -> Published
     """
     from pneuma.analysis.published import published_path, read_published
 
-    path = published_path(store, data.study)
+    path = published_path(store, study)
     try:
-        return read_published(store, data.study) if path.exists() else None
+        return read_published(store, study) if path.exists() else None
     except UserError:
         if replace:
             return None
@@ -195,42 +193,30 @@ def _published_before(store: Store, data: StudyData, replace: bool) -> Published
 
 
 def _refuse_losses(
-    study: str, own: PublishedRuns | None, leaving: Sequence[str], kept: Collection[str] | None
+    data: StudyData, own: PublishedTable, leaving: frozenset[str], kept: Collection[str] | None
 ) -> None:
-    """Refuse to let published runs that are not selected, or curves that are not named, leave the table.
+    """Refuse to let published runs, or curves that are not named, leave the table.
 
     Raises:
         UserError: naming what would be lost.
     """
+    selected = leaving & {run["run_id"] for run in data.record["runs"]}
+    if selected:
+        raise UserError(
+            f"study {data.study}: the curves of its table have points up to step {own.budget:,}, these need "
+            f"{data.budget:,}, and not all runs of the table are here: publish those of most steps first"
+        )
     if leaving:
         raise UserError(
-            f"study {study}: {len(leaving)} published runs are not in this selection; select them too "
+            f"study {data.study}: {len(leaving)} published runs are not in this selection; select them too "
             "(--preset, --condition, --seeds), or let them leave the table by --replace"
         )
-    dropped = [name for name in own.curve_names if name not in kept] if own and kept is not None else []
+    dropped = [name for name in own.quantities if kept is not None and name not in kept]
     if dropped:
         raise UserError(
-            f"study {study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
+            f"study {data.study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
             "out; name them too, or let them leave the table by --replace"
         )
-
-
-def _with_other_studies(
-    store: Store, data: StudyData, own: PublishedRuns | None, curves: tuple[str, ...] | None, rounding: bool
-) -> PublishedRuns | None:
-    """Return what was published of a study's runs before, also by other studies; see `with_other_studies`."""
-    from pneuma.analysis.published import published_studies, read_published
-    from pneuma.analysis.publishing import runs_staying, with_other_studies
-
-    if data.left_out == len(runs_staying(data, own)):
-        return own
-    others = []
-    for study in published_studies(store):
-        try:
-            others += [read_published(store, study)] if study != data.study else []
-        except UserError as error:
-            say(f"Note: {error}; its runs are not taken from it.", aside=True)
-    return with_other_studies(data, own, others, curves, rounding)
 
 
 def _read_curves(told: str | None) -> tuple[str, ...] | None:
@@ -244,30 +230,24 @@ def _read_curves(told: str | None) -> tuple[str, ...] | None:
 
 
 def open_data(
-    store: Store, name: str, selection: Selected, world: str | None, *, mixed: bool = True, tell: bool = True
+    store: Store, name: str, selection: Selected, world: str | None, *, mixed: bool = True
 ) -> StudyData:
     """Open a study's data, as `open_study` does, and say how many runs of the selection are left out."""
     record = study_record(store, name, selection, world)
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
 
     data = open_study(store, record, mixed=mixed)
-    if tell:
-        tell_left_out(data)
+    tell_left_out(data)
     return data
 
 
-def tell_left_out(data: StudyData, found_elsewhere: int = 0) -> None:
+def tell_left_out(data: StudyData) -> None:
     """Say how many runs of a selection are not shown, or not here, if any."""
-    from pneuma.analysis.partly_published import PartlyPublished
-
-    if isinstance(data.source, PartlyPublished):
-        published = sum(run.run_id in data.source.published_ids for run in data.runs)
-        of = f"{published} of {data.left_out + len(data.runs)} runs"
-        say(f"Note: {of} of {plain(data.study)} are not here, but taken from its table.", aside=True)
-    missing = data.left_out - found_elsewhere
-    if missing:
-        of = f"{missing} of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
-        say(f"Note: {of} are not here, not finished or damaged, and left out.", aside=True)
+    of = f"of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
+    if 0 < len(data.published) < len(data.runs):
+        say(f"Note: {len(data.published)} {of} are not here, but published.", aside=True)
+    if data.left_out:
+        say(f"Note: {data.left_out} {of} are not here, not finished or damaged, and left out.", aside=True)
 
 
 def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:

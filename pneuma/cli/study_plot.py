@@ -128,7 +128,7 @@ def plot(
     store = Store(results)
     if not names and (lacking := nothing_yet(store, world)):
         raise UserError(lacking)
-    from pneuma.analysis.sources import open_study
+    from pneuma.analysis.run_index import open_study
     from pneuma.figures.index import INDEX, encode_index, read_present
 
     target = out or store.root / "figures"

@@ -120,35 +120,27 @@ class RunState(NamedTuple):
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
-    """Return how every run of a record stands where `open_study` has it from.
+    """Return how every run of a record stands, here or in the published table of its study.
 
     Raises:
         UserError: when the published table is damaged.
     """
-    here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
-    taken = {} if all(status.finished for status in here.values()) else _taken(store, record, here)
+    taken: dict[str, Status] = {}
+    if (store.root / "published").is_dir():
+        from pneuma.analysis.run_index import RunIndex
+
+        index = RunIndex(store)
+        found, _ = index.of_record(record, others=False)
+        here = {run_id: index(run_id).status for run_id in found}
+        taken = {run_id: own.status for run_id, own in found.items() if own.published}
+    else:
+        here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     states = []
     for run in record["runs"]:
-        status = taken.get(run["run_id"], here[run["run_id"]])
-        damaged = here[run["run_id"]].name == "damaged"
-        states.append(RunState(run, status.name, run["run_id"] in taken, status.step, damaged))
+        own, run_id = here[run["run_id"]], run["run_id"]
+        status = taken.get(run_id, own)
+        states.append(RunState(run, status.name, run_id in taken, status.step, own.name == "damaged"))
     return states
-
-
-def _taken(store: Store, record: Mapping[str, Any], here: Mapping[str, Status]) -> dict[str, Status]:
-    """Return how the runs stand that `open_study` takes from the published table."""
-    if not (store.root / "published").is_dir():
-        return {}
-    from pneuma.analysis.published import published_path, read_published
-    from pneuma.analysis.sources import beside
-
-    nothing = all(status.name == "planned" for status in here.values())
-    if (nothing or record.get("source") == "published") and published_path(store, record["study"]).exists():
-        table = read_published(store, record["study"])
-        told = {run_id: table.status(run_id) for run_id in here}
-        return {run_id: status for run_id, status in told.items() if status.finished}
-    found = beside(store, record, {run_id for run_id, status in here.items() if status.finished})
-    return {run_id: found[0].status(run_id) for run_id in found[1]} if found else {}
 
 
 def _record_name(name: str, world: str | None) -> str:

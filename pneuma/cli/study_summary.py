@@ -262,7 +262,7 @@ def _core_share(data: StudyData) -> str:
     """Say how much of a core those runs had whose times are told, where one had too little."""
     from pneuma.analysis.outcomes import QUIET
 
-    shares = [data.source.processor_share(run) for run in data.runs]
+    shares = [run.records.processor_share for run in data.runs]
     known = [share for share in shares if share is not None]
     if len(known) == len(shares) and min(known) >= QUIET:
         return ""

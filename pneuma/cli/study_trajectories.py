@@ -94,7 +94,7 @@ def trajectories(
         files.append(path)
     table = endings(found)
     if json:
-        document = {"schema": 1, "study": data.study, "source": data.source.what, "steps": data.budget}
+        document = {"schema": 1, "study": data.study, "source": data.what, "steps": data.budget}
         told = {"episodes": found.per_run, "endings": records(table), "files": list(map(str, files))}
         return print_json({**document, **told})
     print(f"{plain(data.title)}: {found.per_run} episodes of each run, trained for {data.budget:,} steps")
@@ -110,10 +110,9 @@ def _published(data: StudyData, results: Path) -> StudyTrajectories | None:
     Raises:
         UserError: where neither are.
     """
-    from pneuma.analysis.published import PublishedRuns
     from pneuma.analysis.trajectories import read_trajectories
 
-    if not isinstance(data.source, PublishedRuns):
+    if len(data.published) < len(data.runs):
         return None
     found = read_trajectories(results, data.study)
     own = found and found.of_runs(data.runs)
@@ -199,7 +198,6 @@ def _played(
 
 def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[str, ...]) -> list[Path]:
     """Draw them on the map; on that of a level of their own where runs have just played, trusted."""
-    from pneuma.analysis.published import PublishedRuns
     from pneuma.config import make_run
     from pneuma.engines.trajectories import unrewarded_worlds
     from pneuma.env.render import Renderer
@@ -207,7 +205,7 @@ def _drawn(data: StudyData, found: StudyTrajectories, out: Path, formats: tuple[
     from pneuma.figures.trajectories import draw_trajectories
 
     drawer = None
-    if is_own_level(found.level) and not isinstance(data.source, PublishedRuns):
+    if is_own_level(found.level) and not data.published:
         worlds = unrewarded_worlds(make_run(data.settings(data.runs[0])), 1)
         worlds.seed([0])
         worlds.reset()

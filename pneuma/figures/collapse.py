@@ -174,7 +174,7 @@ def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
     if blind:
         of = ", ".join(f"{count} of {name}" for name, count in blind.items())
         told.append(f"Runs without records that a collapse shows in: {of}.")
-    unseen = {run.condition for run in data.runs if NO_ENTROPY not in data.source.signs(run)}
+    unseen = {run.condition for run in data.runs if NO_ENTROPY not in run.records.signs()}
     if named := ", ".join(name for name in data.conditions if name in unseen and name not in blind):
         told.append(f"Of {named} no entropy is recorded, and only a fall is seen.")
     if any(run.begun for run in data.runs):

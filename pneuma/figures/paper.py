@@ -23,7 +23,7 @@ import pandas as pd
 
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.sources import open_published
+from pneuma.analysis.run_index import open_published
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories

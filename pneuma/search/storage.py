@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.analysis.run_records import RunRecords
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.run_index import open_study
 from pneuma.config import Run, read_fields
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.search.optuna_study import frozen_trials, new_journal
@@ -129,7 +128,7 @@ class Outcomes:
         if self.diverged(cell) and np.isfinite(worst):
             return float(worst)
         record = selection_record(make_trial_plan(self._task, [cell]))
-        data = StudyData(RunRecords(self._store), record, str(self._store.root))
+        data = open_study(self._store, record, mixed=False)
         return outcome(data, data.runs[0], name)
 
 

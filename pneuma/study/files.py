@@ -15,8 +15,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from pneuma.errors import UserError
+
 SCHEMA = 1
 _SEAL = "sha256"
+
+LARGEST_BYTES = 512 * 2**20
+"""Of a file that is read whole."""
 
 CHECKPOINTS = "checkpoints"
 """Folder of a run's checkpoints."""
@@ -74,14 +79,9 @@ def _mode(path: Path) -> int:
         return 0o666 & ~_UMASK
 
 
-def _umask() -> int:
-    """Return what new files are kept from; it can only be read by setting it, so at the start alone."""
-    own = os.umask(0o077)
-    os.umask(own)
-    return own
-
-
-_UMASK = _umask()
+_UMASK = os.umask(0o077)
+"""What new files are kept from; it can only be read by setting it, so at the start alone."""
+os.umask(_UMASK)
 
 
 def _wait_for_disk(descriptors: Sequence[int]) -> None:
@@ -93,14 +93,22 @@ def _wait_for_disk(descriptors: Sequence[int]) -> None:
     return None
 
 
-def read_whole(path: Path) -> bytes:
-    """Return what a file holds; a stranger's pipe is not waited for, nor a device read without end.
+def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
+    """Return what a file holds: the one way in which files of a results folder are read.
+
+    The folder may be anybody's: a pipe is not waited for, a device not read without end.
 
     Raises:
-        OSError: when it cannot be read, or is no ordinary file.
+        OSError: when it cannot be read, is no ordinary file, or is larger than `most` bytes.
     """
-    with open(path, "rb", opener=_open_ordinary) as file:
-        return file.read()
+    try:
+        with open(path, "rb", opener=_open_ordinary) as file:
+            data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else None
+    except MemoryError:
+        raise OSError(errno.ENOMEM, "does not fit into memory") from None
+    if data is None or len(data) > most:
+        raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
+    return data
 
 
 def _open_ordinary(path: str, flags: int) -> int:
@@ -109,6 +117,43 @@ def _open_ordinary(path: str, flags: int) -> int:
         os.close(descriptor)
         raise OSError(errno.EINVAL, "is no ordinary file")
     return descriptor
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Return the object that a JSON file holds; None where there is no such file, or something else in it."""
+    try:
+        return parse_json(read_whole(path))
+    except (OSError, ValueError):
+        return None
+
+
+def parse_json(data: bytes | str) -> dict[str, Any]:
+    """Return the object that JSON holds.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    try:
+        document = json.loads(data)
+    except (RecursionError, MemoryError) as error:
+        raise ValueError(str(error)) from None
+    if not isinstance(document, dict):
+        raise ValueError("is no JSON object")
+    return document
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names in a folder, sorted; none where there is no such folder.
+
+    Raises:
+        UserError: where something else is in its place.
+    """
+    try:
+        return sorted(os.listdir(folder))
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be read ({error.strerror})") from None
 
 
 def to_json(value: object) -> bytes:
@@ -124,11 +169,8 @@ def seal(document: Mapping[str, Any]) -> bytes:
 
 def read_sealed(path: Path) -> dict[str, Any] | None:
     """Return a document that `seal` wrote; None where there is none, or not as it was written."""
-    try:
-        document = json.loads(read_whole(path))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+    document = read_json(path)
+    if document is None or document.get("schema") != SCHEMA:
         return None
     told = document.pop(_SEAL, None)
     return document if told == checksum(to_json(document)) else None

@@ -22,23 +22,21 @@ import numpy as np
 import pandas as pd
 
 from pneuma.errors import UserError, install_extra
-from pneuma.study.files import checksum
+from pneuma.study.files import checksum, read_whole, to_json
 from pneuma.study.plan import Selection
 from pneuma.study.spec import list_studies
-from pneuma.study.store import SCALARS_FILE, Status, Store, to_json
+from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.worlds import split_world
 
 SOURCE = "tensorboard"
 """What a selection's record calls the source of an imported study."""
 
-SCHEMA = 1
 IMPORT_VERSION = 2
 """Raised by hand when the same logs are read to other points; part of every imported run's id."""
 
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags that Stable-Baselines3 and CleanRL write, whose steps are agent steps."""
 
-LARGEST_BYTES = 10**9
 FRAME_BYTES = 16
 """Length and checksums around each event of a file."""
 
@@ -69,6 +67,21 @@ class ImportedRun:
     provenance: dict[str, Any]
     new: bool
 
+    @property
+    def cell(self) -> dict[str, Any]:
+        """What a study's record has of it."""
+        fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": self.steps}
+        return {"condition": self.condition, "seed": self.seed, "run_id": self.run_id, "run": fields}
+
+    @property
+    def notes(self) -> list[str]:
+        """What could not be read of it, and what was written again."""
+        notes = [f"{self.shown}/{words}" for words in self.provenance["damage"]]
+        if again := self.points["superseded"].sum():
+            written = f"{again:,} of {len(self.points):,} points were written again after a restart"
+            notes.append(f"{self.shown}: {written}; the later ones count")
+        return notes
+
 
 @dataclass(frozen=True)
 class Import:
@@ -93,33 +106,45 @@ def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None =
     """
     study = _study_name(folders, name, store)
     logs, notes = find_logs(folders)
-    runs: dict[str, ImportedRun] = {}
+    found: dict[str, ImportedRun] = {}
     for log in logs:
         run = _read_log(log, store)
         if not run.steps:
             notes.append(f"{run.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
-        elif run.run_id in runs:
-            notes.append(f"{run.shown}: holds the same log as {runs[run.run_id].shown} and is left out")
+        elif run.run_id in found:
+            notes.append(f"{run.shown}: holds the same log as {found[run.run_id].shown} and is left out")
         else:
-            runs[run.run_id] = run
-            notes += _notes(run)
+            found[run.run_id] = run
+            notes += run.notes
+    runs = [*found.values()]
     if not runs:
         raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
     store.check_writable()
-    for run in runs.values():
+    for run in runs:
         if run.new:
             store.save_run(run.run_id, Status("done", run.steps), _files(run))
-    store.save_selection(study, _record(study, [*runs.values()]))
-    return Import(study, [*runs.values()], notes)
+    told = {"study": study, "source": SOURCE, "path": None, "title": study, "figure": study}
+    record: dict[str, Any] = {
+        **told,
+        "baseline": runs[0].condition,
+        "same": [],
+        "selection": asdict(Selection()),
+    }
+    store.save_selection(study, {**record, "runs": [run.cell for run in runs]})
+    return Import(study, runs, notes)
 
 
-def _notes(run: ImportedRun) -> list[str]:
-    """Say what could not be read of a run, and what was written again."""
-    notes = [f"{run.shown}/{words}" for words in run.provenance["damage"]]
-    if again := run.points["superseded"].sum():
-        written = f"{again:,} of {len(run.points):,} points were written again after a restart"
-        notes.append(f"{run.shown}: {written}; the later ones count")
-    return notes
+def _files(run: ImportedRun) -> dict[str, bytes]:
+    """Return the files of a run in the store."""
+    scalars = io.BytesIO()
+    columns = ["tag", "step", "value", "superseded"]
+    run.points[columns].to_parquet(scalars, compression="zstd", index=False)
+    about = {"schema": 1, "run_id": run.run_id, "source": SOURCE, "run": run.cell["run"]}
+    return {
+        "run.json": to_json(about),
+        "provenance.json": to_json(run.provenance),
+        SCALARS_FILE: scalars.getvalue(),
+    }
 
 
 # --- Which runs there are -------------------------------------------------------------------------
@@ -201,10 +226,8 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
     rows: list[tuple[int, *Scalar]] = []
     for place, path in enumerate(paths):
         try:
-            size = path.stat().st_size
-            if size > LARGEST_BYTES:
-                raise UserError(f"{path}: is larger than {LARGEST_BYTES / 1e9:g} GB, the most that is read")
-            files.append({"bytes": size, "sha256": checksum(path.read_bytes())})
+            data = read_whole(path)
+            files.append({"bytes": len(data), "sha256": checksum(data)})
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         scalars, words = read_event_file(path)
@@ -308,42 +331,3 @@ def find_superseded(points: pd.DataFrame) -> pd.Series:
         least_after = np.minimum.accumulate(np.append(went_back[1:], np.inf)[::-1])[::-1]
         gone[steps.index] |= steps >= least_after
     return gone
-
-
-# --- Into the store -------------------------------------------------------------------------------
-
-
-def _files(run: ImportedRun) -> dict[str, bytes]:
-    """Return the files of a run in the store."""
-    scalars = io.BytesIO()
-    columns = ["tag", "step", "value", "superseded"]
-    run.points[columns].to_parquet(scalars, compression="zstd", index=False)
-    about = {"schema": SCHEMA, "run_id": run.run_id, "source": SOURCE, "run": _fields(run)}
-    return {
-        "run.json": to_json(about),
-        "provenance.json": to_json(run.provenance),
-        SCALARS_FILE: scalars.getvalue(),
-    }
-
-
-def _record(study: str, runs: Sequence[ImportedRun]) -> dict[str, Any]:
-    """Return what `results/studies/NAME.json` holds, in the form of `execute.selection_record`."""
-    return {
-        "study": study,
-        "source": SOURCE,
-        "path": None,
-        "title": study,
-        "figure": study,
-        "baseline": runs[0].condition,
-        "same": [],
-        "selection": asdict(Selection()),
-        "runs": [
-            {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "run": _fields(run)}
-            for run in runs
-        ],
-    }
-
-
-def _fields(run: ImportedRun) -> dict[str, Any]:
-    """Return what is known of the fields of an imported run."""
-    return {"env": "Imported TensorBoard logs", "slots": None, "steps": run.steps}

@@ -32,6 +32,7 @@ from pneuma.study.files import (
     CHECKPOINTS,
     SCHEMA,
     checksum,
+    names_in,
     read_checkpoint_name,
     read_sealed,
     read_whole,
@@ -95,14 +96,16 @@ class Store:
         """Make the folder if need be and try to write there.
 
         Raises:
-            UserError: when that fails.
+            UserError: when that fails, or a part of it is a link out of it or no folder.
         """
         try:
             if any(path.is_file() for path in (self.root, *self.root.parents)):
                 raise OSError(0, "there is a file in its place")
             self.root.mkdir(parents=True, exist_ok=True)
-            for name in ("runs", "studies"):
-                self._check_part(self.root / name)
+            for folder in (self.root / "runs", self.root / "studies"):
+                self._check_within(folder)
+                if os.path.lexists(folder) and not folder.is_dir():
+                    raise UserError(f"{folder}: there is a file in place of the folder; remove it")
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
@@ -110,12 +113,14 @@ class Store:
                 f"--results {self.root}: cannot be written ({error.strerror}); name another folder"
             ) from None
 
-    def _check_part(self, folder: Path) -> None:
-        """Refuse a part of the results that is a link out of them, or no folder."""
-        if folder.exists() and not folder.is_dir():
-            raise UserError(f"{folder}: there is a file in place of the folder; remove it")
-        if not folder.resolve().is_relative_to(self.root.resolve()):
-            raise UserError(f"{folder}: is a link out of the results folder; link the whole folder instead")
+    def _check_within(self, folder: Path) -> None:
+        """Refuse a folder that a link leads out of the results, or around in a ring."""
+        try:
+            within = folder.resolve().is_relative_to(self.root.resolve())
+        except (OSError, RuntimeError):  # Python 3.11 and 3.12 say of a ring of links: RuntimeError
+            within = False
+        if not within:
+            raise UserError(f"{folder}: a link leads out of the results folder; remove it")
 
     # --- Runs ---------------------------------------------------------------------------------
 
@@ -131,7 +136,7 @@ class Store:
 
     def has_checkpoints(self, run_id: str) -> bool:
         """Tell whether a run has checkpoints; one that has ended can then be forked."""
-        return any((self.run_folder(run_id) / CHECKPOINTS).glob("*"))
+        return bool(names_in(self.run_folder(run_id) / CHECKPOINTS))
 
     def lock(self, run_id: str) -> RunLock:
         """Return the lock that whoever trains a run must hold.
@@ -147,44 +152,27 @@ class Store:
 
     def runs(self) -> list[str]:
         """Return the ids of all runs of which anything is stored, sorted."""
-        try:
-            names = os.listdir(self.root / "runs")
-        except FileNotFoundError:
-            names = []
-        except OSError as error:
-            raise UserError(f"{self.root / 'runs'}: cannot be read ({error.strerror})") from None
-        return sorted(name for name in names if _RUN_ID.fullmatch(name))
+        return [name for name in names_in(self.root / "runs") if _RUN_ID.fullmatch(name)]
 
     def status(self, run_id: str) -> Status:
         """Return how far a run is, judged by the checksums of all its files."""
-        manifest = self._manifest(run_id)
-        if manifest is None:
-            try:
-                return self._unfinished(run_id)
-            except OSError as error:
-                return Status("damaged", 0, f"{run_id} ({error.strerror})")
-        damaged = [name for name in manifest["files"] if self._read(run_id, name, manifest) is None]
-        if damaged:
-            return Status("damaged", 0, damaged[0])
-        status = Status(manifest["status"], manifest["step"])
-        if status.finished:
-            return status
-        step = max(status.step, self._kept_step(run_id))  # a crash does not know it
-        return Status("running" if is_held(self.run_folder(run_id)) else status.name, step)
-
-    def _unfinished(self, run_id: str) -> Status:
-        """Return how far a run is that nothing vouches for."""
-        folder, step = self.run_folder(run_id), self._kept_step(run_id)
+        folder, manifest = self.run_folder(run_id), self._manifest(run_id)
+        told = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
+        for name in manifest["files"] if manifest else ():
+            if self._read(run_id, name, manifest or {}) is None:
+                return Status("damaged", 0, name)
+        if told.finished:
+            return told
+        try:
+            kept = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
+        except UserError as error:
+            return Status("damaged", 0, str(error))
+        step = max(told.step, *(own[0] for own in kept if own), 0)  # a crash does not know it
         if is_held(folder):
             return Status("running", step)
-        if (folder / "status.json").exists():
+        if manifest is None and os.path.lexists(folder / "status.json"):
             return Status("damaged", step, "status.json")
-        return Status("partial" if step else "planned", step)
-
-    def _kept_step(self, run_id: str) -> int:
-        """Return the step of a run's latest checkpoint; 0 without any."""
-        kept = (self.run_folder(run_id) / CHECKPOINTS).glob("*.safetensors")
-        return max((told[0] for path in kept if (told := read_checkpoint_name(path.name))), default=0)
+        return Status("partial" if step and not manifest else told.name, step)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that vouches for them; other files of the run go.
@@ -247,8 +235,9 @@ class Store:
 
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here, is damaged, or another's."""
-        record = read_sealed(self.selection_path(study))
-        return record if record and _is_record(record) and record["study"] == study else None
+        record = read_sealed(self.selection_path(study)) or {}
+        sound = is_record(record) and isinstance(record.get("selection"), dict)
+        return record if sound and record["study"] == study else None
 
     def selection_path(self, study: str) -> Path:
         """Return where a study's record is, if it was run here."""
@@ -256,7 +245,8 @@ class Store:
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
-        return sorted(path.stem for path in (self.root / "studies").glob("*.json"))
+        names = names_in(self.root / "studies")
+        return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
     # --- Writing ------------------------------------------------------------------------------
 
@@ -272,49 +262,49 @@ class Store:
 
     def _write_all(self, folder: Path, files: Mapping[str, bytes]) -> None:
         """Put files into a folder in this order; those before one that fails may be there."""
-        path = folder / next(iter(files))
+        self._check_within(folder)
         try:
-            if not folder.resolve().is_relative_to(self.root.resolve()):
-                raise UserError(f"{path}: a link leads out of the results folder; remove it")
             folder.mkdir(parents=True, exist_ok=True)
             replace_files(folder, files)
-        except (OSError, RuntimeError) as error:  # Python 3.11 and 3.12 say of a ring of links: RuntimeError
-            reason = getattr(error, "strerror", None) or error
-            raise UserError(f"{path}: cannot be written ({reason})") from None
+        except OSError as error:
+            raise UserError(
+                f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
+            ) from None
 
 
 def _is_manifest(document: Mapping[str, Any]) -> bool:
-    """Tell whether a document, which may be a stranger's, is what `save_run` writes."""
+    """Tell whether a document, which may be anybody's, is what `save_run` writes."""
     files = document.get("files")
     sound = isinstance(files, dict) and all(isinstance(told, str) for told in files.values())
     return sound and document.get("status") in STATUSES and isinstance(document.get("step"), int)
 
 
-def _is_record(document: Mapping[str, Any]) -> bool:
-    """Tell whether a document, which may be a stranger's, is a study's record."""
+def is_record(document: Mapping[str, Any]) -> bool:
+    """Tell whether a document, which may be anybody's, is a study's record."""
     runs, same = document.get("runs"), document.get("same")
     return (
         isinstance(runs, list)
         and all(isinstance(run, dict) and _is_cell(run) for run in runs)
-        and all(isinstance(document.get(key), str) for key in ("study", "title", "figure", "baseline"))
+        and all(isinstance(document.get(key), str) for key in ("study", "title", "figure"))
+        and isinstance(document.get("baseline"), str | None)
         and isinstance(same, list)
         and all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in same)
-        and isinstance(document.get("selection"), dict)
     )
 
 
 def _is_cell(run: Mapping[str, Any]) -> bool:
-    named = isinstance(run.get("run_id"), str) and bool(_RUN_ID.fullmatch(run["run_id"]))
-    placed = isinstance(run.get("condition"), str) and isinstance(run.get("seed"), int)
-    settings = run.get("run")
-    return named and placed and isinstance(settings, dict) and _are_settings(settings)
-
-
-def _are_settings(settings: Mapping[str, Any]) -> bool:
-    """Tell whether settings have what tables and figures are made by."""
-    slots = settings.get("slots")  # not known of imported logs
-    counted = (slots is None or isinstance(slots, int)) and isinstance(settings.get("steps"), int)
-    return counted and isinstance(settings.get("env"), str)
+    """Tell whether a run of a record has what tables and figures are made by."""
+    fields = run.get("run")
+    return (
+        isinstance(run.get("run_id"), str)
+        and bool(_RUN_ID.fullmatch(run["run_id"]))
+        and isinstance(run.get("condition"), str)
+        and isinstance(run.get("seed"), int)
+        and isinstance(fields, dict)
+        and isinstance(fields.get("steps"), int)
+        and isinstance(fields.get("env"), str)
+        and isinstance(fields.get("slots"), int | None)  # not known of imported logs
+    )
 
 
 def run_document(run: Run, run_id: str) -> bytes:

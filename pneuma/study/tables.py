@@ -1,4 +1,4 @@
-"""Record tables as Parquet: what an engine's rows become in the store, and back."""
+"""Tables as Parquet: what an engine's rows become in the store, and back, checked once for all readers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,18 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pneuma.study.files import LARGEST_BYTES
+
 _WHOLE = {"slot", "learner", "episode", "step", "length", "kills", "episodes", "argmax_starts"}
-_TEXT = {"ending"}
+_TEXT = {"ending", "tag"}
+_EVERYWHERE = {
+    "episodes": ("step", "slot"),
+    "metrics": ("step",),
+    "evaluations": ("step",),
+    "learners": ("step", "learner"),
+    "scalars": ("step", "tag", "value", "superseded"),
+}
+"""Columns that a record table cannot do without, by its name."""
 
 
 def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> bytes:
@@ -26,9 +36,48 @@ def from_parquet(data: bytes) -> pa.Table:
     """Read a Parquet file from memory, in this thread alone.
 
     Arrow's `read_table`, and reading from a file of Python's, start threads whatever they are told, with
-    which a command now and then aborts as it ends.
+    which a command now and then aborts as it ends. The footer tells how much the file unpacks to, and that
+    is looked at first.
+
+    Raises:
+        ValueError: for what is no such file, or would be too large.
     """
-    return pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data))
+        groups = [file.metadata.row_group(place) for place in range(file.metadata.num_row_groups)]
+        values = sum(group.column(place).num_values for group in groups for place in range(group.num_columns))
+        if max(8 * values, sum(group.total_byte_size for group in groups)) > LARGEST_BYTES:
+            raise ValueError(f"unpacks to more than {LARGEST_BYTES / 2**20:.0f} MB")
+        table = file.read(use_threads=False)
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        told = [*str(error).splitlines(), "damaged"][0]
+        raise ValueError(f"is no table that can be read ({told[:100]})") from None
+    if len({*table.column_names}) < table.num_columns:
+        raise ValueError("has two columns of one name")
+    return table
+
+
+def record_table(data: bytes, name: str) -> pa.Table:
+    """Read one of a run's record tables: the one place that checks names and types of its columns.
+
+    Raises:
+        ValueError: for what is no such table.
+    """
+    table = from_parquet(data)
+    for own in _EVERYWHERE.get(name, ()):
+        if own not in table.column_names or (own != "value" and table[own].null_count):
+            raise ValueError(f"column {own} is missing, or has gaps")
+    for field in table.schema:
+        if field.name in _TEXT:
+            sound = pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
+        elif field.name in ("step", "slot"):
+            sound = pa.types.is_integer(field.type)
+        else:
+            sound = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
+            sound = sound or (field.name == "superseded" and pa.types.is_boolean(field.type))
+        if not sound:
+            raise ValueError(f"column {field.name} is of type {field.type}")
+    return table
 
 
 def _kind(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:

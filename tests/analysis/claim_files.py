@@ -7,10 +7,9 @@ from pathlib import Path
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Verdict, judge
-from pneuma.analysis.published import published_path
-from pneuma.analysis.published_times import encode_times, times_path
-from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.published import published_path, times_path
+from pneuma.analysis.publishing import encode_study, encode_times
+from pneuma.analysis.run_index import open_study
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan

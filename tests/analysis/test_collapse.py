@@ -13,8 +13,8 @@ from pneuma.analysis.collapse import Diagnosis, _one_action, diagnose, diagnoses
 from pneuma.analysis.outcomes import outcome_values, reason
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.signs import NO_ENTROPY
-from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import main
 from pneuma.study.imported import import_tensorboard

@@ -17,7 +17,7 @@ from pneuma.analysis.crossed import (
     robustness_map,
     study_effects,
 )
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.cli import study_crossed
 from pneuma.errors import UserError

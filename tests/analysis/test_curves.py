@@ -19,9 +19,9 @@ from pneuma.analysis.curves import (
     evaluation_curves,
     training_curves,
 )
-from pneuma.analysis.run_records import RunRecords
-from pneuma.analysis.sources import open_study
-from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.analysis.records import Memory, Records
+from pneuma.analysis.run_index import open_study
+from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
@@ -33,24 +33,16 @@ TRAILING = "trailing-100"
 Episode = tuple[int, float]  # step at which it ended, and its return
 
 
-class _Records(RunRecords):
+class _Records(Records):
     """Tables given by hand, of all runs together."""
 
-    def __init__(self, budgets: dict[str, int], tables: dict[str, pd.DataFrame]) -> None:
-        self._budgets = budgets
+    def __init__(self, run_id: str, end: int, tables: dict[str, pd.DataFrame]) -> None:
+        super().__init__(Store("nowhere"), run_id, Status("done", end), Memory())
         self._tables = tables
 
-    def status(self, run_id: str) -> Status:
-        return Status("done", self._budgets[run_id])
-
-    def table(self, run: FinishedRun, name: str) -> pd.DataFrame:
+    def table(self, name: str) -> pd.DataFrame:
         table = self._tables[name]
-        own = table[(table["run_id"] == run.run_id) & (table["condition"] == run.condition)]
-        return own.drop(columns=["condition", "run_id"])
-
-    def columns(self, run: FinishedRun, name: str) -> dict[str, np.ndarray]:
-        table = self.table(run, name)
-        return {str(key): table[key].to_numpy() for key in table}
+        return table[table["run_id"] == self.run_id].drop(columns=["condition", "run_id"])
 
 
 def _data(runs: Sequence[tuple[str, str, int, int]], **tables: pd.DataFrame) -> StudyData:
@@ -65,7 +57,7 @@ def _data(runs: Sequence[tuple[str, str, int, int]], **tables: pd.DataFrame) -> 
         for seed, (condition, name, budget, slots) in enumerate(runs)
     ]
     record = {"study": "mine", "title": "Mine", "figure": "fig-mine", "same": [], "runs": rows}
-    return StudyData(_Records({name: budget for _, name, budget, _ in runs}, tables), record)
+    return StudyData({name: _Records(name, budget, tables) for _, name, budget, _ in runs}, record)
 
 
 def _episodes(condition: str, name: str, slots: dict[int, list[Episode]]) -> pd.DataFrame:

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, outcome_values, reason
-from pneuma.analysis.published import published_path, read_published
-from pneuma.analysis.published_times import encode_times, times_path
-from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.published import published_path, read_published, times_path
+from pneuma.analysis.publishing import encode_study, encode_times
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step, step_words
-from pneuma.analysis.sources import open_study
 from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
@@ -294,7 +293,7 @@ def test_a_clone_knows_the_times_from_the_file_beside_the_table(data: StudyData,
     timed = open_study(clone, read_published(clone, "mine").record)
     for name in ("wall-seconds", "steps-per-second"):
         assert outcome_values(timed, "a", name).tolist() == outcome_values(data, "a", name).tolist()
-    assert [timed.source.processor_share(run) for run in timed.runs] == [0.5] * len(timed.runs)
+    assert [run.records.processor_share for run in timed.runs] == [0.5] * len(timed.runs)
     times_path(clone, "mine").write_bytes(b'{"runs": [1]}')
     assert np.isnan(outcome(again, again.runs[0], "wall-seconds"))
 
@@ -302,7 +301,7 @@ def test_a_clone_knows_the_times_from_the_file_beside_the_table(data: StudyData,
 def test_a_forks_time_is_of_the_steps_after_it(data: StudyData) -> None:
     whole = data.runs[0]
     fork = replace(whole, begun=whole.end // 2)
-    seconds = data.source.wall_seconds(whole)
+    seconds = whole.records.wall_seconds
     assert seconds and outcome(data, fork, "wall-seconds") == pytest.approx(seconds)
     assert outcome(data, fork, "steps-per-second") == pytest.approx((whole.end - fork.begun) / seconds)
     assert outcome(data, fork, "wall-seconds", fork.begun) == 0

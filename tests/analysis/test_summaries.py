@@ -13,7 +13,7 @@ from scipy import stats
 
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.rounding import decimals, shown, shown_with_interval
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import COLUMNS, STATISTICS, resampled_improvement, summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneuma.analysis.sources import open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.bench import engines, env, scaling
 from pneuma.bench.synthetic import store_study
 from pneuma.env.worlds import Worlds

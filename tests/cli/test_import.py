@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -63,12 +62,6 @@ def test_an_import_as_json_is_one_document(logs: Path, tmp_path: Path, write_eve
     assert err == "".join(f"Note: {note}.\n" for note in document["notes"])
 
 
-def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
-    line = refused("import", "tensorboard", tmp_path, "--results", tmp_path / "r")
-    assert line == f"{tmp_path}: no TensorBoard event files (events.out.tfevents…) in it or below"
-    assert os.listdir(tmp_path) == []
-
-
 # --- An imported study is a study -----------------------------------------------------------------
 
 
@@ -97,15 +90,10 @@ def test_its_tables_are_exported_without_times(results: Path, tmp_path: Path) ->
     )
 
 
-def test_a_window_that_no_log_allows_is_refused(results: Path) -> None:
-    line = refused("study", "plot", "old", "--window", "budget-5%", "--results", results)
-    assert line.startswith("window budget-5% cannot be had of study old")
-    assert not (results / "figures").exists()
-
-
 @pytest.mark.parametrize(
     ("option", "words"),
     [
+        (("--window", "budget-5%"), "window budget-5% cannot be had of study old"),
         (("--condition", "tan"), "unknown condition of study old 'tan' (did you mean tanh?)"),
         (("--seeds", "7,"), "--seeds: study old has none of these; it has [1, 2]"),
         (("--steps", "500"), "--steps: study old was imported"),
@@ -113,6 +101,7 @@ def test_a_window_that_no_log_allows_is_refused(results: Path) -> None:
 )
 def test_what_it_cannot_be_asked_for_is_refused(option: tuple[str, str], words: str, results: Path) -> None:
     assert refused("study", "plot", "old", *option, "--results", results).startswith(words)
+    assert not (results / "figures").exists()
 
 
 def test_logs_without_returns_are_exported_and_not_drawn(tmp_path: Path, write_events: WriteEvents) -> None:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.run_records import RunRecords
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.run_index import open_published, open_study
 from pneuma.engines.base import load_engine
 from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.study.execute import selection_record
@@ -53,7 +52,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 def test_a_table_of_both_is_blank_where_there_are_no_values(store: Store) -> None:
     record = store.selection("mine")
     assert record is not None
-    data = StudyData(RunRecords(store), record)
+    data = open_study(store, record)
     table = data.table("evaluations")
     assert list(table.columns) == ["condition", "seed", "run_id", *EVALUATION_COLUMNS, "q_estimate", "q_true"]
     for condition, blank in (("ppo", True), ("dqn", False)):
@@ -68,10 +67,9 @@ def test_a_table_of_both_is_blank_where_there_are_no_values(store: Store) -> Non
 def test_the_published_table_keeps_them(store: Store) -> None:
     record = store.selection("mine")
     assert record is not None
-    data = StudyData(RunRecords(store), record)
+    data = open_study(store, record)
     store.write(published_path(store, "mine"), encode_study(data))
-    published = read_published(store, "mine")
-    again = StudyData(published, published.record)
+    (again,) = open_published(store.root, ["mine"])
     for name in ("q_estimate", "q_true"):
         np.testing.assert_array_equal(
             again.table("evaluations")[name].to_numpy(), data.table("evaluations")[name].to_numpy()

@@ -1,0 +1,301 @@
+"""What is held of one run: in its folder of a results folder, or in logs that were imported into one.
+
+A run in a published table is the third kind (`pneuma.analysis.published`). All readers ask a `Records`, which
+`pneuma.analysis.run_index` finds by the run's id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pneuma.analysis import ACTION_QUANTITIES, EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis.signs import Stretch, update_signs
+from pneuma.analysis.windows import (
+    EXTREMES,
+    TRAILING_EPISODES,
+    episode_curve,
+    logged_curve,
+    peak_curve,
+    update_curve,
+)
+from pneuma.errors import UserError
+from pneuma.study.files import parse_json
+from pneuma.study.store import SCALARS_FILE, Status, Store
+from pneuma.study.tables import record_table
+
+QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
+ROOM_BYTES = 500_000_000
+"""Of tables that are kept in memory."""
+FRAME_BYTES = 10_000
+"""What pandas takes for a small table beside its numbers."""
+
+AVERAGED = f"_mean_{TRAILING_EPISODES}"
+"""Ends the names of columns that were averaged when they were logged."""
+
+QUANTITY_OF_TAG = {
+    "rollout/ep_rew_mean": "return",
+    "rollout/ep_len_mean": "length",
+    "train/policy_gradient_loss": "policy_loss",
+    "train/value_loss": "value_loss",
+    "train/entropy_loss": "entropy",
+    "train/approx_kl": "approx_kl",
+    "train/clip_fraction": "clip_fraction",
+    "train/explained_variance": "explained_variance",
+    "charts/episodic_return": "return",
+    "charts/episodic_length": "length",
+    "losses/policy_loss": "policy_loss",
+    "losses/value_loss": "value_loss",
+    "losses/entropy": "entropy",
+    "losses/approx_kl": "approx_kl",
+    "losses/clipfrac": "clip_fraction",
+    "losses/explained_variance": "explained_variance",
+}
+"""What the metrics table and curves call what Stable-Baselines3 and CleanRL log."""
+
+NEGATED = "train/entropy_loss"
+ONE_EPISODE = ("charts/episodic_return", "charts/episodic_length")
+WALL_CLOCK = ("time/", "charts/SPS")
+
+Series = tuple[np.ndarray, np.ndarray]
+"""Steps and values, (points,) each, steps rising."""
+
+
+class Memory:
+    """Tables that were read, while there is room; beyond that, those of the run that is looked at.
+
+    What came first stays. Studies are gone through run by run and then again from the start, and to let the
+    oldest go would then mean to keep nothing that is asked for again.
+    """
+
+    def __init__(self, room_bytes: int = ROOM_BYTES) -> None:
+        self._room = room_bytes
+        self._kept: dict[tuple[str, str], pd.DataFrame] = {}
+        self._run_id, self._last = "", dict[str, pd.DataFrame]()
+
+    def get(self, run_id: str, name: str, read: Callable[[], pd.DataFrame]) -> pd.DataFrame:
+        """Return a table of a run, read now where it is not there."""
+        if (run_id, name) in self._kept:
+            return self._kept[run_id, name]
+        if run_id != self._run_id:
+            self._run_id, self._last = run_id, {}
+        if name not in self._last:
+            self._last[name] = table = read()
+            if (size := 8 * table.size + FRAME_BYTES) <= self._room:
+                self._room -= size
+                self._kept[run_id, name] = table
+        return self._last[name]
+
+
+class Records:
+    """What is held of one run: here of one in a results folder, every episode and update of it.
+
+    Attributes:
+        run_id: its id.
+        status: how it stands; one of which nothing is held is planned.
+        what: where this is, for people.
+        published: whether it is in a published table.
+        tables: those of `RECORD_TABLES` that are held.
+        windows: those of `WINDOWS` that curves can be had with, the usual one first.
+        averaged_over: episodes that every return was already averaged over when it was recorded; None
+            where each is one episode's.
+    """
+
+    what: str = "the results folder"
+    published = False
+    tables: tuple[str, ...] = RECORD_TABLES
+    windows: tuple[str, ...] = WINDOWS
+    averaged_over: int | None = None
+
+    def __init__(self, store: Store, run_id: str, status: Status, memory: Memory) -> None:
+        self.run_id = run_id
+        self.status = status
+        self._store = store
+        self._memory = memory
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What it has curves of, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
+        return QUANTITIES
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Return one of the run's `tables`, which is not to be written on.
+
+        Raises:
+            UserError: when its file is missing, damaged, or no such table.
+        """
+        return self._memory.get(self.run_id, name, lambda: self._read(f"{name}.parquet"))
+
+    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
+        """Return one of its `quantities` on the grid, (points,), NaN where it has no value.
+
+        Args:
+            quantity: one of them.
+            window: one of its `windows`.
+            grid: (points,).
+            slots: how many there are; a curve of episodes begins where each has finished one.
+        """
+        step, values = self._series(quantity)
+        if quantity in UPDATE_QUANTITIES:
+            return update_curve(step, values, grid, self.status.step)
+        firsts = self.table("episodes").groupby("slot")["step"].min()
+        return episode_curve(
+            step,
+            values,
+            grid,
+            trailing=window == "trailing-100",
+            from_step=float(firsts.max()) if len(firsts) == slots else np.inf,
+            end=self.status.step,
+        )
+
+    def final(self, quantity: str) -> float:
+        """Return the mean of the last 100 episodes (the last update's value, for what updates have)."""
+        _, values = self._series(quantity)
+        last = values[-1 if quantity in UPDATE_QUANTITIES else -TRAILING_EPISODES :]
+        return float(last.mean()) if len(last) else float("nan")
+
+    def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
+        """Return the extreme of one of `PEAKED_QUANTITIES` since the point before on the grid, (points,)."""
+        return peak_curve(*self._series(quantity), grid, EXTREMES[quantity])
+
+    def signs(self) -> dict[str, list[Stretch]]:
+        """Return where each sign of collapse holds that can be told of (`pneuma.analysis.signs`)."""
+        columns = {name: self._series(name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
+        blank = any(np.isnan(columns[name][1]).all() for name in ACTION_QUANTITIES)
+        told = {name: own for name, (_, own) in columns.items() if not blank or name not in ACTION_QUANTITIES}
+        return update_signs(columns["entropy"][0], told, len(ACTION_QUANTITIES))
+
+    def kept_outcome(self, name: str) -> float | None:
+        """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
+        return None
+
+    def provenance(self) -> dict[str, Any]:
+        """Return what produced the run.
+
+        Raises:
+            UserError: when its file is missing, damaged or nonsense.
+        """
+        try:
+            return parse_json(self._store.read_file(self.run_id, "provenance.json"))
+        except ValueError as error:
+            raise UserError(f"{self._path('provenance.json')}: cannot be read ({error})") from None
+
+    @property
+    def times(self) -> Mapping[str, Any]:
+        """What is known of the time that it took, as provenance tells it."""
+        return self.provenance()
+
+    @property
+    def wall_seconds(self) -> float | None:
+        """How long it trained, without loading and compiling where that is told apart; None: not known."""
+        return told_seconds(self.times)
+
+    @property
+    def processor_share(self) -> float | None:
+        """How much of a core its training had; 1: nothing else ran, None: not known."""
+        share = self.times.get("processor_share")
+        return float(share) if isinstance(share, int | float) else None
+
+    def _series(self, quantity: str) -> Series:
+        """Return what episodes or updates have of a quantity, in the order of their steps."""
+        name = "metrics" if quantity in UPDATE_QUANTITIES else "episodes"
+        table = self.table(name)
+        if quantity not in table:
+            raise UserError(f"{self._path(f'{name}.parquet')}: has no column {quantity}")
+        step, values = table["step"].to_numpy(float), table[quantity].to_numpy(float)
+        order = np.argsort(step, kind="stable")
+        return step[order], values[order]
+
+    def _read(self, file: str) -> pd.DataFrame:
+        data = self._store.read_file(self.run_id, file)
+        try:
+            return record_table(data, file.removesuffix(".parquet")).to_pandas()
+        except ValueError as error:
+            raise UserError(f"{self._path(file)}: {error}") from None
+
+    def _path(self, file: str) -> Path:
+        return self._store.run_folder(self.run_id) / file
+
+
+class LoggedRecords(Records):
+    """An imported run of a results folder.
+
+    What logs hold of returns and lengths are means of the last 100 episodes, as Stable-Baselines3 logs them.
+    They are shown as such, never averaged once more. CleanRL logs episodes, which are averaged here likewise.
+    """
+
+    what = "a study of imported TensorBoard logs"
+    tables = ("metrics",)
+    windows = ("trailing-100",)
+    averaged_over = TRAILING_EPISODES
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What was logged of those that there are."""
+        logged = set(self._scalars()["name"])
+        return tuple(name for name in QUANTITIES if name in logged)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Return the one table there is: a row for each step that something was logged at.
+
+        Every point is there but those that a restart superseded, and wall-clock times. A tag that is no
+        quantity is a column of its own name; of several values at one step the last counts.
+        """
+        scalars = self._scalars().drop_duplicates(["step", "name"], keep="last")
+        scalars = scalars[~scalars["name"].str.startswith(WALL_CLOCK)]
+        frame = scalars.pivot(index="step", columns="name", values="value")
+        known = [own for own in dict.fromkeys(QUANTITY_OF_TAG.values()) if own in frame]
+        frame = frame[[*known, *sorted(str(own) for own in frame if own not in known)]]
+        frame.columns.name = None
+        return frame.rename(columns={own: own + AVERAGED for own in EPISODE_QUANTITIES}).reset_index()
+
+    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
+        """Return what was last logged at or before each point of the grid, (points,).
+
+        What updates have is averaged over a twentieth of the grid, as that of runs is.
+        """
+        curve_of = update_curve if quantity in UPDATE_QUANTITIES else logged_curve
+        return curve_of(*self._series(quantity), grid, self.status.step)
+
+    def final(self, quantity: str) -> float:
+        """Return the last finite value that was logged."""
+        _, values = self._series(quantity)
+        finite = values[np.isfinite(values)]
+        return float(finite[-1]) if len(finite) else float("nan")
+
+    def signs(self) -> dict[str, list[Stretch]]:
+        """Return where the entropy, the one sign that is logged, is gone."""
+        if "entropy" not in self.quantities:
+            return {}
+        step, values = self._series("entropy")
+        return update_signs(step, {"entropy": values}, 0)
+
+    def _series(self, quantity: str) -> Series:
+        """Return every point of a quantity, in the order of writing."""
+        scalars = self._scalars()
+        own = scalars[scalars["name"] == quantity]
+        return own["step"].to_numpy(float), own["value"].to_numpy(float)
+
+    def _scalars(self) -> pd.DataFrame:
+        """Return name, step and value of every point that no restart superseded, in the order of writing."""
+        return self._memory.get(self.run_id, "scalars", self._read_scalars)
+
+    def _read_scalars(self) -> pd.DataFrame:
+        scalars = self._read(SCALARS_FILE)
+        scalars = scalars[~scalars["superseded"].astype(bool)]
+        scalars["value"] = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
+        for tag in ONE_EPISODE:
+            own = scalars["tag"] == tag
+            scalars.loc[own, "value"] = scalars["value"][own].rolling(TRAILING_EPISODES, 1).mean()
+        plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
+        return scalars.assign(name=scalars["tag"].map(QUANTITY_OF_TAG).fillna(plain))
+
+
+def told_seconds(times: Mapping[str, Any]) -> float | None:
+    """Return how long a run trained, as its provenance tells."""
+    seconds = times.get("training_seconds", times.get("wall_seconds"))
+    return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None

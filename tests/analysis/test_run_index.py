@@ -1,0 +1,338 @@
+"""One contract for what is held of a run: in a results folder, a published table, or imported logs."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis.curves import training_curves
+from pneuma.analysis.export import encode_table
+from pneuma.analysis.outcomes import OUTCOMES, outcome
+from pneuma.analysis.published import published_path, times_path
+from pneuma.analysis.publishing import encode_study, encode_times
+from pneuma.analysis.records import FRAME_BYTES, Memory
+from pneuma.analysis.run_index import RunIndex, open_published, open_study
+from pneuma.analysis.tables import StudyData
+from pneuma.errors import UserError
+from pneuma.study.imported import import_tensorboard
+from pneuma.study.store import Status, Store, to_json
+from pneuma.study.tables import to_parquet
+
+from .published_runs import record_of
+
+BUDGET = 1000  # the grid is 5, 10, … 1,000, and 5 % are 50
+WriteEvents = Callable[[Path, Any], Path]
+B0, B1, A0, A1 = "b0" * 8, "b1" * 8, "a0" * 8, "a1" * 8
+
+EPISODES = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
+METRICS = ("step", "policy_loss", *UPDATE_QUANTITIES)
+EVALUATIONS = ("step", "episodes", "share_killed", "return", "random_share_killed", "hunter_share_killed")
+
+
+def save_run(store: Store, run_id: str, seed: int, end: int = BUDGET, status: str = "done") -> None:
+    """Store a run of an episode every 50 steps, an update every 100 and an evaluation every 500.
+
+    Episode k returns k + seed in k steps and kills k, update k has the value k / 4 throughout.
+    """
+    tables: dict[str, tuple[tuple[str, ...], list[Any]]] = {
+        "episodes": (EPISODES, [(0, k, 50 * k, float(k + seed), k, k, 0.5, "killed") for k in range(1, 21)]),
+        "metrics": (METRICS, [(0, 100 * k, *[k / 4] * (len(METRICS) - 1))[1:] for k in range(1, 11)]),
+        "evaluations": (EVALUATIONS, [(500 * k, 50, k / 4 + seed / 8, 1.5, 0.1, 0.9) for k in (1, 2)]),
+    }
+    files = {}
+    for name, (columns, rows) in tables.items():
+        told = [dict(zip(columns, row, strict=True)) for row in rows]
+        files[f"{name}.parquet"] = to_parquet([row for row in told if row["step"] <= end], columns)
+    about = {"started": "now", "wall_seconds": 1.5, "python": "3.11", "packages": {}}
+    store.save_run(run_id, Status(status, end), {**files, "provenance.json": to_json(about)})
+
+
+def trained(store: Store) -> dict[str, Any]:
+    """Store a study: a done run and a diverged one of `b`, a done one of `a`, one that never ran."""
+    save_run(store, B0, 0)
+    save_run(store, B1, 1, end=400, status="diverged")
+    save_run(store, A0, 0)
+    return record_of({("b", 0): B0, ("a", 0): A0, ("b", 1): B1, ("a", 1): A1})
+
+
+def imported(store: Store, write_events: WriteEvents) -> dict[str, Any]:
+    """Import a study of two runs of `b`, one of them cut short, and one of `a`."""
+    logs = store.root.parent / "logs"
+    for number, (name, end) in enumerate((("b_0", BUDGET), ("b_1", 400), ("a_0", BUDGET))):
+        points = []
+        for k in range(1, end // 100 + 1):
+            points += [("rollout/ep_rew_mean", 100 * k, k / 4), ("train/entropy_loss", 100 * k, -k / 8)]
+        write_events(logs / name / "events.out.tfevents.1.host", [*points, ("time/fps", end, float(number))])
+    import_tensorboard([logs], store)
+    return store.selection("logs") or {}
+
+
+def publish(data: StudyData, store: Store, **options: Any) -> None:
+    store.write(published_path(store, data.study), encode_study(data, **options))
+    store.write(times_path(store, data.study), encode_times(data))
+
+
+def republished(data: StudyData, folder: Path) -> StudyData:
+    """Return a study as it is read from its published table in a folder that holds nothing else."""
+    publish(data, clone := Store(folder / "clone"))
+    (again,) = open_published(clone.root)
+    return again
+
+
+def partly_published(store: Store, record: dict[str, Any], **options: Any) -> StudyData:
+    """Publish a study, lose two of its runs, and open it again."""
+    publish(open_study(store, record), store, **options)
+    gone = [run["run_id"] for run in record["runs"][1:3]]
+    for name in gone:
+        shutil.rmtree(store.run_folder(name))
+    data = open_study(store, record)
+    assert {run.run_id for run in data.published} == {*gone}
+    return data
+
+
+@pytest.fixture(params=["runs", "logs", "published runs", "published logs", "partly runs", "partly logs"])
+def data(request: pytest.FixtureRequest, tmp_path: Path, write_events: WriteEvents) -> StudyData:
+    store = Store(tmp_path / "results")
+    record = imported(store, write_events) if "logs" in request.param else trained(store)
+    if request.param.startswith("partly"):
+        return partly_published(store, record)
+    found = open_study(store, record)
+    return republished(found, tmp_path) if request.param.startswith("published") else found
+
+
+# --- The contract ---------------------------------------------------------------------------------
+
+
+def test_runs_stand_in_the_selections_order_and_say_how_they_ended(data: StudyData) -> None:
+    assert {run.condition for run in data.runs} == set(data.conditions) == {"a", "b"}
+    assert [(run.seed, run.end) for run in data.of_condition("b")] == [(0, BUDGET), (1, 400)]
+    assert {run.status for run in data.runs} <= {"done", "diverged"}
+    assert data.budget == BUDGET
+    assert all(run.records.provenance() for run in data.runs)
+
+
+def test_every_quantity_has_a_curve_that_ends_with_its_run_and_a_final_value(data: StudyData) -> None:
+    assert {"return", "entropy"} <= {*data.quantities} <= {*EPISODE_QUANTITIES, *UPDATE_QUANTITIES}
+    for quantity in data.quantities:
+        for run in data.runs:
+            assert np.isfinite(data.final(run, quantity))
+            for window in data.windows:
+                curve = data.curve(run, quantity, window)
+                assert curve.shape == (200,)
+                assert np.isfinite(curve[data.grid == run.end]).all()
+                assert np.isnan(curve[data.grid > run.end]).all()
+    (b,) = [curve for curve in training_curves(data, "return") if curve.condition == "b"]
+    assert [int(b.count[list(data.grid).index(step)]) for step in (400, 405, 1000)] == [2, 1, 1]
+
+
+def test_what_there_is_not_is_refused_in_one_line(data: StudyData) -> None:
+    run = data.runs[0]
+    for quantity in ({*EPISODE_QUANTITIES, *UPDATE_QUANTITIES} - set(data.quantities)) | {"glory"}:
+        for ask in (data.curve, data.final):
+            with pytest.raises(UserError, match=f"{data.study}: .* holds no {quantity}; its curves are: "):
+                ask(run, quantity)
+    with pytest.raises(UserError, match="unknown window 'trailing-10'"):
+        data.curve(run, "return", "trailing-10")
+    for window in {*WINDOWS} - set(data.windows):
+        with pytest.raises(UserError, match=f"window {window} cannot be had of study {data.study}"):
+            data.curve(run, "return", window)
+    for name in {*RECORD_TABLES, "actions"} - set(data.tables):
+        with pytest.raises(UserError, match=rf"^study {data.study}: .* holds no {name}; there are .*curves$"):
+            data.table(name)
+
+
+def test_tables_say_to_which_run_a_row_belongs(data: StudyData) -> None:
+    for name in data.tables:
+        frame = data.table(name)
+        assert list(frame.columns[:3]) == ["condition", "seed", "run_id"]
+        assert list(dict.fromkeys(frame["run_id"])) == [
+            run.run_id for run in data.runs if run.end >= 500 or name != "evaluations"
+        ]
+    text = encode_table(data, "curves", "csv")[0].decode()
+    assert ("averaged_over" in text.splitlines()[0]) is (data.averaged_over == 100)
+
+
+def test_a_published_table_is_read_as_what_it_was_made_from(data: StudyData, tmp_path: Path) -> None:
+    if 0 < len(data.published) < len(data.runs):
+        return  # what is published anew are runs that are here
+    again = republished(data, tmp_path / "again") if not data.published else data
+    assert again.runs == data.runs
+    for key in ("conditions", "left_out", "same", "title", "figure", "environments", "windows", "quantities"):
+        assert getattr(again, key) == getattr(data, key)
+    for run, other in zip(data.runs, again.runs, strict=True):
+        for quantity in data.quantities:
+            assert again.final(other, quantity) == data.final(run, quantity)
+            for window in data.windows:
+                curves = data.curve(run, quantity, window), again.curve(other, quantity, window)
+                np.testing.assert_array_equal(*curves)
+    for table in ("curves", *again.tables):
+        assert encode_table(again, table, "csv") == encode_table(data, table, "csv")
+
+
+# --- Values by hand -------------------------------------------------------------------------------
+
+
+def test_runs_give_the_means_of_their_episodes_and_updates(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    data = open_study(store, trained(store))
+    diverged = data.of_condition("b")[1]  # seed 1, ended at 400
+    at = {int(step): place for place, step in enumerate(data.grid)}
+    assert data.curve(diverged, "return")[at[95]] == 2.0  # (45, 95]: the first, which returned 1 + 1
+    assert data.curve(diverged, "kills", "trailing-100")[at[200]] == 2.5  # 1, 2, 3, 4
+    assert data.curve(diverged, "entropy")[at[395]] == 0.75  # the third update's, at 300
+    assert data.final(diverged, "return") == 5.5  # 2 … 9
+    assert data.final(diverged, "grad_norm") == 1.0
+    assert data.left_out == 1
+
+
+def test_logs_give_what_was_logged(tmp_path: Path, write_events: WriteEvents) -> None:
+    store = Store(tmp_path / "results")
+    points = [("rollout/ep_rew_mean", 100 * k, float("nan") if k == 2 else k / 4) for k in range(1, 11)]
+    points += [("train/entropy_loss", 100, -0.125), ("charts/SPS", 150, 9.0), ("own", 1000, 2.0)]
+    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
+    import_tensorboard([tmp_path / "logs"], store)
+    data = open_study(store, store.selection("logs") or {})
+    (a,) = data.runs
+    at = {int(step): place for place, step in enumerate(data.grid)}
+    curve = data.curve(a, "return")
+    places = [at[95], at[100], at[195], at[200], at[300]]
+    np.testing.assert_array_equal(curve[places], [np.nan, 0.25, 0.25, np.nan, 0.75])
+    assert data.curve(a, "entropy")[at[100]] == 0.125
+    assert (data.final(a, "return"), data.final(a, "entropy")) == (2.5, 0.125)
+    table = data.table("metrics")
+    assert list(table.columns)[3:] == ["step", "return_mean_100", "entropy", "logged/own"]
+    np.testing.assert_array_equal(table["return_mean_100"], [0.25, np.nan, *(k / 4 for k in range(3, 11))])
+
+
+def test_episodes_of_cleanrl_are_averaged_over_the_last_hundred(
+    tmp_path: Path, write_events: WriteEvents
+) -> None:
+    store = Store(tmp_path / "results")
+    points = [("charts/episodic_return", k, float(k)) for k in range(1, 151)]
+    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
+    import_tensorboard([tmp_path / "logs"], store)
+    data = open_study(store, store.selection("logs") or {})
+    assert data.table("metrics")["return_mean_100"].iloc[[0, 1, 149]].tolist() == [1, 1.5, 100.5]
+    assert data.final(data.runs[0], "return") == 100.5
+
+
+# --- Runs here, and runs that were published ------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{}, {"curves": ("entropy",)}, {"curves": (), "rounding": True}])
+def test_a_study_is_the_same_whichever_of_its_runs_are_here(tmp_path: Path, options: dict[str, Any]) -> None:
+    stores = [Store(tmp_path / name) for name in ("whole", "part")]
+    whole = open_study(stores[0], trained(stores[0]))
+    part = partly_published(stores[1], trained(stores[1]), **options)
+    assert (part.runs, part.left_out) == (whole.runs, 1)
+    assert options or encode_table(part, "curves", "csv") == encode_table(whole, "curves", "csv")
+    assert part.quantities == [name for name in whole.quantities if name in options.get("curves", (name,))]
+    for ours, theirs in zip(whole.runs, part.runs, strict=True):
+        for name in OUTCOMES:
+            np.testing.assert_equal(outcome(part, theirs, name), outcome(whole, ours, name))
+    assert open_study(stores[1], part.record, mixed=False).left_out == 3
+
+
+def test_runs_join_on_the_points_of_the_longest_published_one_and_no_longer_run_joins(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    record = trained(store)
+    record["runs"] = [{**run, "run": {**run["run"]}} for run in record["runs"]]
+    record["runs"][0]["run"]["steps"] = 2 * BUDGET
+    publish(open_study(store, record), store)
+    shutil.rmtree(store.run_folder(B1))
+    data = open_study(store, {**record, "runs": record["runs"][1:]})
+    assert (len(data.runs), data.left_out, data.budget) == (2, 1, 2 * BUDGET)
+    record["runs"][0]["run"]["steps"] = 3 * BUDGET
+    data = open_study(store, record)
+    assert (len(data.runs), data.left_out, data.budget) == (2, 2, 3 * BUDGET)
+
+
+@pytest.mark.parametrize(
+    ("options", "drawn", "again"), [({}, 3, 3), ({"curves": ("entropy",)}, 2, 3), ({"longer": True}, 2, 2)]
+)
+def test_a_run_is_the_same_run_in_another_studys_table(
+    tmp_path: Path, options: dict[str, Any], drawn: int, again: int
+) -> None:
+    """Curves are drawn of runs that have all, on points of one step; outcomes are kept of all runs."""
+    store = Store(tmp_path / "results")
+    record = trained(store)
+    theirs = {**record_of({("their b", 1): B1}), "study": "other"}
+    longer = BUDGET * (1 + ("longer" in options))
+    theirs["runs"][0]["run"] = {**theirs["runs"][0]["run"], "steps": longer}
+    options = {key: value for key, value in options.items() if key != "longer"}
+    publish(open_study(store, theirs), store, **options)
+    shutil.rmtree(store.run_folder(B1))
+    assert len(open_study(store, record).runs) == drawn
+    assert [run.condition for run in open_study(store, record, curves=False).published] == ["b"]
+    mine = open_study(store, record, others=False)
+    assert len(mine.runs) == 2
+    publish(mine, store, **options)
+    shutil.rmtree(store.root / "runs")
+    (data,) = open_published(store.root, ["mine"])
+    assert len(data.runs) == again
+
+
+def test_a_name_stands_for_its_latest_selection_or_what_is_published(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    record = trained(store)
+    publish(open_study(store, record), store)
+    assert (RunIndex(store).record("mine") or {})["source"] == "published"
+    store.save_selection("mine", record)
+    assert "source" not in (RunIndex(store).record("mine") or {})
+    assert RunIndex(store).record("other") is None
+    store.write(published_path(store, "bad"), b"PAR1")
+    index = RunIndex(store)
+    assert index(B0).status == Status("done", BUDGET) and index(A1).status == Status("planned")
+    assert len(open_study(index, record).runs) == 3 and len(index.damaged) == 1
+
+
+# --- What is left out -----------------------------------------------------------------------------
+
+
+def test_only_finished_runs_count_and_without_one_the_command_that_trains_is_named(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    record = trained(store)
+    store.save_run(A1, Status("crashed"), {})
+    assert open_study(store, record).left_out == 1
+    crashed = {**record, "runs": record["runs"][3:], "path": "/here/mine.toml"}
+    with pytest.raises(UserError, match="no run of .* has finished in .*: run `pneuma study run /here/mine"):
+        open_study(store, crashed)
+    with pytest.raises(UserError, match="repeat the command that began it first"):
+        open_study(store, {**crashed, "study": "fork-abcdef01-64-1a2b", "path": None})
+    (store.run_folder(B0) / "episodes.parquet").write_bytes(b"damaged")
+    assert open_study(store, record).left_out == 2
+
+
+@pytest.mark.parametrize("key", ["study", "figure"])
+@pytest.mark.parametrize("name", ["../../out", "/tmp/out", "..", "", "a\\b"])
+def test_a_record_whose_names_lead_elsewhere_is_refused(tmp_path: Path, key: str, name: str) -> None:
+    """They become the names of figures and published tables, and the folder may be anybody's."""
+    store = Store(tmp_path / "results")
+    with pytest.raises(UserError, match=f"names its {key} .* no file name"):
+        open_study(store, {**trained(store), key: name})
+
+
+def test_memory_keeps_what_came_first_and_of_the_rest_the_run_that_is_looked_at() -> None:
+    import pandas as pd
+
+    reads: list[str] = []
+
+    def get(run_id: str, name: str) -> None:
+        def read() -> pd.DataFrame:
+            reads.append(run_id + name)
+            return pd.DataFrame({"step": range(100)})
+
+        memory.get(run_id, name, read)
+
+    memory = Memory(2 * FRAME_BYTES + 2000)
+    for run_id in ("first", "second", "first", "second", "third", "third"):
+        for name in ("1", "2", "1"):
+            get(run_id, name)
+    assert reads == ["first1", "first2", "second1", "second2", "third1", "third2"]

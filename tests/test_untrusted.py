@@ -1,0 +1,196 @@
+"""A results folder may be anybody's: whatever a file of it holds, reading gives a value or one line."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pneuma.analysis.checksums import NO_SUM, with_sum
+from pneuma.analysis.collapse import diagnose
+from pneuma.analysis.export import encode_table
+from pneuma.analysis.outcomes import OUTCOMES, outcome
+from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.run_index import RunIndex, open_study
+from pneuma.errors import UserError
+from pneuma.study.files import read_json, read_whole
+from pneuma.study.store import Status, Store
+from pneuma.study.tables import from_parquet
+
+from .analysis.published_runs import RECORD, record_of, save_run
+from .cli.calls import call
+
+RUN = "a0" * 8
+ONE = record_of({("a", 0): RUN})
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    save_run(store, RUN, 0)
+    store.save_selection("mine", ONE)
+    return store
+
+
+def _unlike(path: Path, kind: str) -> None:
+    """Put something in the place of a file."""
+    path.unlink(missing_ok=True)
+    match kind:
+        case "pipe":
+            os.mkfifo(path)
+        case "device":
+            path.symlink_to("/dev/zero")
+        case "ring":
+            path.symlink_to(path)
+        case "folder":
+            path.mkdir()
+        case "sparse":
+            path.touch()
+            os.truncate(path, 2**38)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "ring", "folder", "sparse"])
+def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: Store, kind: str) -> None:
+    folder = store.run_folder(RUN)
+    before = store.selection("mine")
+    _unlike(store.root / "studies" / "mine.json", kind)
+    assert before and store.selection("mine") is None and read_json(store.selection_path("mine")) is None
+    with pytest.raises(OSError):
+        read_whole(store.selection_path("mine"))
+    _unlike(folder / "metrics.parquet", kind)
+    assert store.status(RUN).name == "damaged"
+    store.write(published_path(store, "other"), b"")
+    _unlike(published_path(store, "other"), kind)
+    with pytest.raises(UserError, match="other.parquet: cannot be read"):
+        read_published(store, "other")
+    _unlike(folder / ".lock", kind)
+    _unlike(folder / "status.json", kind)
+    assert store.status(RUN).name == "damaged"
+    for command in (("study", "status", "mine"), ("run", "list"), ("run", "show", RUN)):
+        assert call(*command, "--results", store.root).code in (0, 2)
+
+
+@pytest.mark.parametrize("part", ["runs", "studies", "published"])
+def test_untrusted_a_ring_of_links_in_place_of_a_folder_is_one_line(tmp_path: Path, part: str) -> None:
+    (tmp_path / part).symlink_to(tmp_path / part)
+    store = Store(tmp_path)
+    for ask in (store.check_writable, store.runs, store.studies, RunIndex(store)._others):
+        try:
+            ask()
+        except UserError as error:
+            assert part in str(error)
+    for command in (("study", "status"), ("study", "status", "activation"), ("run", "list")):
+        assert call(*command, "--results", tmp_path).code in (0, 2)
+
+
+def test_untrusted_a_table_that_unpacks_to_too_much_is_refused_by_its_footer() -> None:
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table({"step": pa.array(np.zeros(70_000_000, np.int8))}), sink, compression="zstd")
+    data = sink.getvalue().to_pybytes()
+    assert len(data) < 1_000_000
+    with pytest.raises(ValueError, match="unpacks to more than 512 MB"):
+        from_parquet(data)
+    for broken in (data[:-9], b"", b"PAR1" * 4):
+        with pytest.raises(ValueError, match="no table that can be read"):
+            from_parquet(broken)
+
+
+def _swapped(store: Store, name: str, change: Any) -> None:
+    """Seal the run again with one of its tables changed."""
+    files = {own: store.read_file(RUN, own) for own in store.file_names(RUN)}
+    sink = pa.BufferOutputStream()
+    pq.write_table(change(from_parquet(files[f"{name}.parquet"])), sink)
+    files[f"{name}.parquet"] = sink.getvalue().to_pybytes()
+    store.save_run(RUN, Status("done", 1000), files)
+
+
+def _put(column: str, values: Any) -> Any:
+    def change(table: pa.Table) -> pa.Table:
+        own = pa.array([values] * len(table)) if not isinstance(values, pa.Array) else values
+        return table.set_column(table.column_names.index(column), column, own)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("metrics", _put("step", "text")),
+        ("metrics", _put("step", None)),
+        ("metrics", _put("entropy", "text")),
+        ("metrics", lambda table: table.drop_columns(["step"])),
+        ("metrics", lambda table: table.drop_columns(["action_3"])),
+        ("metrics", lambda table: table.append_column("step", table["step"])),
+        ("episodes", _put("slot", 0.5)),
+        ("episodes", _put("return", [[1.0]])),
+        ("episodes", _put("ending", 3)),
+        ("evaluations", _put("step", {"a": 1})),
+        ("evaluations", _put("share_killed", b"bytes")),
+    ],
+)
+def test_untrusted_a_sealed_table_that_makes_no_sense_is_one_line(
+    store: Store, name: str, change: Any
+) -> None:
+    _swapped(store, name, change)
+    data = open_study(store, ONE)
+    with pytest.raises(UserError, match=rf"{name}.parquet: (column|has no column|has two)"):
+        encode_study(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [("metrics", _put("action_3", float("nan"))), ("metrics", _put("entropy", float("inf"))),
+     ("metrics", lambda table: table.slice(0, 0)), ("episodes", lambda table: table.slice(0, 0)),
+     ("episodes", _put("return", float("nan"))), ("evaluations", lambda table: table.slice(0, 0)),
+     ("evaluations", _put("step", -1)), ("episodes", _put("slot", 2**62))],
+)  # fmt: skip
+def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any) -> None:
+    _swapped(store, name, change)
+    data = open_study(store, ONE)
+    (run,) = data.runs
+    assert diagnose(data, run) is not None
+    assert all(isinstance(outcome(data, run, own), float) for own in OUTCOMES)
+    assert encode_table(data, "curves", "csv") and encode_study(data)
+
+
+@pytest.mark.parametrize(
+    ("head", "column", "values"),
+    [({"budget": "much"}, "", None), ({"windows": []}, "", None), ({"windows": ["a"]}, "", None),
+     ({"tables": ["episodes"]}, "", None), ({"averaged_over": "all"}, "", None), ({"same": 3}, "", None),
+     ({"study": 3}, "", None), ({}, "run_id", "../.."), ({}, "settings", "[]"), ({}, "settings", "{}"),
+     ({}, "settings", "{"), ({}, "provenance", "3"), ({}, "signs", '{"unit": 1, "signs": {"a": [1]}}'),
+     ({}, "signs", "{}"), ({}, "end", "text"), ({}, "end", None), ({}, "entropy", [[1.0]]),
+     ({}, "entropy", "x"), ({}, "return budget-5%", [[1.0] * 199]), ({}, "final_return", "x"),
+     ({}, "outcome final-return", None), ({}, "evaluations", [[{"a": 1.0}]]), ({}, "evaluations", 3),
+     ({}, "status", 3)],
+)  # fmt: skip
+def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
+    store: Store, head: dict[str, Any], column: str, values: Any
+) -> None:
+    table = from_parquet(encode_study(open_study(store, ONE)))
+    told = {**json.loads(table.schema.metadata[b"pneuma"]), **head}
+    if column:
+        own = pa.array(values if isinstance(values, list) else [values])
+        table = table.set_column(table.column_names.index(column), column, own)
+    sink = pa.BufferOutputStream()
+    metadata = {"pneuma": json.dumps(told), "pneuma.checksum": NO_SUM}
+    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="none")
+    store.write(published_path(store, "mine"), with_sum(sink.getvalue().to_pybytes()))
+    with pytest.raises(UserError, match="mine.parquet: is no published table of a study"):
+        read_published(store, "mine")
+    assert len(open_study(store, ONE).runs) == 1
+    with pytest.raises(UserError, match="mine.parquet: is no"):
+        open_study(store, RECORD)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000, '"' + "a" * 100, "\x00"])
+def test_untrusted_nonsense_in_place_of_json_is_nothing(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert read_json(tmp_path / "a.json") is None
