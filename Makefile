@@ -133,7 +133,7 @@ docs: install  ## Build the pages of docs/ as a site in site/, with all commands
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 test: install lint  ## Check style and types, and run the fast tests
-	$(BIN)/python -m pytest -m 'not slow'
+	$(BIN)/python -m pytest -m 'not slow' -n auto --dist loadfile
 
 storm: install  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.study.storm
