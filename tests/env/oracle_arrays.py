@@ -7,8 +7,7 @@ float32. Of the eight places that a monster keeps for players, those of existing
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +15,8 @@ from pneuma.env.worlds import Worlds
 
 from .oracle import Oracle
 from .oracle_moves import Ground
-from .oracle_parts import Events, Kind, Monster, Player, PlayerStats, Rulebook, Settings
+from .oracle_parts import Events, Monster, Player, Row, Rulebook
 from .oracle_view import mask, observe
-
-_Row = TypeVar("_Row", PlayerStats, Kind, Settings)
-
 
 # --- From arrays -------------------------------------------------------------------------------------
 
@@ -32,13 +28,13 @@ def make_oracles(worlds: Worlds) -> list[Oracle]:
 
 
 def read_rulebook(worlds: Worlds) -> Rulebook:
-    """Read what does not change from the arrays that `Worlds` made, all but the kernel's shortcuts."""
+    """Read what does not change from the arrays that `Worlds` made; the kernel's shortcuts go unread."""
     row = worlds.settings[0]
     corner = float(row["left"]), float(row["top"]), float(row["tile"])
     return Rulebook(
-        settings=_read_row(Settings, row, magic=worlds.config.magic),
-        stats=[_read_row(PlayerStats, stats) for stats in worlds.player_stats],
-        kinds=[[_read_row(Kind, kind) for kind in level] for level in worlds.monster_stats],
+        settings=_read_row(row, magic=worlds.config.magic),
+        stats=[_read_row(stats) for stats in worlds.player_stats],
+        kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
         grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
     )
@@ -64,10 +60,8 @@ def read_state(world: Oracle, worlds: Worlds, index: int) -> None:
         player.events = Events()
 
 
-def _read_row(form: type[_Row], row: Any, **beside: Any) -> _Row:
-    return form(
-        **{item.name: row[item.name].tolist() for item in fields(form) if item.name not in beside}, **beside
-    )
+def _read_row(row: Any, **beside: Any) -> Row:
+    return Row(**{name: row[name].tolist() for name in row.dtype.names}, **beside)
 
 
 def _read_fields(target: Player | Monster, row: Any, but: tuple[str, ...]) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 from pneuma.env.rules import DOWN, LEFT, RIGHT, UP
 
@@ -17,111 +18,20 @@ WAYS = {DOWN: (0.0, 1.0), LEFT: (-1.0, 0.0), UP: (0.0, -1.0), RIGHT: (1.0, 0.0)}
 # --- What is given ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class PlayerStats:
-    """What a player's class, weapon and spells can do; lists go by facing."""
+Row = SimpleNamespace
+"""Fields of a player, a monster or the world that do not change: a row of the arrays of `Worlds`.
 
-    hp: float
-    energy: float
-    energy_gain: float
-    speed: float
-    half_width: float
-    half_height: float
-    body_x: float  # the box's centre from the position
-    body_y: float
-    damage: float
-    swing: int
-    knock_ticks: int
-    knock_speed: float
-    safe: int
-    sword_x: list[float]
-    sword_y: list[float]
-    sword_half_width: list[float]
-    sword_half_height: list[float]
-    hilt_x: list[float]  # what a sword knocks away from, from the position
-    hilt_y: list[float]
-    flame_ticks: int
-    heal_ticks: int
-    flame_damage: float
-    flame_cost: float
-    flame_x: list[float]
-    flame_y: list[float]
-    flame_half_width: list[float]
-    flame_half_height: list[float]
-    heal: float
-    heal_cost: float
-    reward: int
-    hp_scale: float
-    energy_scale: float
-
-
-@dataclass(frozen=True)
-class Kind:
-    """What a monster is like, where it lives, and how it is seen."""
-
-    home_x: float
-    home_y: float
-    hp: float
-    speed: float
-    half_width: float
-    half_height: float
-    body_x: float  # the centres of box and circles from the position
-    body_y: float
-    notice_x: float
-    notice_y: float
-    attack_x: float
-    attack_y: float
-    notice_squared: float
-    attack_squared: float
-    stand_off: float
-    damage: float
-    bite_ticks: int
-    safe: int
-    knock_ticks: int  # below 0: it flies as the weapon has it
-    knock_speed: float
-    xp: float
-    heal: float
-    perceived: int
-    hp_scale: float
-    distance_scale: float
-    xp_scale: float
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What holds for the whole world."""
-
-    ticks: int
-    step_limit: int
-    end_on_clear: int
-    bodies_block: int
-    player_stops: int  # bit c: tiles of code c stop players
-    monster_stops: int
-    deadly_coast: int
-    bite_while_knocked: int
-    healing_cap: int
-    credit_near: int
-    ending_cost: float
-    keep_xp: int
-    magic: bool
-    layout: int
-    observe_facing: int
-    fixed_order: int
-    perceived: int
-    middle_x: float
-    middle_y: float
-    scale_x: float
-    scale_y: float
-    xp_scale: float
+What they mean is in `pneuma/env/state.py`; lists go by facing.
+"""
 
 
 @dataclass(frozen=True)
 class Rulebook:
     """Everything that does not change while a world is played; the last three go by level."""
 
-    settings: Settings
-    stats: list[PlayerStats]
-    kinds: list[list[Kind]]
+    settings: Row
+    stats: list[Row]
+    kinds: list[list[Row]]
     grounds: list[Ground]
     starts: list[list[tuple[float, float]]]
 
@@ -150,7 +60,7 @@ class Events:
 class Player:
     """A player; dead without HP."""
 
-    stats: PlayerStats
+    stats: Row
     x: float = 0.0
     y: float = 0.0
     hp: float = 0.0
@@ -175,7 +85,7 @@ class Player:
 class Monster:
     """A monster; lists and the set go by player."""
 
-    kind: Kind
+    kind: Row
     bite: list[int]
     struck_by: list[int]
     noticed: set[int] = field(default_factory=set)
@@ -292,7 +202,7 @@ def gap_squared(player: Player, x: float, y: float) -> float:
     return across * across + down * down
 
 
-def approach(offset: float, kind: Kind) -> float:
+def approach(offset: float, kind: Row) -> float:
     """Return a chasing monster's step on one axis: its full pace, or none within its stand-off."""
     if offset > kind.stand_off:
         return kind.speed

@@ -19,13 +19,6 @@ CLASSES = {  # HP, energy, attack, magic, speed
     "mage": (70, 80, 7, 6, 5),
     "warrior": (100, 60, 12, 4, 5),
 }
-WEAPONS = {  # damage, ticks of 400 ms and the cool-down together at 60 a second
-    "sword": (15, 30),  # 500 ms
-    "lance": (30, 48),  # 800 ms
-    "axe": (20, 42),  # 700 ms
-    "rapier": (8, 27),  # 450 ms
-    "sai": (10, 29),  # 480 ms are 28.8 ticks
-}
 MONSTERS = {  # HP, XP, attack, speed, knock-back, attack radius, notice radius
     "squid": (1, 10, 2, 3, 20, 100, 200),
     "raccoon": (1, 25, 5, 2, 10, 100, 180),
@@ -203,16 +196,3 @@ def test_a_mistake_is_one_line_with_file_table_key_and_value(tmp_path: Path, tex
     file = write(tmp_path, text)
     message = complaint(file)
     assert message.startswith(file) and told in message
-
-
-@pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"classes": "tnak"}, "unknown class 'tnak' (did you mean tank?)"),
-        ({"weapons": "swrod"}, "unknown weapon 'swrod' (did you mean sword?)"),
-    ],
-)
-def test_an_unknown_class_or_weapon_is_told_the_nearest(settings: dict[str, object], told: str) -> None:
-    with pytest.raises(UserError) as caught:
-        Worlds(1, make_env_config(settings))
-    assert str(caught.value).startswith(told) and "\n" not in str(caught.value)

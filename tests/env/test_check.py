@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pneuma.env import check
 from pneuma.env.check import check_environment, check_faces, check_restore
-from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
@@ -64,17 +61,6 @@ def test_a_vector_face_that_pays_otherwise_after_a_reset_is_found(monkeypatch: p
     change(monkeypatch, PneumaVectorEnv, "step", pay_more)
     with pytest.raises(UserError, match=r"the vector face: world 0, step 4\d: rewards differ"):
         check_faces(THESIS, {})
-
-
-def test_slots_without_terminal_observations_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def forget(env: Any, call: int, told: tuple[Any, ...]) -> tuple[Any, ...]:
-        for info in told[3]:
-            info.pop("terminal_observation", None)
-        return told
-
-    change(monkeypatch, PneumaVecEnv, "step_wait", forget)
-    with pytest.raises(UserError, match="no terminal observation"):
-        check_faces(THESIS, {"episode_steps": 100_000})
 
 
 def test_a_face_that_tells_the_wrong_ending_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,12 +118,3 @@ def test_a_reward_that_raises_is_named_with_its_line(
     problem = found["observations inside"]
     assert f"reward 'late_{kind.lower()}:pay'" in problem and kind in problem
     assert f"late_{kind.lower()}.py, line 6" in problem
-
-
-def test_no_window_is_asked_for_where_pygame_is_not_installed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """It is an extra: `pneuma env check` is there for every installation."""
-    monkeypatch.setitem(sys.modules, "pygame", None)  # importing it fails, and finding it
-    monkeypatch.setattr(check, "find_spec", lambda name: None)
-    assert problems(THESIS)["Gymnasium"] == ""

@@ -10,9 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from numba.core import caching
 
-from pneuma.env.compiled import KERNEL_SOURCES, PACKAGE, cached
+from pneuma.env.compiled import KERNEL_SOURCES, PACKAGE
 
 HANDLE = "from pneuma.env.state import HANDLE; print(HANDLE.names[2])"
 CHOOSE = """
@@ -34,17 +33,6 @@ chosen = np.zeros((1, 1), np.int64)
 rollout._choose(worlds.handle, weights, np.array([features, 1, 2]), 0, draws, tape, 0, chosen, scratch)
 print(tape.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
-
-
-def double(number: float) -> float:
-    return 2 * number
-
-
-def test_where_no_folder_can_be_written_it_compiles_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where another user installed it, and one's own home cannot be written."""
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    compiled = cached(error_model="numpy")(double)
-    assert compiled(3.0) == 6.0 and compiled.stats.cache_path is None
 
 
 @pytest.fixture
@@ -78,6 +66,7 @@ def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) 
     assert said(CHOOSE, copy) == "1"
 
 
+@pytest.mark.slow
 def test_a_change_of_any_file_with_kernels_is_a_change_of_the_handle(copy: Path) -> None:
     """Also of how the state is laid out, which is told in state.py alone."""
     names = [said(HANDLE, copy)]

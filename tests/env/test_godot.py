@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
-from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.single import PneumaEnv
 from pneuma.env.worlds import Worlds
 
@@ -19,11 +18,9 @@ from .arena import (
     LEFT,
     RIGHT,
     STAND,
-    UP,
     Place,
     move_monster,
     play,
-    player_at,
     player_hp,
     stage,
 )
@@ -88,44 +85,6 @@ def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
 # --- Endings -------------------------------------------------------------------------------------
 
 
-def test_death_by_bites_costs_1_xp_and_terminates() -> None:
-    env = make()
-    env.reset(seed=0)
-    env.state.players["hp"], env.state.players["xp"] = 7, 4
-    move_monster(env.state, 0, FIRST[0] - 40, FIRST[1])
-    _, paid, terminated, truncated, info = env.step(np.int64(ATTACK))
-    assert (terminated, truncated) == (True, False)
-    assert (info["ending"], info["xp"], info["hp"]) == ("killed", 3.0, 0.0)
-    assert paid == 3.0  # set to the XP
-
-
-def swim() -> PneumaEnv:
-    """Return an environment whose player stands two ticks' walk off the northern coast, with 4 XP."""
-    env = make(coast="deadly")
-    env.reset(seed=0)
-    # At column 20, x from (20 - 28) x 64 = -512, find where the land ends.
-    level = env.state.level
-    column = int((-480 - level.left) // level.tile)
-    row = int(np.flatnonzero(level.terrain[:, column] != 2)[0])
-    env.state.players["x"], env.state.players["y"] = -480.0, level.top + row * level.tile + 7.0
-    env.state.players["xp"] = 4
-    env.state.monsters["hp"] = 0
-    env.state.monsters["hp"][0, 0] = 40  # far off
-    move_monster(env.state, 0, 0.0, 500.0)
-    return env
-
-
-def test_a_deadly_coast_kills_and_costs_no_xp() -> None:
-    env = swim()
-    y = player_at(env.state)[1]
-    _, paid, terminated, truncated, info = env.step(np.int64(UP))
-    assert (terminated, truncated) == (True, False)
-    assert (info["ending"], info["xp"], info["hp"]) == ("killed", 4.0, 0.0)
-    assert paid == 0.0  # nothing happened on the way
-    assert env.state.events["hp_lost"][0, 0] == 100
-    assert player_at(env.state) == (-480.0, y - 10.0)  # its centre is out at sea: 7 px, 5 a tick
-
-
 def test_clearing_the_level_costs_1_xp_and_terminates() -> None:
     env = make()
     env.reset(seed=0)
@@ -187,18 +146,3 @@ def test_the_reward_of_a_chase_is_1_for_each_circle(arena: str) -> None:
         paid.append(reward(worlds))
     assert paid.count(1.0) == 2 and paid.count(0.0) == 28 and paid[0] == 1.0
     assert player_hp(worlds) < 100
-
-
-# --- Everything together -------------------------------------------------------------------------
-
-
-def returns(level: str, first: int, second: int) -> tuple[list[float], set[str]]:
-    """Return the returns of episodes of two actions in turn, and how they ended."""
-    env = PneumaVecEnv([0], make_env_config({"level": level, "coast": "deadly"}, GODOT))
-    env.keep_finished = True
-    env.reset()
-    step = 0
-    for _ in range(300):
-        _, _, dones, _ = env.step(np.array([(first, second)[step % 2]]))
-        step = 0 if dones[0] else step + 1
-    return [episode["return"] for episode in env.finished], {episode["ending"] for episode in env.finished}

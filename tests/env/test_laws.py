@@ -22,7 +22,7 @@ from .oracle_maps import KINDS, Map
 from .oracle_moves import HAIR
 
 LAW = settings(
-    max_examples=100,
+    max_examples=60,
     derandomize=True,
     database=None,
     deadline=None,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import OBSERVATIONS, ORDERS, SCALES, make_env_config
-from pneuma.env.observation import feature_names
+from pneuma.config import OBSERVATIONS, ORDERS, SCALES
 from pneuma.env.worlds import Worlds
 
 from .arena import (
@@ -42,21 +41,6 @@ def rows(worlds: Worlds) -> np.ndarray:
     """Return the monsters' part of what the first player sees, a row each."""
     head, width = WIDTHS[worlds.config.observation]
     return seen(worlds)[head:].reshape(-1, width)
-
-
-# --- Names ---------------------------------------------------------------------------------------
-
-
-def test_the_names_are_in_the_order_of_the_numbers() -> None:
-    assert feature_names(make_env_config({"observation": "pygame"}), 1) == [
-        "x", "y", "facing_x", "facing_y", "hp", "energy",
-        "monster_0_distance", "monster_0_direction_x", "monster_0_direction_y", "monster_0_hp",
-        "monster_0_xp",
-    ]  # fmt: skip
-    assert feature_names(make_env_config({"observation": "godot"}), 1) == [
-        "x", "y", "hp", "xp",
-        "monster_0_x", "monster_0_y", "monster_0_hp", "monster_0_direction_x", "monster_0_direction_y",
-    ]  # fmt: skip
 
 
 # --- The layout of the Godot version -------------------------------------------------------------
@@ -140,18 +124,6 @@ def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: l
     worlds = look(zoo, *places, perceive=perceive, scale="raw", order="fixed")
     assert rows(worlds)[:, 0].tolist() == pytest.approx(sorted(distances))  # they stand in this order
     assert worlds.space.contains(seen(worlds))
-
-
-@pytest.mark.parametrize("layout", OBSERVATIONS)
-def test_in_fixed_order_the_others_stay_where_a_dead_monsters_row_was(zoo: str, layout: str) -> None:
-    """A row of zeros; in the Godot version's layout it lies, without HP, where it died."""
-    worlds = look(zoo, (54.0, 0.0), observation=layout, perceive="all", order="fixed")
-    before = rows(worlds).copy()
-    worlds.monsters["hp"][0, 1] = 0
-    worlds.observe()
-    dead = before[1] * [1, 1, 0, 1, 1] if layout == "godot" else np.zeros(len(before[1]))
-    assert np.array_equal(rows(worlds)[1], dead)
-    assert np.array_equal(rows(worlds)[[0, 2, 3]], before[[0, 2, 3]])
 
 
 # --- Bounds --------------------------------------------------------------------------------------

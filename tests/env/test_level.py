@@ -64,14 +64,6 @@ def test_the_shipped_level_has_the_published_places(thesis: Level) -> None:
     assert list(thesis.monsters) == [("bamboo", *place) for place in MONSTERS]
 
 
-def test_what_blocks_is_coast_and_code_395(folder: Path) -> None:
-    tiles = np.full((20, 20), -1)
-    tiles[3, 4], tiles[0, 0] = 395, 395
-    (folder / "obstacles.csv").write_text(layer(tiles))
-    terrain = load_level(str(folder), CODES).terrain
-    assert (terrain[3, 4], terrain[3, 5], terrain[0, 0]) == (rules.SOLID, rules.OPEN, rules.COAST)
-
-
 # --- What is said of a bad level -----------------------------------------------------------------
 
 

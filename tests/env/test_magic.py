@@ -49,15 +49,6 @@ def energy(worlds: Worlds) -> float:
     return float(worlds.players["energy"][0, 0])
 
 
-def masked(worlds: Worlds) -> list[int]:
-    """Return the masks of flame and heal."""
-    worlds.observe()
-    return [int(allowed) for allowed in worlds.masks[0, 0, FLAME:]]
-
-
-# --- Actions -------------------------------------------------------------------------------------
-
-
 # --- Flame ---------------------------------------------------------------------------------------
 
 
@@ -133,19 +124,3 @@ def test_energy_comes_back_by_magic_up_to_full(arena: str, name: str, full: floa
     worlds.players["energy"] = full - 0.1
     play(worlds, RIGHT)
     assert energy(worlds) == full
-
-
-# --- Masks ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("spell", "cost"), [(FLAME, 20), (HEAL, 10)])
-def test_a_spell_that_energy_suffices_for_during_the_step_is_allowed(
-    arena: str, spell: int, cost: float
-) -> None:
-    # 0.1 short, at 0.04 a tick: the spell is tried at every tick and cast in the fourth.
-    worlds = cast(arena)
-    worlds.players["hp"], worlds.players["energy"] = 50, cost - 0.1
-    allowed = masked(worlds)[spell - FLAME]
-    play(worlds, spell)
-    assert worlds.players["busy"][0, 0] == 24 - 5
-    assert allowed == 1

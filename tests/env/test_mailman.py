@@ -117,12 +117,3 @@ def test_the_best_route_is_over_the_letters(settings: dict[str, Any], gamma: flo
     slip = settings.get("slip", 0.0)
     assert values[LETTERS] == pytest.approx([1.0, 1.0], abs=0.08)
     assert values[OFFICE] == pytest.approx([(1 - slip) * gamma - slip, slip * gamma - (1 - slip)], abs=0.08)
-
-
-def test_the_values_of_the_certain_day_are_exact() -> None:
-    env = make()
-    env.reset(seed=0)
-    chances, rewards = learn_model(env, 1)
-    assert rewards.tolist() == [[0, -1], [1, 1]]
-    assert chances[OFFICE].tolist() == [[0, 1, 0], [0, 0, 1]]
-    assert iterate_values(chances, rewards, 0.9).tolist() == [[0.9, -1], [1, 1]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.env.single import PneumaEnv
 from pneuma.env.worlds import Worlds
 
 from .arena import (
@@ -105,13 +104,3 @@ def test_a_masked_action_leaves_the_player_where_it_is(env_id: str) -> None:
         met += np.bincount(stride[masked], minlength=7)
         worlds.reset(worlds.worlds["ending"] != 0)
     assert (met[[DOWN, LEFT, UP, RIGHT, 5, 6]] > 20).all() and met[ATTACK] == 0
-
-
-# --- Where they are handed out -------------------------------------------------------------------
-
-
-def test_gymnasium_samples_allowed_actions_by_them(arena: str) -> None:
-    env = PneumaEnv(level=arena)
-    env.reset(seed=0)
-    info = env.step(np.int64(ATTACK))[-1]
-    assert {int(env.action_space.sample(info["action_mask"])) for _ in range(20)} == {ATTACK}

@@ -48,17 +48,6 @@ def test_what_is_no_start_place_is_refused(face: str, options: Any, error: type,
     assert "\n" not in str(caught.value)
 
 
-def test_a_refused_reset_leaves_the_world_as_it_was() -> None:
-    env = PneumaVectorEnv(2)
-    env.reset(seed=0)
-    before = env.state.worlds.copy()
-    with pytest.raises(TypeError):
-        env.reset(seed=1, options={"start": "first"})
-    with pytest.raises(TypeError):
-        env.reset(seed=1, options={"reset_mask": [True, False]})
-    assert (env.state.worlds == before).all()
-
-
 def step(face: str, env: Any, action: Any) -> None:
     """Let the only player, or the first of two worlds, do something."""
     steps = {"single": action, "parallel": {"player_0": action}}

@@ -178,13 +178,6 @@ def test_when_one_dies_in_a_step_the_others_live_on_without_him(tmp_path: Path) 
     assert (told(pair, "present"), told(pair, "y")) == ([0, 8], [507, 512])
 
 
-def test_of_two_players_equally_near_the_first_is_chased(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (512.0, 512.0), players=2, characters="")
-    put(pair, x=(613.5, 413.5), y=512.0)  # their bodies' centres are 1.5 px further left
-    act(pair, ATTACK, ATTACK)
-    assert pair.worlds.monsters["x"][0, 0] == 512 + 8 * 2.5
-
-
 @pytest.mark.parametrize(("hp", "left"), [(7.0, 20.0), (95.0, 93.0)])
 def test_a_spell_heals_before_the_bite_of_its_tick(tmp_path: Path, hp: float, left: float) -> None:
     pair = set_up(tmp_path, (550.0, 512.0), magic=True)
@@ -251,13 +244,6 @@ def test_a_bite_that_was_not_to_be_does_not_save_from_the_sea(tmp_path: Path) ->
     assert (told(pair, "present"), told(pair, "died"), told(pair, "xp")) == ([3, 1], [1, 1], [0, -1])
 
 
-def test_the_dead_begin_no_further_attack(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (550.0, 512.0))
-    put(pair, hp=7, busy=3)  # an attack would begin in tick 4
-    act(pair, ATTACK)
-    assert (told(pair, "present"), told(pair, "attack")) == ([1], [0])
-
-
 def test_a_bite_clock_of_the_dead_stops_whether_or_not_somebody_is_near(tmp_path: Path) -> None:
     # Attack circle beyond the notice circle: the bamboo is not reminded of the dead by having noticed him.
     wide = "[monsters.bamboo]\nspeed = 0\nnotice = 10\nattack = 100\n"
@@ -269,23 +255,6 @@ def test_a_bite_clock_of_the_dead_stops_whether_or_not_somebody_is_near(tmp_path
     assert pair.worlds.monsters["bite"][0, 0, 0] == 0
 
 
-def test_who_waits_to_bite_forgets_a_lone_player_who_dies(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (470.0, 512.0), (552.0, 512.0))
-    pair.worlds.monsters["noticed"], pair.worlds.monsters["bite"][0, :, 0] = 1, (30, 3)
-    put(pair, hp=7)
-    act(pair, ATTACK)  # bitten by the second in tick 3
-    assert (told(pair, "present"), told(pair, "died")) == ([3], [1])
-    assert pair.worlds.monsters["bite"][0, :, 0].tolist() == [0, 0]
-
-
-def test_healing_to_full_hp_is_exact_when_nobody_is_near(tmp_path: Path) -> None:
-    quiet = "[players.base]\nhp = 3.9\n[monsters.bamboo]\nnotice = 10\n"
-    pair = set_up(tmp_path, FAR, characters=quiet, magic=True)
-    put(pair, hp=0.119)
-    act(pair, HEAL)  # 0.119 + (3.9 - 0.119) is 3.8999999999999995
-    assert told(pair, "hp") == [3.9]
-
-
 def test_a_monster_right_at_the_hilt_flies_nowhere(tmp_path: Path) -> None:
     # Its flight is too short to be flown: with a longer one, the NaN of 0 / 0 once ended the process.
     own = "hilt = {down = 0, left = 0, up = 0, right = 0}\n"
@@ -293,15 +262,6 @@ def test_a_monster_right_at_the_hilt_flies_nowhere(tmp_path: Path) -> None:
     pair = set_up(tmp_path, HERE, characters=f"[weapons.blade]\n{own}{QUIET}{still}")
     act(pair, ATTACK)
     assert (told(pair, "hits"), pair.worlds.monsters["knock_x"].tolist()) == ([1], [[0.0]])
-
-
-@pytest.mark.parametrize("order", ["nearest", "fixed"])
-def test_the_nearest_are_seen_in_either_order(tmp_path: Path, order: str) -> None:
-    near, far, nearer = (512.0, 712.0), (200.0, 200.0), (612.0, 512.0)
-    chosen = {"observation": "godot", "perceive": "nearest:2", "order": order}
-    pair = set_up(tmp_path, near, far, nearer, **chosen)
-    seen = pair.worlds.observations[0, 0, 4:].reshape(2, 5)[:, :2].tolist()
-    assert seen == [[*near], [*nearer]] if order == "fixed" else [[*nearer], [*near]]
 
 
 def test_an_ended_world_stays_as_it_is_when_another_begins_anew(tmp_path: Path) -> None:

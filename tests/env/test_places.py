@@ -11,7 +11,7 @@ from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import DOWN, LEFT, RIGHT, UP, Place, begin, play, write_level
+from .arena import Place, begin, write_level
 
 GIANT = """
 [players.giant]
@@ -25,8 +25,6 @@ weapon = "blade"
 invulnerable = 0.0
 energy_recovery = 0.6
 """
-WALLS = [(12, 10), (10, 12)]
-"""Tiles to the right of, and below, the tile (10, 10) and its neighbours: x and y from 128 to 192."""
 
 
 @pytest.fixture
@@ -53,16 +51,6 @@ def test_a_start_place_inside_an_obstacle_is_refused(tmp_path: Path) -> None:
         "start place 1 at (48.5, 48) has a body of 47 x 48 px, which overlaps the tile in row 11, column 12"
     )
     assert complaint(level=level) == f"level {level}: {told}: it would be stuck there"
-
-
-def test_touching_is_no_overlap(tmp_path: Path) -> None:
-    walls = [(11, 10), (10, 11)]
-    level = write_level(tmp_path / "level", [(42.0, 38.0)], [(-200.0, -200.0)], walls)
-    worlds = begin(1, level=level)
-    play(worlds, RIGHT, DOWN)
-    assert (worlds.players["x"][0, 0], worlds.players["y"][0, 0]) == (42.0, 38.0)
-    play(worlds, LEFT, UP)
-    assert (worlds.players["x"][0, 0], worlds.players["y"][0, 0]) == (2.0, -2.0)
 
 
 def test_the_coast_stops_a_body_unless_it_kills(tmp_path: Path) -> None:
@@ -126,28 +114,6 @@ def test_a_body_wider_than_the_way_is_refused(tmp_path: Path, giant: str) -> Non
     told = complaint(level=level, characters=giant, classes="giant")
     assert told.endswith("walled in or off the land, for a body of 100 x 100 px")
     begin(1, level=corridor(tmp_path, 2), characters=giant, classes="giant")
-
-
-def test_a_way_that_is_let_pass_can_be_walked(tmp_path: Path, giant: str) -> None:
-    """The giant walks from one half to the other, in the middle of the two tiles."""
-    level = corridor(tmp_path, 2)
-    worlds = begin(1, level=level, characters=giant, classes="giant", bodies="pass")
-    worlds.monster_stats["damage"] = 0.0
-    play(worlds, *[RIGHT] * 20)
-    assert worlds.players["x"][0, 0] > 300
-
-
-def test_a_random_level_is_refused_to_whom_it_does_not_hold(tmp_path: Path) -> None:
-    (tmp_path / "colossus.toml").write_text("[players.base]\nbody = [400, 300]\n")
-    told = complaint(level="random:train:0", characters=str(tmp_path / "colossus.toml"))
-    assert told.startswith("level random:train:0: a place is walled in")
-
-
-def test_monsters_that_nothing_stops_and_trees_that_let_pass_cut_nobody_off(tmp_path: Path) -> None:
-    level = corridor(tmp_path, 0)
-    assert "the bamboo at 300,0 is walled in" in complaint(level=level)
-    begin(1, level=level, trees="pass")
-    begin(1, level=level, terrain_stops="players")
 
 
 def test_more_places_than_a_level_may_have_are_refused_at_once(tmp_path: Path) -> None:

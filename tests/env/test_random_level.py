@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import deque
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from pneuma.env.random_level import random_level
 from pneuma.errors import UserError
 
 CODES = {390: "bamboo", 391: "spirit"}
-MANY = 200
+MANY = 60
 
 Tile = tuple[int, int]
 
@@ -45,27 +44,11 @@ def tile_of(level: Level, x: float, y: float) -> Tile:
     return int((y - level.top) // 64), int((x - level.left) // 64)
 
 
-def way(level: Level, start: Tile, goal: Tile) -> list[Tile]:
-    """Return a way over open tiles side by side, from after the start to the goal."""
-    came_from = {start: start}
-    queue = deque([start])
-    while goal not in came_from:
-        row, column = queue.popleft()  # IndexError: there is none
-        for tile in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
-            if level.terrain[tile] == rules.OPEN and tile not in came_from:
-                came_from[tile] = (row, column)
-                queue.append(tile)
-    steps = [goal]
-    while came_from[steps[-1]] != steps[-1]:
-        steps.append(came_from[steps[-1]])
-    return steps[-2::-1]
-
-
 # --- The same from the number alone --------------------------------------------------------------
 
 
 def test_a_number_gives_the_same_island_in_any_order(levels: dict[str, list[Level]]) -> None:
-    for number in (7, 3, 199, 0):
+    for number in (7, 3, 59, 0):
         for split in ("test", "train"):
             again = load_level(f"random:{split}:{number}", CODES)
             assert digest(again) == digest(levels[split][number])

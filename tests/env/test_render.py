@@ -5,14 +5,11 @@ The arena's grid spans -640 … 640 on both axes, so that the art pixel of a pla
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from pneuma.env import rules, sprites
-from pneuma.env.render import Renderer, ground_kinds
+from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -82,24 +79,6 @@ def test_bar_over_a_monster_is_as_long_as_its_hp(arena: str, hp: float, length: 
     assert count_colour(bare(worlds), sprites.RED) == length
 
 
-def test_bite_flashes_and_hit_monster_flashes(arena: str) -> None:
-    worlds = stage(arena, (-200.0, -200.0))
-    calm = bare(worlds)
-    worlds.monsters["knocked"][0, 0] = 27
-    x, _ = changed(calm, bare(worlds))
-    assert x.size > 0 and (abs(x - 110) <= BODY).all()
-    worlds.monsters["knocked"][0, 0] = 0
-    worlds.monsters["bite"][0, 0, 0] = worlds.monster_stats["bite_ticks"][0, 0]
-    x, _ = changed(calm, bare(worlds))
-    assert x.size > 0 and (abs(x - MIDDLE) <= BODY).all()
-
-
-def test_unknown_kind_of_monster_is_drawn_as_a_stranger() -> None:
-    stranger = sprites.monster_picture("stranger", 0)
-    np.testing.assert_array_equal(sprites.monster_picture("ogre", 0), stranger)
-    assert not np.array_equal(sprites.monster_picture("squid", 0)[:14, :14], stranger[:14, :14])
-
-
 def test_ground_is_blue_exactly_where_the_coast_is() -> None:
     """In the middle of every tile of the shipped level; borders may wander by a few pixels."""
     worlds = Worlds(1)
@@ -129,27 +108,6 @@ def test_following_camera_is_the_map_around_the_player(
     left, top = corner
     expected = bare(worlds)[top : top + 176, left : left + 240].repeat(4, 0).repeat(4, 1)
     np.testing.assert_array_equal(Renderer(worlds, "follow", panel=False).frame(), expected)
-
-
-def test_camera_follows_the_player_asked_for(arena: str) -> None:
-    worlds = stage(arena, players=((-100.0, 0.0), (100.0, 0.0)))
-    renderer = Renderer(worlds, "follow", panel=False)
-    moved = 200 // 4 * 4  # 200 px of the world, 50 art pixels, enlarged by 4
-    np.testing.assert_array_equal(renderer.frame(0, 0)[:, moved:], renderer.frame(0, 1)[:, :-moved])
-
-
-def test_ground_is_what_the_level_called_it_when_it_was_loaded(
-    tmp_path: Path, arena: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A relative path leads elsewhere later on."""
-    shutil.copytree(arena, tmp_path / "beach")
-    with (tmp_path / "beach/level.toml").open("a") as header:
-        header.write('\n[ground]\n0 = "water"\n2 = "sand"\n')
-    monkeypatch.chdir(tmp_path)
-    worlds = stage("beach")
-    monkeypatch.chdir("/")
-    assert set(ground_kinds(worlds.level).flat) == {sprites.WATER, sprites.SAND}
-    assert set(ground_kinds(stage(arena).level).flat) == {sprites.WATER, sprites.GRASS}
 
 
 def test_wrong_camera_and_scale_are_told(arena: str) -> None:

@@ -87,9 +87,6 @@ def test_the_other_worlds_must_have_begun(pit: str) -> None:
     PneumaVectorEnv(1, level=pit).restore(0, saved)
 
 
-# --- PettingZoo's face ---------------------------------------------------------------------------
-
-
 # --- Stable-Baselines3's face --------------------------------------------------------------------
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import REWARDS
 from pneuma.env.reward import load_reward
 from pneuma.env.worlds import Worlds
 
@@ -103,17 +102,6 @@ def test_distance_sigmoid_pays_for_being_near(arena: str, distance: float, close
 # --- Godot: event by event -----------------------------------------------------------------------
 
 
-def test_godot_adds_1_for_every_circle_entered(arena: str) -> None:
-    # Two notice circles at once, then an attack circle in the same step; staying in them pays nothing.
-    worlds = fight(arena, "godot", (-200.0, 0.0))
-    fly(worlds, 1, -73.5, 0.0, 2.0)  # at -63.5, 38.5 px off the body, in tick 6
-    play(worlds, STAND)
-    assert (worlds.events["notices"][0, 0], worlds.events["contacts"][0, 0]) == (2, 1)
-    assert rewards(worlds) == [3.0]
-    play(worlds, STAND)
-    assert rewards(worlds) == [0.0]
-
-
 def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
     # Tick 1: both monsters notice, +2. Tick 5: the first has flown from 96.5 to 88.5, within the sword's 90,
     # and dies: the reward is set to 3 + 1 XP. Tick 6: the other comes within 40 px, +1.
@@ -154,20 +142,6 @@ def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
     play(worlds, STAND)
     # Players 1 to 4 are within 300 px of the monster: entering its circle pays by Godot's formula alone.
     assert rewards(worlds) == [2 - 0.25, 2 + 0.25, 0.0, pytest.approx(0.5), 1.0]
-
-
-@pytest.mark.parametrize("reward", REWARDS)
-def test_the_dead_are_rewarded_once_more_and_then_no_longer(arena: str, reward: str) -> None:
-    players = [(0.0, 0.0), (400.0, -400.0)]
-    worlds = stage(arena, (-40.0, 0.0), players=players, settings={"reward": reward})
-    worlds.players["hp"][0, 0], worlds.players["xp"] = 7, 3
-    play(worlds, STAND)
-    last = {"thesis": 3.0, "pygame": 3.0, "godot": 2.0, "kills": -0.07}
-    if reward in last:
-        assert rewards(worlds)[0] == last[reward]
-    for _ in range(3):
-        play(worlds, STAND)
-        assert rewards(worlds)[0] == 0.0
 
 
 # --- Rewards of one's own, in a process that goes on ----------------------------------------------

@@ -13,7 +13,7 @@ from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, STAND, play, stage
+from .arena import ATTACK, play, stage
 
 _NUMBERS = itertools.count()
 
@@ -38,18 +38,6 @@ def rewards(worlds: Worlds) -> list[float]:
     return [float(reward) for reward in worlds.events["reward"][0]]
 
 
-def refused(reward: str, **settings: object) -> str:
-    """Return what is said of a reward when a world is made with it and played for a step."""
-    with pytest.raises(UserError) as caught:
-        worlds = Worlds(2, make_env_config({"reward": reward, **settings}))
-        worlds.seed([0, 1])
-        worlds.reset()
-        play(worlds, STAND)
-    message = str(caught.value)
-    assert message.startswith(f"reward '{reward}'") and "\n" not in message
-    return message
-
-
 # --- A reward of one's own -----------------------------------------------------------------------
 
 
@@ -62,17 +50,6 @@ def test_it_is_computed_from_events_players_and_stats(folder: Path, arena: str) 
     worlds.players["xp"] = 3
     play(worlds, ATTACK)
     assert rewards(worlds) == [10 - 0.07 + 3]
-
-
-def test_what_it_prints_stays_out_of_a_commands_document(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    own = write(folder, "print('called')\nreturn np.zeros(events.shape)")
-    path = folder / f"{own.partition(':')[0]}.py"
-    path.write_text(path.read_text() + "\n\nprint('imported')\n")
-    Worlds(1, make_env_config({"reward": own}))
-    told = capsys.readouterr()
-    assert told.out == "" and told.err.split() == ["imported", "called"]
 
 
 def test_it_cannot_change_the_world(folder: Path) -> None:

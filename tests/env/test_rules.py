@@ -1,12 +1,11 @@
-"""The rules: random numbers, and moving among tiles."""
+"""The rules: moving among tiles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 
-from pneuma.env import rules, state
+from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
 from .arena import (
@@ -27,60 +26,6 @@ from .arena import (
 HALF_WIDTH, HALF_HEIGHT = 23.5, 24.0  # of a player's body of 47 x 48 px
 AT_X, AT_Y = -1.5, 2.0  # its centre from the player's place
 DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
-
-# --- Random numbers ------------------------------------------------------------------------------
-
-
-def splitmix64(key: int, count: int) -> list[int]:
-    """Return the first numbers of splitmix64 from `key`, in whole numbers of any size."""
-    numbers, bits = [], 2**64 - 1
-    for _ in range(count):
-        key = (key + 0x9E3779B97F4A7C15) & bits
-        z = ((key ^ (key >> 30)) * 0xBF58476D1CE4E5B9) & bits
-        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & bits
-        numbers.append(z ^ (z >> 31))
-    return numbers
-
-
-def draw(key: int, count: int) -> list[int]:
-    """Return the first numbers of a world's stream as the rules draw them."""
-    world = np.zeros(1, state.WORLD)
-    world["key"] = key
-    numbers = np.zeros(count, np.uint64)
-    draw_all(world, numbers)
-    return [int(number) for number in numbers]
-
-
-@njit
-def draw_all(worlds: np.ndarray, numbers: np.ndarray) -> None:
-    """Fill `numbers` from the stream of the first world."""
-    for i in range(len(numbers)):
-        numbers[i] = rules._draw(worlds[0])
-
-
-PUBLISHED = [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]
-
-
-def test_the_stream_of_key_0_is_the_published_one() -> None:
-    assert splitmix64(0, 3) == PUBLISHED
-    assert draw(0, 3) == PUBLISHED
-
-
-@pytest.mark.parametrize("key", [1, 1234567, 2**32, 2**63, 2**64 - 1])
-def test_the_stream_of_any_key_is_splitmix64(key: int) -> None:
-    assert draw(key, 100) == splitmix64(key, 100)
-
-
-def test_start_places_are_read_off_the_upper_half_of_each_number() -> None:
-    worlds = Worlds(1)
-    worlds.worlds["key"] = 0
-    drawn = []
-    for _ in range(3):
-        worlds.reset()
-        drawn.append(int(worlds.worlds["start"][0]))
-    # 0xE220A839 / 2**32 = 0.883, 0x6E789E6A / 2**32 = 0.432, 0x06C45D18 / 2**32 = 0.026; times 6
-    assert drawn == [5, 2, 0]
-
 
 # --- Walking -------------------------------------------------------------------------------------
 

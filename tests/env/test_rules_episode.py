@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import pytest
 
 from pneuma.env import state
 from pneuma.env.worlds import Worlds
@@ -48,24 +47,6 @@ def about_to_kill(arena: str, hp: float = 100.0, settings: Mapping[str, object] 
 # --- Kills and rewards ---------------------------------------------------------------------------
 
 
-def test_a_kill_earns_1_xp_and_7_hp(arena: str) -> None:
-    worlds = about_to_kill(arena, hp=50)
-    play(worlds, ATTACK)
-    assert told(worlds) == {"hits": 1, "kills": 1, "xp_gained": 1, "hp_gained": 7}
-    assert (worlds.players["xp"][0, 0], player_hp(worlds), worlds.players["kills"][0, 0]) == (1, 57, 1)
-
-
-def test_the_reward_is_xp_less_the_share_of_hp_at_every_step(arena: str) -> None:
-    worlds = about_to_kill(arena, hp=50)
-    play(worlds, UP)
-    assert reward(worlds) == -0.5  # 0 - 50 / 100
-    worlds.players["y"], worlds.players["facing"] = 0.0, RIGHT
-    play(worlds, ATTACK)
-    assert reward(worlds) == 1 - 0.57  # 50 + 7 HP
-    play(worlds, ATTACK)
-    assert reward(worlds) == 1 - 0.57  # again: it is a level, not a gain
-
-
 def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
     worlds = about_to_kill(arena, hp=50)
     for index, (x, y) in enumerate([(40.0, 40.0), (-40.0, 0.0), (-200.0, 0.0)], start=1):
@@ -84,13 +65,6 @@ def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
 # --- Death ---------------------------------------------------------------------------------------
 
 
-def test_healing_comes_before_the_bites_of_the_same_tick(arena: str) -> None:
-    worlds = about_to_kill(arena, hp=7)
-    worlds.monsters["x"][0, 1], worlds.monsters["y"][0, 1] = -40.0, 0.0
-    play(worlds, ATTACK)  # 7 + 7 - 7
-    assert (worlds.ending(0), player_hp(worlds)) == ("running", 7)
-
-
 def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
     worlds = stage(arena, (-40.0, 0.0))
     worlds.players["hp"] = 7
@@ -103,23 +77,6 @@ def test_an_ended_world_stays_as_it_is_until_it_is_reset(arena: str) -> None:
     assert state_bits(worlds) == before
     worlds.reset()
     assert (worlds.ending(0), player_hp(worlds), worlds.worlds["steps"][0]) == ("running", 100, 0)
-
-
-# --- Time ----------------------------------------------------------------------------------------
-
-
-# --- Clearing the level --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("end_on_clear", "ending"), [(False, "running"), (True, "cleared")])
-def test_the_last_kill_ends_an_episode_only_if_asked(arena: str, end_on_clear: bool, ending: str) -> None:
-    worlds = about_to_kill(arena, settings={"end_on_clear": end_on_clear})
-    worlds.monsters["hp"][0, 1:] = 0
-    worlds.worlds["monsters_left"] = 1
-    play(worlds, ATTACK)
-    assert worlds.worlds["monsters_left"][0] == 0
-    assert worlds.ending(0) == ending
-    assert reward(worlds) == pytest.approx(-0.07)  # 1 XP - 107 / 100
 
 
 # --- A new episode -------------------------------------------------------------------------------

@@ -18,9 +18,6 @@ from .arena import (
     stage,
 )
 
-WAYS = {DOWN: (0, 1), LEFT: (-1, 0), UP: (0, -1), RIGHT: (1, 0)}
-"""From the player; where the sword's box ends is in test_bodies."""
-
 # --- Time ----------------------------------------------------------------------------------------
 
 
@@ -41,19 +38,6 @@ def test_the_sword_strikes_until_the_last_tick_of_a_swing(arena: str) -> None:
         move_monster(worlds, 0, 60.0, 0.0)  # comes within reach only now
         play(worlds, RIGHT)
         assert monster_hp(worlds) == hp, tick
-
-
-# --- Blows ---------------------------------------------------------------------------------------
-
-
-def test_two_swings_kill_a_bamboo(arena: str) -> None:
-    worlds = stage(arena, (54.0, 0.0))
-    play(worlds, ATTACK, ATTACK, ATTACK)
-    move_monster(worlds, 0, 54.0, 0.0)
-    play(worlds, ATTACK)  # 40 - 2 x 20 = 0
-    assert monster_hp(worlds) == 0
-    assert worlds.players["kills"][0, 0] == 1
-    assert worlds.worlds["monsters_left"][0] == 3  # of the four
 
 
 # --- Knock-back ----------------------------------------------------------------------------------

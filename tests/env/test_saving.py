@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -96,30 +93,6 @@ def test_a_world_goes_on_the_same_in_another_batch(name: str) -> None:
     assert go_on(fresh, 0, actions) == told
 
 
-ELSEWHERE = """
-import pickle, sys
-from tests.env.test_saving import Worlds, config_of, go_on
-name, saved, actions = pickle.load(open(sys.argv[1], "rb"))
-worlds = Worlds(2, config_of(name))
-worlds.seed([8, 9])
-worlds.reset()
-worlds.restore(1, saved)
-pickle.dump(go_on(worlds, 1, actions), open(sys.argv[2], "wb"))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["three players", "godot"])
-def test_a_world_goes_on_the_same_in_another_process(tmp_path: Path, name: str) -> None:
-    worlds = played(name, 2)
-    actions = plan(worlds, 200)
-    (tmp_path / "saved").write_bytes(pickle.dumps((name, worlds.save(0), actions)))
-    told = go_on(worlds, 0, actions)
-    command = [sys.executable, "-c", ELSEWHERE, str(tmp_path / "saved"), str(tmp_path / "told")]
-    subprocess.run(command, check=True, cwd=Path(__file__).parents[2])
-    assert pickle.loads((tmp_path / "told").read_bytes()) == told
-
-
 def test_a_world_of_other_levels_or_characters_is_refused(pit: str) -> None:
     """Equal in numbers of players and monsters, and in the size of the grid."""
     worlds = begin(1)
@@ -146,13 +119,6 @@ def test_what_is_seen_paid_and_allowed_may_differ() -> None:
     worlds, other = played("thesis", 1), begin(1, **settings)
     other.restore(0, worlds.save(0))
     assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)
-
-
-def test_a_world_in_which_nothing_has_begun_is_not_saved() -> None:
-    with pytest.raises(ValueError, match="no episode has begun in world 1"):
-        Worlds(2).save(1)
-    with pytest.raises(ValueError, match="no episode has begun in world 0"):
-        PneumaEnv().save()
 
 
 # --- Copies of everything ------------------------------------------------------------------------

@@ -141,25 +141,3 @@ def test_worlds_that_cannot_be_made_are_told_in_one_line(
     with pytest.raises(UserError) as caught:
         PneumaVecEnv(*arguments, **settings)
     assert told in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_what_is_handed_out_is_not_overwritten() -> None:
-    env = PneumaVecEnv([0], make_env_config({"episode_steps": 3}))
-    kept: list[tuple[np.ndarray, np.ndarray]] = []
-    env.reset()
-    for _ in range(6):
-        observations, rewards, dones, infos = env.step(np.array([RIGHT]))
-        handed_out: list[Any] = [observations, rewards, dones]
-        handed_out += [info["terminal_observation"] for info in infos if info]
-        kept += [(array, array.copy()) for array in handed_out]
-    assert all(np.array_equal(array, copy) for array, copy in kept)
-
-
-def test_attributes_and_methods_are_answered_for_every_world() -> None:
-    env = PneumaVecEnv([0, 1, 2])
-    assert env.get_attr("num_envs") == [3, 3, 3]
-    assert env.get_attr("num_envs", indices=[0, 2]) == [3, 3]
-    assert env.env_is_wrapped(VecMonitor) == [False] * 3
-    env.set_attr("note", "kept")
-    assert env.get_attr("note", indices=1) == ["kept"]
-    assert env.env_method("get_attr", "num_envs", indices=[1]) == [[3, 3, 3]]

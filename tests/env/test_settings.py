@@ -9,38 +9,6 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "told"),
-    [
-        ("order", "random", 'order = "random" is not allowed: one of nearest, fixed'),
-        ("scale", "pixels", 'scale = "pixels" is not allowed: one of unit, map, raw'),
-        ("observation", "foo", 'observation = "foo" is not allowed: one of thesis, pygame, godot'),
-        ("reward", "theses", 'reward = "theses" is not allowed (did you mean thesis?): one of thesis,'),
-        ("reward", ["kills", "gdot"], 'reward = ["kills", "gdot"] is not allowed (did you mean godot?)'),
-    ],
-)
-def test_a_name_that_is_none_is_told_the_right_ones(key: str, value: object, told: str) -> None:
-    with pytest.raises(UserError) as caught:
-        make_env_config({key: value})
-    assert str(caught.value).startswith(told)
-
-
-@pytest.mark.parametrize(
-    ("level", "told"),
-    [
-        ("random:train:x", "level 'random:train:x' is not allowed: the form is random:train:17,"),
-        ("random:train:017", "level 'random:train:017' is not allowed: the form is random:train:17,"),
-        (f"random:train:{2**64 + 1}", f"level 'random:train:{2**64 + 1}' is not allowed: the form is"),
-        ("random:tran:3", "level 'random:tran:3' is not allowed (did you mean train?): the form is"),
-    ],
-)
-@pytest.mark.parametrize("count", [1, 5])
-def test_of_a_random_levels_name_the_part_that_is_wrong_is_told(level: str, told: str, count: int) -> None:
-    with pytest.raises(UserError) as caught:
-        Worlds(1, make_env_config({"level": level, "random_levels": count}))
-    assert str(caught.value).startswith(told)
-
-
 def test_a_configuration_made_by_hand_is_checked_and_filled_as_well() -> None:
     by_hand = EnvConfig(classes="tank", reward="kills")  # type: ignore[arg-type]
     assert Worlds(1, by_hand).config == make_env_config({"classes": "tank", "reward": "kills"})

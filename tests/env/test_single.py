@@ -13,8 +13,6 @@ from pneuma.errors import UserError
 
 from .arena import ATTACK, RIGHT, THESIS
 
-STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
-
 
 def make(env_id: str = THESIS, **settings: Any) -> PneumaEnv:
     """Return the environment as `gymnasium.make` makes it, without its wrappers."""
@@ -38,12 +36,6 @@ def threatened(env: PneumaEnv, hp: float) -> None:
     x, y = place(env)
     env.state.players["hp"], env.state.players["facing"] = hp, RIGHT
     env.state.monsters["x"][0, 0], env.state.monsters["y"][0, 0] = x - 30, y
-
-
-# --- The contract --------------------------------------------------------------------------------
-
-
-# --- Starts --------------------------------------------------------------------------------------
 
 
 # --- The end -------------------------------------------------------------------------------------

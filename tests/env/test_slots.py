@@ -35,9 +35,6 @@ def stand(env: PneumaVectorEnv) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     return env.step(np.full(env.num_envs, ATTACK))
 
 
-# --- Which slot is whom --------------------------------------------------------------------------
-
-
 # --- Death and idleness --------------------------------------------------------------------------
 
 
@@ -97,9 +94,3 @@ def test_every_death_ends_a_slot_exactly_once(pit: str) -> None:
         assert np.array_equal(idle, (env.state.players["hp"] <= 0).ravel())
         deaths += int(terminated.sum())
     assert deaths > 50
-
-
-# --- As PettingZoo's face has it -----------------------------------------------------------------
-
-
-# --- Stable-Baselines3 ---------------------------------------------------------------------------

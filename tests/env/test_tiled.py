@@ -9,7 +9,6 @@ import pytest
 
 from pneuma.env import rules
 
-from .arena import write_level
 from .isle import BAMBOO, EMPTY, ENTITIES, GROUND, START, complaint, load, write_folder
 
 OPEN, SOLID, COAST = rules.OPEN, rules.SOLID, rules.COAST
@@ -119,11 +118,3 @@ def test_a_door_must_let_a_body_of_48_px_through(folder: Path, tile: int, door: 
     message = complaint(write_hall(folder, tile, door - 1))
     assert "the bamboo is walled in or off the land" in message
     assert message.startswith(f"{folder / 'map_Entities.csv'}, row 10, column 13: ")
-
-
-def test_a_body_may_overlap_a_closed_tile_but_not_stand_in_one(tmp_path: Path) -> None:
-    # The obstacle fills x and y from 64 to 128; a bamboo is 24 x 50 px.
-    beside = write_level(tmp_path / "a", [(0.0, 0.0)], [(63.0, 96.0)], [(11, 11)])
-    assert load(Path(beside)).monsters == (("bamboo", 63.0, 96.0),)
-    inside = write_level(tmp_path / "b", [(0.0, 0.0)], [(64.0, 96.0)], [(11, 11)])
-    assert "the bamboo at 64,96 is walled in" in complaint(Path(inside))

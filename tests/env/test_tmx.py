@@ -193,6 +193,3 @@ def test_objects_of_a_map_that_cannot_be_are_named(folder: Path, item: str, told
     path = write_map(folder, [*LAYERS, object_layer(f'<object id="12" {item}/>')])
     message = complaint(path)
     assert message.startswith(f"{path}, object 12: ") and told in message
-
-
-# --- Which files a level depends on --------------------------------------------------------------

@@ -93,17 +93,3 @@ def test_a_masked_reset_with_a_seed_leaves_the_other_worlds_streams_alone() -> N
     env.reset(seed=50, options={"reset_mask": mask})
     assert env.state.worlds["key"][0] != before["key"][0]
     assert (env.state.worlds[1:] == before[1:]).all()
-
-
-# --- Options and mistakes ------------------------------------------------------------------------
-
-
-def test_with_autoreset_disabled_an_ended_world_must_be_reset_by_hand() -> None:
-    env = PneumaVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, episode_steps=1)
-    env.reset(seed=0)
-    env.step(np.array([ATTACK, ATTACK]))
-    env.reset(options={"reset_mask": np.array([True, False])})
-    with pytest.raises(ValueError, match="reset_mask"):
-        env.step(np.array([ATTACK, ATTACK]))
-    env.reset(options={"reset_mask": np.array([False, True])})
-    env.step(np.array([ATTACK, ATTACK]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -23,7 +22,7 @@ from pneuma.env.watch import Window
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at, write_level
+from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
 
 KEYED = Sequence[tuple[set[str], int]]
 
@@ -93,35 +92,6 @@ def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena:
         assert np.array_equal(frame, painter.frame(slot // 2, slot % 2))
 
 
-def test_pettingzoo_gets_a_frame(arena: str) -> None:
-    env = parallel_env(players=2, level=arena, render_mode="rgb_array")
-    env.reset(seed=0)
-    before = env.render()
-    env.step({agent: np.int64(RIGHT) for agent in env.agents})
-    assert not np.array_equal(env.render(), before)
-    env.close()
-
-
-def test_random_levels_are_drawn_each_with_its_own_ground() -> None:
-    env = PneumaEnv(level="random:train:0", random_levels=2, render_mode="rgb_array")
-    grounds = {}
-    for seed in range(20):
-        env.reset(seed=seed)
-        grounds[int(env.state.worlds["level"][0])] = env.render()
-    assert set(grounds) == {0, 1}
-    for index, frame in grounds.items():
-        alone = PneumaEnv(level=f"random:train:{index}", render_mode="rgb_array")
-        alone.reset(seed=0)
-        assert (frame == alone.render()).all(axis=-1).mean() > 0.95  # all but the player
-
-
-def test_unknown_render_modes_and_cameras_are_told() -> None:
-    with pytest.raises(UserError, match="render_mode = 'ansi' is not allowed: one of rgb_array, human"):
-        PneumaEnv(render_mode="ansi")
-    with pytest.raises(UserError, match="unknown camera 'folow'.*did you mean follow"):
-        parallel_env(camera="folow")
-
-
 # --- The window ----------------------------------------------------------------------------------
 
 
@@ -162,16 +132,6 @@ def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
     assert window.closed and window.keys() == set()
 
 
-def test_window_that_nobody_would_see_is_refused(pygame: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """SDL falls back to such a driver where there is no display; whoever asks for it gets it."""
-    Window((64, 64), "asked for").close()
-    monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
-    monkeypatch.delenv("SDL_VIDEODRIVER")
-    monkeypatch.delenv("SDL_VIDEO_DRIVER", raising=False)
-    with pytest.raises(UserError, match="no window can be opened: there is no display"):
-        Window((64, 64), "unseen")
-
-
 def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(UserError, match="pygame-ce: pip install"):
@@ -201,12 +161,6 @@ def test_an_episode_that_goes_on_is_shown_for_two_seconds_after_the_last_kill(ar
     frames = sum(1 for _ in watch.episode_frames(worlds, Hunter(worlds).act, Renderer(worlds)))
     assert frames == 1 + 2 * 30 and worlds.ending(0) == "running"
     assert watch.agent_steps(worlds) == 15
-
-
-def test_an_episode_without_monsters_is_shown_whole(tmp_path: Path) -> None:
-    worlds = begin(1, level=write_level(tmp_path, [(0.0, 0.0)], []), episode_steps=30)
-    frames = sum(1 for _ in watch.episode_frames(worlds, Hunter(worlds).act, Renderer(worlds)))
-    assert frames == 1 + 4 * 30
 
 
 # --- Playing -------------------------------------------------------------------------------------
@@ -239,15 +193,3 @@ def test_spells_have_keys_where_there_is_magic(play: Callable[..., Any], arena: 
     plain = begin(1, level=arena)
     play(plain, ({"flame"}, 5), ({"heal"}, 5))
     assert plain.worlds["steps"][0] == 0
-
-
-def test_the_other_players_stand_still(play: Callable[..., Any]) -> None:
-    worlds = begin(1, players=2)
-    place = player_at(worlds, 1)
-    play(worlds, ({"right"}, 12))
-    assert player_at(worlds, 1) == place
-
-
-def test_scores_are_those_of_the_environment(play: Callable[..., Any], arena: str) -> None:
-    worlds = begin(1, level=arena, episode_steps=3)
-    assert play(worlds, ({"attack"}, 14)) == [(0, 3)]  # 14 frames are three steps of four and a bit
