@@ -21,7 +21,6 @@ from .arena import (
     WEST,
     Place,
     begin,
-    play,
     stage,
 )
 
@@ -52,29 +51,6 @@ def test_walking_on_into_a_wall_already_faced_is_masked(arena: str, way: int, pl
     assert mask(worlds) == [action != way for action in range(5)]
     worlds.players["facing"] = (way + 1) % 4
     assert mask(worlds) == FREE  # it would turn
-
-
-# --- Attacks -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("weapon", "masked"),
-    [
-        ("blade", 2),  # 24 ticks: 16 and 8 are left after one step and two, none after three
-        ("sword", 2),  # 30: 22, 14, then 6 of the next 8
-        ("lance", 5),  # 48: 40, 32, 24, 16, 8
-        ("sai", 2),  # 29: 21, 13, 5
-    ],
-)
-def test_all_but_attack_is_masked_while_an_attack_lasts_through_the_step(
-    arena: str, weapon: str, masked: int
-) -> None:
-    worlds = stage(arena, settings={"weapons": weapon})
-    told: list[list[int]] = []
-    for _ in range(masked + 1):
-        play(worlds, ATTACK if not told else RIGHT)
-        told.append(mask(worlds))
-    assert told == [[0, 0, 0, 0, 1]] * masked + [FREE]
 
 
 # --- Any state: what is masked does nothing, what is not does something --------------------------

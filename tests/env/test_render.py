@@ -13,7 +13,7 @@ from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, DOWN, LEFT, RIGHT, UP, begin, play, stage
+from .arena import ATTACK, DOWN, LEFT, RIGHT, begin, play, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
 BODY = 12  # no picture of a body reaches further from its centre
@@ -47,19 +47,6 @@ def test_player_is_drawn_where_the_state_says(arena: str) -> None:
     new = (abs(x - MIDDLE - 50) <= BODY) & (abs(y - MIDDLE + 30) <= BODY)
     assert (old | new).all()
     assert old.sum() > 100 and new.sum() > 100  # a body is about 12 x 12 art pixels
-
-
-@pytest.mark.parametrize(
-    ("facing", "way"), [(DOWN, (0, 1)), (LEFT, (-1, 0)), (UP, (0, -1)), (RIGHT, (1, 0))], ids=str
-)
-def test_sword_is_ahead_of_the_player(arena: str, facing: int, way: tuple[int, int]) -> None:
-    """Around the hilt, 44 to 54 px ahead: it ends 15 to 21 art pixels from the player."""
-    worlds = stage(arena, facing=facing)
-    before = bare(worlds)
-    worlds.players["busy"], worlds.players["armed"] = 12, 1
-    ahead = np.array(way) @ (changed(before, bare(worlds)) - MIDDLE)
-    assert 15 <= ahead.max() <= 21
-    assert ahead.min() >= -BODY
 
 
 def test_dead_monster_is_gone(arena: str) -> None:

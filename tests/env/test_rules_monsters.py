@@ -34,12 +34,6 @@ def test_a_monster_notices_a_player_by_the_nearest_corner_of_its_body(
 # --- Chasing -------------------------------------------------------------------------------------
 
 
-def test_a_monster_chases_2_5_px_a_tick_on_each_axis(arena: str) -> None:
-    worlds = stage(arena, (-200.0, 100.0))
-    play(worlds, STAND)
-    assert monster_at(worlds) == (-180.0, 80.0)  # 8 x 2.5 = 20 on both
-
-
 def test_a_monster_comes_no_nearer_than_30_px_on_either_axis(arena: str) -> None:
     # y: 100 - 28 x 2.5 = 30 after 28 ticks; x: 200 - 68 x 2.5 = 30 after 68.
     worlds = stage(arena, (-200.0, 100.0), ticks=1, settings={"bodies": "pass"})

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
-from pneuma.env.level import load_level
 
 from .isle import BAMBOO, ENTITIES, GROUND, START, complaint, load
 
@@ -115,30 +114,6 @@ def test_objects_stand_where_tiled_shows_them(folder: Path, item: str, place: li
     assert level.starts.tolist() == [place]
     assert level.monsters == (("spirit", 72.0, 4.0),)
     assert (level.ground == -1).all()
-
-
-def test_a_folder_and_a_map_make_the_same_level(tmp_path: Path) -> None:
-    """The shipped level written as a map: every array is the same, but for where the origin is."""
-    shipped = load_level("thesis", {390: "bamboo"})
-    ids = np.where(shipped.ground == -1, 0, shipped.ground + 1)
-    blocks = np.where(shipped.terrain == SOLID, 1396, 0)
-    names = [("start", x, y) for x, y in shipped.starts] + list(shipped.monsters)
-    items = [
-        f'<object id="{index}" name="{name}" x="{x - shipped.left}" y="{y - shipped.top}"><point/></object>'
-        for index, (name, x, y) in enumerate(names)
-    ]
-    path = write_map(
-        tmp_path,
-        [tile_layer("Ground", ids), tile_layer("Obstacles", blocks), object_layer(*items)],
-        '<property name="coast" value="0"/>',
-        'width="57" height="50" tilewidth="64" tileheight="64"',
-    )
-    level = load(path)
-    assert np.array_equal(level.ground, shipped.ground) and np.array_equal(level.terrain, shipped.terrain)
-    shift = np.array([level.left - shipped.left, level.top - shipped.top])
-    assert shift.tolist() == [-32.0, 0.0]  # the middle of 57 columns is half a tile right of column 28
-    assert np.array_equal(level.starts, shipped.starts + shift)
-    assert level.monsters == tuple((kind, x - 32.0, y) for kind, x, y in shipped.monsters)
 
 
 BOMB = "<!DOCTYPE map [<!ENTITY a 'ha'>" + "".join(

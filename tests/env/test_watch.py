@@ -183,13 +183,3 @@ def test_keys_walk_and_attack_and_the_world_waits_without(play: Callable[..., An
     play(worlds, ({"right"}, 3), (set(), 20), ({"up"}, 2), ({"left", "attack"}, 1), ({"leave"}, 1))
     assert player_at(worlds) == (30.0, -20.0)  # 10 px a frame of 2 ticks
     assert worlds.players["busy"][0, 0] == 22 and worlds.worlds["steps"][0] == 6
-
-
-def test_spells_have_keys_where_there_is_magic(play: Callable[..., Any], arena: str) -> None:
-    worlds = begin(1, level=arena, magic=True)
-    energy = worlds.players["energy"][0, 0]
-    play(worlds, ({"flame"}, 1))
-    assert worlds.players["energy"][0, 0] < energy - 19  # a flame costs 20, a tick gives back less than 1
-    plain = begin(1, level=arena)
-    play(plain, ({"flame"}, 5), ({"heal"}, 5))
-    assert plain.worlds["steps"][0] == 0

@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from pneuma.config import EnvConfig, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.worlds import ENDINGS, Worlds
+from pneuma.errors import UserError
 
 from .arena import (
     ATTACK,
@@ -159,3 +161,11 @@ def test_who_is_left_is_counted_anew() -> None:
     assert worlds.worlds["monsters_left"].tolist() == [0, 14]
     worlds.step(np.zeros((2, 1), np.int64))
     assert [ENDINGS[ending] for ending in worlds.worlds["ending"]] == ["cleared", "running"]
+
+
+def test_a_configuration_made_by_hand_is_checked_and_filled_as_well() -> None:
+    by_hand = EnvConfig(classes="tank", reward="kills")  # type: ignore[arg-type]
+    assert Worlds(1, by_hand).config == make_env_config({"classes": "tank", "reward": "kills"})
+    assert Worlds(1, EnvConfig()).config == Worlds(1).config == make_env_config({})
+    with pytest.raises(UserError, match='order = "random" is not allowed'):
+        Worlds(1, EnvConfig(order="random"))
