@@ -152,9 +152,8 @@ LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
 def coverage(band: str, runs: int) -> float | None:
     """Return how often a band of `BANDS` covers the mean of what its runs are from.
 
-    Of a number of runs between two of `COVERAGE_SEEDS` it is the lesser of theirs, as it need not grow with the
-    runs; and 0 of fewer than the first: what they may cover was not drawn. None for a band that is no
-    interval of a mean.
+    Between two of `COVERAGE_SEEDS` it is the lesser of theirs, as it need not grow with the runs; 0 of
+    fewer than the first, for which nothing was drawn. None for a band that is no interval of a mean.
     """
     if band not in LEAST_COVERAGE:
         return None
