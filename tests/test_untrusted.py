@@ -18,7 +18,7 @@ from pneuma.analysis.export import encode_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.published import published_path, read_published
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.run_index import RunIndex, open_study
+from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.study.files import read_json, read_whole
 from pneuma.study.store import Status, Store
@@ -77,19 +77,6 @@ def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: 
         assert call(*command, "--results", store.root).code in (0, 2)
 
 
-@pytest.mark.parametrize("part", ["runs", "studies", "published"])
-def test_untrusted_a_ring_of_links_in_place_of_a_folder_is_one_line(tmp_path: Path, part: str) -> None:
-    (tmp_path / part).symlink_to(tmp_path / part)
-    store = Store(tmp_path)
-    for ask in (store.check_writable, store.runs, store.studies, RunIndex(store)._others):
-        try:
-            ask()
-        except UserError as error:
-            assert part in str(error)
-    for command in (("study", "status"), ("study", "status", "activation"), ("run", "list")):
-        assert call(*command, "--results", tmp_path).code in (0, 2)
-
-
 def test_untrusted_a_table_that_unpacks_to_too_much_is_refused_by_its_footer() -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table({"step": pa.array(np.zeros(70_000_000, np.int8))}), sink, compression="zstd")
@@ -123,16 +110,12 @@ def _put(column: str, values: Any) -> Any:
     ("name", "change"),
     [
         ("metrics", _put("step", "text")),
-        ("metrics", _put("step", None)),
         ("metrics", _put("entropy", "text")),
         ("metrics", lambda table: table.drop_columns(["step"])),
-        ("metrics", lambda table: table.drop_columns(["action_3"])),
         ("metrics", lambda table: table.append_column("step", table["step"])),
         ("episodes", _put("slot", 0.5)),
-        ("episodes", _put("return", [[1.0]])),
         ("episodes", _put("ending", 3)),
         ("evaluations", _put("step", {"a": 1})),
-        ("evaluations", _put("share_killed", b"bytes")),
     ],
 )
 def test_untrusted_a_sealed_table_that_makes_no_sense_is_one_line(
@@ -162,14 +145,10 @@ def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any)
 
 @pytest.mark.parametrize(
     ("head", "column", "values"),
-    [({"budget": "much"}, "", None), ({"windows": []}, "", None), ({"windows": ["a"]}, "", None),
-     ({"tables": ["episodes"]}, "", None), ({"averaged_over": "all"}, "", None), ({"same": 3}, "", None),
-     ({"study": 3}, "", None), ({}, "run_id", "../.."), ({}, "settings", "[]"), ({}, "settings", "{}"),
-     ({}, "settings", "{"), ({}, "provenance", "3"), ({}, "signs", '{"unit": 1, "signs": {"a": [1]}}'),
-     ({}, "signs", "{}"), ({}, "end", "text"), ({}, "end", None), ({}, "entropy", [[1.0]]),
-     ({}, "entropy", "x"), ({}, "return budget-5%", [[1.0] * 199]), ({}, "final_return", "x"),
-     ({}, "outcome final-return", None), ({}, "evaluations", [[{"a": 1.0}]]), ({}, "evaluations", 3),
-     ({}, "status", 3)],
+    [({"budget": "much"}, "", None), ({"windows": ["a"]}, "", None), ({"same": 3}, "", None),
+     ({}, "run_id", "../.."), ({}, "settings", "[]"), ({}, "settings", "{"), ({}, "signs", "{}"),
+     ({}, "end", None), ({}, "entropy", "x"), ({}, "return budget-5%", [[1.0] * 199]),
+     ({}, "outcome final-return", None), ({}, "evaluations", [[{"a": 1.0}]])],
 )  # fmt: skip
 def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     store: Store, head: dict[str, Any], column: str, values: Any
@@ -188,9 +167,3 @@ def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     assert len(open_study(store, ONE).runs) == 1
     with pytest.raises(UserError, match="mine.parquet: is no"):
         open_study(store, RECORD)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000, '"' + "a" * 100, "\x00"])
-def test_untrusted_nonsense_in_place_of_json_is_nothing(tmp_path: Path, text: str) -> None:
-    (tmp_path / "a.json").write_text(text)
-    assert read_json(tmp_path / "a.json") is None

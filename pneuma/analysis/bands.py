@@ -6,6 +6,7 @@ edge, (points,) each, NaN where fewer than two runs have a value.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -28,7 +29,7 @@ class Band:
         label: its words.
         edges: its lower and upper edge; None where the runs themselves are drawn in its place.
         about_mean: whether it says where the mean of all runs that there could be lies, and how often it
-            does is in `pneuma.analysis.coverage`; other bands say how far runs lie apart.
+            does is in `LEAST_COVERAGE`; other bands say how far runs lie apart.
     """
 
     label: str
@@ -131,3 +132,36 @@ def find_band(name: str) -> Band:
     if name not in BANDS:
         raise unknown_name("band", name, BANDS)
     return BANDS[name]
+
+
+# --- How often a band covers the mean --------------------------------------------------------------
+
+ENOUGH = 0.9
+"""A band that covers its mean less often is drawn with the runs themselves, and marked."""
+
+COVERAGE_SEEDS = (3, 5, 10, 20, 50)
+LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
+    "ci": (0.815, 0.752, 0.886, 0.926, 0.942),
+    "bootstrap": (0.556, 0.675, 0.868, 0.920, 0.934),
+    "se": (0.403, 0.578, 0.637, 0.658, 0.663),
+}
+"""At each of `COVERAGE_SEEDS`: the least over normal, 80/20 bimodal and heavy-tailed runs, as printed by
+`pneuma bench calibration`. Other bands say how far runs lie apart, and cover the mean by accident."""
+
+
+def coverage(band: str, runs: int) -> float | None:
+    """Return how often a band of `BANDS` covers the mean of what its runs are from.
+
+    Between two of `COVERAGE_SEEDS` it is the lesser of theirs, as it need not grow with the runs; 0 of
+    fewer than the first, for which nothing was drawn. None for a band that is no interval of a mean.
+    """
+    if band not in LEAST_COVERAGE:
+        return None
+    below, above = bisect_right(COVERAGE_SEEDS, runs), bisect_left(COVERAGE_SEEDS, runs)
+    return min(LEAST_COVERAGE[band][below - 1 : above + 1]) if below else 0.0
+
+
+def is_trusted(band: str, runs: int) -> bool:
+    """Whether a band can be drawn without the runs that it is of."""
+    covered = coverage(band, runs)
+    return covered is None or covered >= ENOUGH

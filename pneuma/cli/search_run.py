@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -302,12 +303,20 @@ def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
     print(f"Trial {winner.trial.number} of search {search.name} on {seeds} fresh seeds:")
     for objective in search.objectives:
         own = gains[objective.name]
-        low, high = own.interval
+        low, high = (_signed(end) for end in own.interval)
+        luck = _signed(own.luck)
         print(f"  {objective.over_seeds} over seeds of {plain(objective.outcome)}:")
         print(f"    in the search       {own.seen:.4f}")
         print(f"    on fresh seeds      {own.fresh:.4f}   (base: {own.fresh_baseline:.4f})")
-        print(f"    difference of means {own.difference:+.4f} (95 % interval {low:+.4f} to {high:+.4f})")
-        print(f"    luck                {own.luck:+.4f}: by how much the search's seeds had flattered it")
+        between = "not told" if low == "not told" else f"{low} to {high}"
+        print(f"    difference of means {_signed(own.difference)} (95 % interval {between})")
+        flattery = "" if luck == "not told" else ": by how much the search's seeds had flattered it"
+        print(f"    luck                {luck}{flattery}")
+
+
+def _signed(value: float) -> str:
+    """Return a difference with its sign; "not told" where it is not known."""
+    return "not told" if math.isnan(value) else f"{value:+.4f}"
 
 
 def search_document(task: Task, trials: Sequence[Told], store: Store) -> dict[str, Any]:

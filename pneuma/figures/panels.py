@@ -15,8 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter
 
-from pneuma.analysis.bands import BANDS
-from pneuma.analysis.coverage import is_trusted
+from pneuma.analysis.bands import BANDS, is_trusted
 from pneuma.analysis.curves import Curve, LogCurve
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from pneuma.study.store import Status, Store, to_json
@@ -54,11 +53,3 @@ def record_of(cells: dict[tuple[str, int], str]) -> dict[str, Any]:
 
 CELLS = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8, ("a", 1): "a1" * 8, ("b", 1): "b1" * 8}
 RECORD = record_of(CELLS)
-
-
-def longer_record(seed: int) -> dict[str, Any]:
-    """The study, of which one seed has twice the steps: its curves have points that only those runs need."""
-    record = json.loads(json.dumps(RECORD))
-    for run in record["runs"]:
-        run["run"]["steps"] *= 1 + (run["seed"] == seed)
-    return dict(record)

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pneuma.analysis import signs
-from pneuma.analysis.collapse import Diagnosis, _one_action, diagnose, diagnoses, incidence
-from pneuma.analysis.outcomes import outcome_values, reason
-from pneuma.analysis.published import published_path, read_published
-from pneuma.analysis.publishing import encode_study
+from pneuma.analysis.collapse import Diagnosis, diagnose, incidence
+from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.signs import NO_ENTROPY
 from pneuma.analysis.tables import StudyData
-from pneuma.cli import main
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
@@ -62,12 +57,6 @@ def test_a_fall_for_good_is_a_collapse_without_any_loss_of_entropy(tmp_path: Pat
     assert (found.onset_step, found.sound_step) == (7500, 7000)
 
 
-def test_two_signs_of_one_collapse_are_one_with_the_earlier_onset(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, one_action(85), after(learning(), 13, 0.05))
-    assert (found.onset_step, found.sound_step, found.recovered_step) == (6500, 6000, None)
-    assert found.signs == ("fall",)  # the others hold over less than half of it
-
-
 def test_an_interruption_shorter_than_a_hundredth_of_the_budget_is_none(tmp_path: Path) -> None:
     """What comes after a longer one is too short to be a collapse of its own."""
     updates = one_action(61, 84)
@@ -80,8 +69,26 @@ def test_an_interruption_shorter_than_a_hundredth_of_the_budget_is_none(tmp_path
 # --- What is none ---------------------------------------------------------------------------------
 
 
-def test_a_run_that_learns_has_not_collapsed(tmp_path: Path) -> None:
-    assert diagnosed(tmp_path, healthy(), learning()) == Diagnosis(False)
+def health(column: int | None = None, value: float = 0.0) -> np.ndarray:
+    """Return updates of a policy in health, but for one column from update 51 on."""
+    updates = healthy()
+    if column is not None:
+        updates[50:, column] = value
+    return updates
+
+
+NONE = {
+    "learns": (health(), learning()),
+    "certain of several actions": (health(0), learning()),
+    "dead units alone": (health(2, 0.9), learning()),
+    "one bad evaluation": (health(), after(learning(), 15, 0.1, 15)),
+    "never learned": (health(), np.where(np.arange(20) < 10, 0.1, 0.0)),
+}
+
+
+@pytest.mark.parametrize("case", NONE)
+def test_what_is_no_collapse(case: str, tmp_path: Path) -> None:
+    assert diagnosed(tmp_path, *NONE[case]) == Diagnosis(False)
 
 
 def returns_of(points: list[tuple[float, float]]) -> np.ndarray:
@@ -117,55 +124,12 @@ def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
     assert not diagnose(data, data.runs[0]).collapsed
 
 
-def test_a_certain_policy_of_several_actions_is_no_collapse(tmp_path: Path) -> None:
-    updates = healthy()
-    updates[50:, 0] = 0.0
-    assert not diagnosed(tmp_path, updates, learning()).collapsed
-
-
-def test_dead_units_alone_are_no_collapse(tmp_path: Path) -> None:
-    updates = healthy()
-    updates[:, 2] = 0.9
-    assert not diagnosed(tmp_path, updates, learning()).collapsed
-
-
-def test_one_bad_evaluation_is_no_collapse(tmp_path: Path) -> None:
-    assert not diagnosed(tmp_path, healthy(), after(learning(), 15, 0.1, 15)).collapsed
-
-
-def test_a_run_that_never_learned_cannot_fall(tmp_path: Path) -> None:
-    shares = np.where(np.arange(20) < 10, 0.1, 0.0)
-    assert not diagnosed(tmp_path, healthy(), shares).collapsed
-
-
-@pytest.mark.parametrize(
-    ("every", "spells"), [(30, []), (3, []), (2, [(0.0, 255_744.0)]), (1, [(0.0, 255_744.0)])]
-)
-def test_single_updates_that_come_again_are_a_collapse_only_where_they_are_most(
-    every: int, spells: list[tuple[float, float]]
-) -> None:
-    """A million steps in updates of 256: signs may be interrupted for 10,256 steps, forty updates."""
-    seen = SimpleNamespace(until=1_000_000)
-    with_sign = [k for k in range(1000) if k % every == 0 or (every == 2 and k % 3 == 0)]
-    dips = [(256.0 * k, 256.0 * k) for k in with_sign]
-    assert _one_action({NO_ENTROPY: dips}, seen, 10_256, 256) == spells  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("last", "collapsed"), [(65, False), (66, True)])
 def test_a_spell_shorter_than_a_twentieth_of_the_budget_is_none(
     tmp_path: Path, last: int, collapsed: bool
 ) -> None:
     """From update 61 at step 6,100 on, 500 steps are over at update 66."""
     assert diagnosed(tmp_path, one_action(61, last), learning()).collapsed is collapsed
-
-
-def test_that_a_run_had_not_collapsed_yet_is_told_as_such(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    save_run(store, "a0" * 8, one_action(61), after(learning(), 13, 0.05))
-    data = open_study(store, study_record({("a", 0): "a0" * 8}))
-    (run,) = data.runs
-    assert reason(data, run, "collapse-step", 5_000) == "the run had not collapsed by step 5,000"
-    assert reason(data, run, "collapse-step") == ""
 
 
 # --- Recovery -------------------------------------------------------------------------------------
@@ -240,22 +204,9 @@ def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
     assert 1 - relu["high"] ** 3 == pytest.approx(0.025)
     assert (tanh["collapsed"], tanh["share"], tanh["low"]) == (0, 0, 0)
     assert (1 - tanh["high"]) ** 2 == pytest.approx(0.025)
-
-
-def test_outcomes_tell_of_collapse_and_the_published_table_tells_the_same(
-    data: StudyData, tmp_path: Path
-) -> None:
-    clone = Store(tmp_path / "clone")
-    path = published_path(clone, data.study)
-    path.parent.mkdir(parents=True)
-    path.write_bytes(encode_study(data))
-    again = open_study(clone, read_published(clone, data.study).record)
-    for found in (data, again):
-        assert outcome_values(found, "relu", "collapsed").tolist() == [1, 1, 0]
-        steps = outcome_values(found, "relu", "collapse-step")
-        np.testing.assert_array_equal(steps, [6100, 3100, np.nan])
-        np.testing.assert_array_equal(outcome_values(found, "relu", "relearned"), [0, 1, np.nan])
-    assert diagnoses(again).equals(diagnoses(data))
+    assert outcome_values(data, "relu", "collapsed").tolist() == [1, 1, 0]
+    np.testing.assert_array_equal(outcome_values(data, "relu", "collapse-step"), [6100, 3100, np.nan])
+    np.testing.assert_array_equal(outcome_values(data, "relu", "relearned"), [0, 1, np.nan])
 
 
 def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write_events: object) -> None:
@@ -272,32 +223,24 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write
     assert data.budget == BUDGET
 
 
-def test_logs_without_any_sign_are_not_said_to_have_kept_their_policy(
-    tmp_path: Path, write_events: object, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As a DQN's: neither entropy nor evaluations."""
-    store = Store(tmp_path / "results")
-    for name, key in (("dqn_1", "train/loss"), ("ppo_1", "train/entropy_loss")):
-        points = [(key, 100 * k, -1.0) for k in range(1, 101)]
-        write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)  # type: ignore[operator]
-    import_tensorboard([tmp_path / "logs"], store)
-    rows = incidence(open_study(store, store.selection("logs") or {})).to_dict("records")
-    told = {row["condition"]: (row["collapsed"], row["runs"], row["unknown"]) for row in rows}
-    assert told == {"dqn": (0, 0, 1), "ppo": (0, 1, 0)}
-    assert main(["study", "collapse", "logs", "--results", str(store.root)]) == 0
-    assert "of 1 run no sign is recorded" in capsys.readouterr().out
-
-
-def test_a_learner_without_entropy_is_not_said_to_have_kept_it(tmp_path: Path) -> None:
-    updates = one_action(61)
-    updates[:, 0] = np.nan
-    found = diagnosed(tmp_path, updates, learning())
-    assert (found.collapsed, found.unseen) == (False, ("no entropy",))
-
-
 def test_stretches_by_hand() -> None:
     step = np.array([10, 20, 30, 40, 50])
     assert signs.stretches(step, np.array([True, True, False, True, False])) == [(10, 20), (40, 40)]
     assert signs.both([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
     assert signs.joined([(40, 50), (10, 20), (25, 30)], gap=5) == [(10, 30), (40, 50)]
     assert signs.share_held([(10, 20)], (10, 40), distance=10) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("shares", "held"),
+    [
+        ([0.0, 0.0, 0.0, 0.0, 0.0], True),  # magic has two actions more, which have no columns
+        ([0.1, 0.0, 0.0, 0.0, 0.0], False),
+        ([0.0, 0.0, 1.0, 0.0, 0.0], True),
+        ([0.2, 0.2, 0.2, 0.2, 0.2], False),
+    ],
+)
+def test_a_policy_that_only_casts_spells_has_one_action(shares: list[float], held: bool) -> None:
+    step = np.array([100.0, 200.0, 300.0])
+    columns = {f"action_{i}": np.full(3, own) for i, own in enumerate(shares)}
+    assert signs.update_signs(step, columns, 5)[signs.ONE_ACTION] == ([(100.0, 300.0)] if held else [])

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import make_run
-from pneuma.study.identity import run_id
-from pneuma.study.store import Store, run_document
+from pneuma.study.store import Store
 
 from ..cli.calls import described, printed, refused
-from .collapse_records import BUDGET, HORIZON, healthy, learning, one_action, save_run, study_record
+from .collapse_records import healthy, learning, one_action, save_run, study_record
 
 
 @pytest.fixture
@@ -40,16 +38,6 @@ def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(results: Path)
     assert [row["collapsed"] for row in document["incidence"]] == [1, 0]
 
 
-def test_a_condition_without_a_value_is_said_to_have_none(tmp_path: Path) -> None:
-    store, cells = Store(tmp_path / "results"), {("sound", 0): "a0" * 8, ("gone", 0): "b0" * 8}
-    save_run(store, "a0" * 8, healthy(), learning())
-    save_run(store, "b0" * 8, healthy(), learning(), end=400)  # evaluated from 500 on
-    store.save_selection("mine", study_record(cells))
-    lines = printed("study", "summary", "mine", "--all", "--results", store.root).splitlines()
-    place = lines.index("final-share-killed: monsters killed, last evaluation")
-    assert lines[place + 3].split()[:2] == ["gone", "0"] and "diverged at step 400" in lines[place + 3]
-
-
 def test_a_summary_is_a_table_of_three_means_and_failures(results: Path) -> None:
     heads, relu = printed("study", "summary", "mine", "--results", results).splitlines()[2:4]
     names = ["final-share-killed (share)", "auc-share-killed (share)", "argmax-share-killed (share)"]
@@ -65,10 +53,7 @@ def test_a_summary_is_a_table_of_three_means_and_failures(results: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--fork",), "holds no configuration"),
         (("--fork", "--run", "b0b0"), "--run b0b0: is no collapsed run of study mine; there are a1a1a1a1"),
-        (("--fork", "--out", "figures"), "--out: does not go with --fork"),
-        (("--workers", "2"), "--workers: goes with --fork alone"),
         (("--fork-seeds", "4"), "--fork-seeds: goes with --fork alone"),
         (("--fork", "--condition", "tanh"), "none of its 2 runs collapsed, so there is nothing to fork"),
     ],
@@ -77,22 +62,6 @@ def test_what_cannot_be_forked_is_said_in_one_line(
     results: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     assert message in refused("study", "collapse", "mine", *arguments, "--results", results)
-
-
-def test_a_collapsed_run_with_a_reward_of_its_owners_is_forked_if_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "own_reward.py").write_text("def gain(events, players, stats): return events['xp_gained']\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    store = Store(tmp_path / "results")
-    run = make_run({"reward": "own_reward:gain", "horizon": HORIZON, "steps": BUDGET})
-    name = run_id(run)
-    save_run(store, name, one_action(61), learning(), configuration=run_document(run, name))
-    store.save_selection("mine", study_record({("own", 0): name}))
-    fork = ("study", "collapse", "mine", "--fork", "--results", store.root)
-    assert "would run the reward own_reward:gain; --trust allows it" in refused(*fork)
-    assert "kept no checkpoints" in refused(*fork, "--trust")  # which is the next thing looked at
 
 
 def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_means_are_tested_as_scipy_permutes_welchs_t() -> None:
 def test_a_small_arm_that_spreads_wide_is_not_found_different_too_often() -> None:
     """Six runs against ten, ten times as far apart: relabelings alone would find five times as much."""
     generator = np.random.default_rng(3)
-    a, b = 10 * generator.normal(size=(800, 6)), generator.normal(size=(800, 10))
+    a, b = 10 * generator.normal(size=(400, 6)), generator.normal(size=(400, 10))
     p = pvalues.mean_p_values(a, b, None, relabel(6, 10, generator, draws=1_000))
     assert (p.greater <= 0.005).mean() < 0.012
 
@@ -60,15 +60,6 @@ def test_a_small_arm_that_spreads_wide_is_not_found_different_too_often() -> Non
 def test_values_that_differ_by_rounding_alone_are_equal() -> None:
     own = compare("mean", [0.1 + 0.2] * 8, [0.3] * 8, None, rng())
     assert (own.p_greater, own.p_less) == (1.0, 1.0)
-
-
-def test_what_ten_runs_against_ten_come_to_hangs_on_no_draw() -> None:
-    """In a list of claims a verdict rests on p-values of a few in ten thousand."""
-    generator = rng()
-    a, b = generator.normal(size=(2, 10)) + [[1.4], [0.0]]
-    for kind in ("mean", "spread"):
-        found = [compare(kind, a, b, 1.5, np.random.default_rng(seed)) for seed in (1, 2)]
-        assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("kind", CONTRAST_KINDS)
@@ -104,14 +95,6 @@ def test_the_test_of_shares_holds_its_level_at_every_share(margin: float) -> Non
         assert chance[p <= 0.005].sum() <= 0.005 + 1e-6
     assert max(sizes) <= 0.05 + 1e-6
     assert max(sizes) > 0.03  # and is of use
-
-
-def test_the_test_of_shares_finds_more_than_fishers() -> None:
-    own = compare("incidence", [1] * 7 + [0] * 3, [1, *[0] * 9], None, rng())
-    fisher = stats.fisher_exact([[7, 3], [1, 9]], alternative="greater").pvalue
-    assert own.p_greater < fisher
-    assert own.effect == pytest.approx(0.6)
-    assert own.interval.low < own.effect < own.interval.high
 
 
 def test_one_mean_is_tested_by_turning_signs() -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -19,13 +18,9 @@ from pneuma.analysis.crossed import (
 )
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
-from pneuma.cli import study_crossed
 from pneuma.errors import UserError
 from pneuma.figures.collapse import draw_collapse
 from pneuma.figures.maps import draw_robustness
-from pneuma.study.execute import selection_record
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
 from ..cli.calls import described, printed, refused
@@ -89,14 +84,6 @@ def test_effects_of_a_two_by_two_design_by_hand(tmp_path: Path) -> None:
     assert found.means["scale"] == pytest.approx({"unit": 0.5, "raw": 0.5})
 
 
-def test_means_count_each_cell_alike(tmp_path: Path) -> None:
-    conditions = two_by_two()
-    settings, (low, high) = conditions["0.001 raw"]
-    found = study_effects(stored(tmp_path, {**conditions, "0.001 raw": (settings, (low, high) * 4)}))
-    assert found.runs == 14
-    assert found.means["scale"]["raw"] == pytest.approx(0.5)
-
-
 def test_settings_that_named_conditions_change_one_at_a_time_are_one_factor(tmp_path: Path) -> None:
     named = {
         "final": {"activation": "tanh", "betas": [0.9, 0.9]},
@@ -118,36 +105,6 @@ def test_settings_that_named_conditions_change_one_at_a_time_are_one_factor(tmp_
     assert degrees["activation + betas",] == (2, 6)
 
 
-def test_a_missing_combination_of_three_factors_is_named(tmp_path: Path) -> None:
-    conditions = {
-        f"{mark} {name}": ({**settings, "activation": mark}, finals)
-        for mark in ("tanh", "relu")
-        for name, (settings, finals) in two_by_two().items()
-    }
-    del conditions["relu 0.001 unit"]
-    with pytest.raises(UserError, match="no condition has learning_rate 0.001, scale unit, activation relu"):
-        find_crossing(stored(tmp_path, conditions))
-
-
-@pytest.mark.parametrize("name", ["collapse", "gradient-limits", "magic", "perception", "robustness"])
-def test_the_settings_of_shipped_studies_tell_the_factors_of_their_files(name: str) -> None:
-    study = load_study(name)
-    record = selection_record(make_plan(study, Selection(seeds=(0,))))
-    _, levels = find_crossing(cast(StudyData, SimpleNamespace(study=name, runs=[], record=record)))
-    assert alike(levels) == alike({name: tuple(own.values()) for name, own in study.levels.items()})
-
-
-def alike(levels: Mapping[str, tuple[str, ...]]) -> set[frozenset[frozenset[str]]]:
-    """Return, for each factor, the sets of conditions that have a level of it in common."""
-    return {
-        frozenset(
-            frozenset(name for name, own in levels.items() if own[i] == level)
-            for level in {own[i] for own in levels.values()}
-        )
-        for i in range(len(next(iter(levels.values()))))
-    }
-
-
 def asked(folder: Path, *arguments: str) -> tuple[str | Path, ...]:
     return ("study", "effects", "mine", *arguments, "--results", folder / "results")
 
@@ -166,7 +123,6 @@ def test_the_command_tells_effects_and_means_with_their_unit(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--outcome", "final-share-kiled"), "did you mean final-share-killed"),
         (("--outcome", "steps-to:0.5"), "some runs of 0.0001 unit never get there; compare another outcome"),
         (("--outcome", "q-overestimation"), "no run of 0.0001 unit has it, and every cell needs one"),
         (("--seeds", "1"), "4 runs in 4 cells leave nothing to tell an effect from chance"),
@@ -181,16 +137,6 @@ def test_what_cannot_be_tested_is_told_in_one_line(
 ) -> None:
     stored(tmp_path, two_by_two())
     assert message in refused(*asked(tmp_path, *arguments))
-
-
-def test_a_cell_without_runs_and_mixed_engines_are_told(tmp_path: Path) -> None:
-    conditions = two_by_two()
-    with pytest.raises(UserError, match=r"no run of 0.001 raw has finished.*: repeat the command"):
-        study_effects(stored(tmp_path / "empty", conditions, unfinished="0.001 raw"))
-    settings, finals = conditions["0.001 raw"]
-    mixed = stored(tmp_path / "mixed", {**conditions, "0.001 raw": ({**settings, "engine": "jax"}, finals)})
-    with pytest.raises(UserError, match="0.0001 unit by sb3, 0.001 raw by jax; choose .* --engine sb3"):
-        study_effects(mixed)
 
 
 # --- The robustness map ---------------------------------------------------------------------------
@@ -241,11 +187,6 @@ def test_factors_are_what_the_cells_differ_in_and_p_is_corrected_over_them(tmp_p
     assert [cell.p for cell in found.cells] == pytest.approx([4 * 2 / 924] * 4)
 
 
-def test_with_too_few_seeds_nothing_is_decided(tmp_path: Path) -> None:
-    """Of three runs an arm the smallest p is 1/10 in each cell, before any correction."""
-    assert mapped(crossed(tmp_path, 0.3, 0.3, 0.3, 0.3, seeds=3)).label == "undecided"
-
-
 def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> None:
     """What is not trained yet makes no map robust, nor the others' p-values smaller."""
     whole = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2)
@@ -260,31 +201,6 @@ def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> Non
     assert [cell.p for cell in part.cells[:3]] == pytest.approx([4 * 2 / 924] * 3)
     save_run(store, whole.runs[0].run_id, healthy(), learning(), end=100)  # before any evaluation
     assert mapped(open_study(store, whole.record)).cells[0].contrast.reason == "1 run without a value"
-
-
-def test_what_is_no_contrast_is_told(tmp_path: Path) -> None:
-    data = crossed(tmp_path, 0, 0, 0, 0, seeds=2)
-    with pytest.raises(UserError, match="no two conditions differ in activation alone, tanh in one") as other:
-        robustness_map(data, "activation", "tanh", "leaky-relu")
-    assert "learning_rate (0.0001, 0.001), scale (unit, raw), activation (tanh, relu)" in str(other.value)
-    with pytest.raises(UserError, match="activation: tanh against itself is no contrast"):
-        robustness_map(data, "activation", "tanh", "tanh")
-    with pytest.raises(UserError, match="neither better high nor better low"):
-        mapped(data, "final-entropy")
-
-
-def test_returns_of_unlike_rewards_are_no_contrast(tmp_path: Path) -> None:
-    data = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2, seeds=2)
-    assert mapped(data, "final-return").cells
-    rewards = {"tanh": ["thesis"], "relu": ["kills"]}
-    for run in data.record["runs"]:
-        run["run"] |= {"reward": rewards[run["run"]["activation"]], "activation": "tanh"}
-    unlike = open_study(Store(tmp_path / "results"), data.record)
-    assert robustness_map(unlike, "reward", "thesis", "kills").cells
-    with pytest.raises(UserError, match="outcome final-return: returns of unlike rewards"):
-        robustness_map(unlike, "reward", "thesis", "kills", "final-return")
-    with pytest.raises(UserError, match="outcome final-return: returns of unlike rewards"):
-        study_effects(unlike, "final-return")
 
 
 def test_a_lesser_outcome_is_turned_and_an_endless_one_refused(tmp_path: Path) -> None:
@@ -308,20 +224,7 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
         assert "must be KEY=A:B" in refused(*contrast, wrong, *at)
 
 
-@pytest.mark.parametrize(
-    ("contrast", "meant"),
-    [
-        ("perceive=nearest:5:all", ("perceive", "nearest:5", "all")),
-        ("perceive=all:nearest:5", ("perceive", "all", "nearest:5")),
-        ("perceive=nearest:5:nearest:3", ("perceive", "nearest:5", "nearest:3")),
-    ],
-)
-def test_values_of_a_contrast_may_have_colons(contrast: str, meant: tuple[str, ...]) -> None:
-    runs = [{"run": {"perceive": perceive}} for perceive in ("nearest:5", "nearest:3", "all")]
-    data = cast(StudyData, SimpleNamespace(record={"runs": runs}))
-    assert study_crossed._meant(study_crossed.read_contrast(contrast), data) == meant
-
-
+@pytest.mark.slow
 def test_collapses_are_drawn_with_the_same_bytes_every_time_and_none_too(tmp_path: Path) -> None:
     data = crossed(tmp_path, 0.1, 0.1, 0.1, 0.1, seeds=2)
     (none,) = draw_collapse(data, tmp_path, "none", ("svg",))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
-from pneuma.analysis import BAND_NAMES, WINDOWS
-from pneuma.analysis.bands import BANDS
+from pneuma.analysis import WINDOWS
 from pneuma.analysis.curves import (
     Curve,
     LogCurve,
@@ -20,12 +18,8 @@ from pneuma.analysis.curves import (
     training_curves,
 )
 from pneuma.analysis.records import Memory, Records
-from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
-from pneuma.engines.records import EPISODE_COLUMNS
-from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
-from pneuma.study.tables import to_parquet
 
 NAN = float("nan")
 TRAILING = "trailing-100"
@@ -133,24 +127,6 @@ def test_a_curve_is_blank_until_every_slot_has_finished_an_episode() -> None:
     assert curve[35] == 8.0  # (25, 35]
 
 
-def test_a_slot_that_never_finishes_leaves_the_curve_blank() -> None:
-    assert np.isnan(list(_one_run({0: EXAMPLE}, slot_count=2).values())).all()
-
-
-def test_the_order_of_rows_in_a_file_does_not_matter(tmp_path: Path) -> None:
-    store, runs = Store(tmp_path), []
-    for name, episodes in (("a" * 16, EXAMPLE), ("b" * 16, EXAMPLE[::-1])):
-        blank: dict[str, object] = {**dict.fromkeys(EPISODE_COLUMNS, 0), "ending": "killed"}
-        rows = [{**blank, "step": step, "return": value} for step, value in episodes]
-        store.save_run(name, Status("done", 200), {"episodes.parquet": to_parquet(rows, EPISODE_COLUMNS)})
-        settings = {"env": "any", "slots": 1, "steps": 200}
-        runs.append({"condition": name, "seed": 0, "run_id": name, "run": settings})
-    record = {"study": "mine", "title": "Mine", "figure": "mine", "same": [], "runs": runs}
-    forwards, backwards = training_curves(open_study(store, record), "return", WINDOWS[0])
-    assert np.isfinite(forwards.runs).any()
-    np.testing.assert_array_equal(forwards.runs, backwards.runs)
-
-
 def test_trailing_100_is_the_mean_of_the_last_hundred_episodes() -> None:
     """Episode k ends at step k and returns k."""
     curve = _one_run({0: [(k, float(k)) for k in range(1, 151)]}, window=TRAILING)
@@ -160,12 +136,6 @@ def test_trailing_100_is_the_mean_of_the_last_hundred_episodes() -> None:
     assert curve[101] == 51.5  # 2 … 101
     assert curve[150] == 100.5  # 51 … 150
     assert curve[200] == 100.5  # still the last hundred
-
-
-def test_trailing_100_too_is_blank_until_every_slot_has_finished_an_episode() -> None:
-    curve = _one_run({0: [(12, 4.0)], 1: [(30, 8.0)]}, slot_count=2, window=TRAILING)
-    assert np.isnan(curve[29])
-    assert curve[30] == 6.0
 
 
 # --- Several runs --------------------------------------------------------------------------------
@@ -193,24 +163,6 @@ def test_a_shorter_budget_is_not_extrapolated() -> None:
     assert long[149] == 3.0  # at 150
     assert short[99] == 3.0  # at 100, its end
     assert np.isnan(short[100:]).all()
-
-
-def test_conditions_keep_their_order_and_their_runs() -> None:
-    tables = [_episodes("b", "r1", {0: [(5, 1.0)]}), _episodes("a", "r2", {0: [(5, 2.0)]})]
-    tables.append(_episodes("b", "r3", {0: [(5, 3.0)]}))
-    runs = [("b", "r1", 200, 1), ("a", "r2", 200, 1), ("b", "r3", 200, 1)]
-    curves = training_curves(_data(runs, episodes=pd.concat(tables)), "return")
-    assert [(curve.condition, curve.runs[:, 4].tolist()) for curve in curves] == [
-        ("b", [1.0, 3.0]),
-        ("a", [2.0]),
-    ]
-
-
-def test_one_configuration_under_two_names_is_two_equal_curves() -> None:
-    table = pd.concat([_episodes(name, "same", {0: EXAMPLE}) for name in ("a", "b")])
-    runs = [("a", "same", 200, 1), ("b", "same", 200, 1)]
-    first, second = training_curves(_data(runs, episodes=table), "return")
-    np.testing.assert_equal(first.runs, second.runs)
 
 
 # --- Mean, bands ---------------------------------------------------------------------------------
@@ -252,23 +204,6 @@ def test_a_band_has_its_edges_and_none_for_a_single_run(
     np.testing.assert_allclose(edges[1], [*high, NAN, NAN])
 
 
-def test_every_band_has_a_name_and_says_what_it_is() -> None:
-    assert tuple(BANDS) == BAND_NAMES
-    assert len({band.label for band in BANDS.values()}) == len(BANDS)
-
-
-@pytest.mark.parametrize("band", BANDS)
-def test_one_run_has_a_mean_and_no_band(band: str) -> None:
-    curve = Curve("a", np.array([1.0, 2.0]), np.array([[5.0, 6.0]]))
-    np.testing.assert_array_equal(curve.mean, [5, 6])
-    assert np.isnan(np.concatenate(curve.band(band))).all()
-
-
-def test_equal_runs_have_a_band_of_no_width() -> None:
-    low, high = Curve("a", np.array([1.0]), np.array([[5.0], [5.0]])).band("std")
-    assert (low[0], high[0]) == (5.0, 5.0)
-
-
 # --- Evaluations, and the table of curves --------------------------------------------------------
 
 
@@ -291,18 +226,6 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps() -> None:
     np.testing.assert_array_equal(second.runs, [[0, 1]])
 
 
-def test_another_column_of_the_evaluations_can_be_asked_for() -> None:
-    table = pd.DataFrame({"condition": ["a"], "run_id": ["r"], "step": [64], "score": [0.5]})
-    (curve,) = evaluation_curves(_data([("a", "r", 64, 1)], evaluations=table), "score")
-    np.testing.assert_array_equal(curve.runs, [[0.5]])
-
-
-def test_a_diverged_runs_curve_stops_at_its_last_value() -> None:
-    runs = np.array([[1.0, 2.0, NAN], [3.0, 4.0, 5.0], [NAN, NAN, NAN]])
-    curve = Curve("a", np.array([10.0, 20.0, 30.0]), runs, (True, False, True))
-    assert curve.stops == [(20.0, 2.0)]  # the last one has no value at all
-
-
 def test_the_table_of_curves_has_a_row_for_each_point() -> None:
     table = curves_table({"return": [CURVE], "kills": [CURVE]}, "minmax")
     assert list(table.columns) == ["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]
@@ -321,9 +244,3 @@ def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
     assert (low[0], high[0]) == (pytest.approx(10 ** (1 - half)), pytest.approx(10 ** (1 + half)))
     low, high = curve.band("minmax")
     assert (low[0], high[0]) == (pytest.approx(1.0), pytest.approx(100.0))
-
-
-def test_a_band_that_there_is_not_is_told_with_those_that_there_are() -> None:
-    curve = Curve("tanh", np.arange(3.0), np.zeros((4, 3)))
-    with pytest.raises(UserError, match=r"unknown band 'CI'.*known are ci, bootstrap"):
-        curve.band("CI")

@@ -88,12 +88,6 @@ def test_a_share_is_planned_by_exact_chances(against: str, tmp_path: Path) -> No
         assert (power >= 0.8) == enough
 
 
-def test_without_a_pilot_nothing_is_refused_and_nothing_is_planned(tmp_path: Path) -> None:
-    claims = load_claims(write_files(tmp_path))
-    assert not_admitted(claims) == {}
-    assert [own.reason for own in check_design(claims)] == ["no pilot has a spread of final-share-killed"]
-
-
 def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: Path) -> None:
     """Though its runs are there; of two outcomes one is enough."""
     low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01\nfinal-return = 0.01")

@@ -11,7 +11,6 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from ..cli.calls import refused
 from .claim_files import save_run
 
 STUDY = """\
@@ -53,11 +52,3 @@ def test_engines_alike_in_one_condition_and_apart_in_another(study: str, tmp_pat
     assert apart["p_equivalent"] == 1 and apart["p_different"] == pytest.approx(2 / 252)
     assert apart["p_different_corrected"] == pytest.approx(4 * 2 / 252)
     assert report["seeds"] == 5 and report["steps"] == 1024
-
-
-def test_what_is_missing_is_said_with_the_command_that_trains_it(study: str, tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    save_runs(store, study, "batched", {"alike": 0.0, "apart": 0.0})
-    line = refused("bench", "equivalence", study, "--results", store.root)
-    assert line.startswith(f"10 of 10 runs of study both engines by sb3 are not in {store.root}: ")
-    assert f"run `pneuma study run '{study}' --engine sb3` with" in line

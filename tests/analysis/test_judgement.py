@@ -9,9 +9,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL, Verdict, judge
-from pneuma.analysis.published import published_path
-from pneuma.errors import UserError
+from pneuma.analysis.judgement import Verdict, judge
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -59,19 +57,6 @@ def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     (one,) = [own for own in judge(load_claims(claims), store) if own.place == "text"]
     assert (one.verdict, one.reason) == (verdict, "")
     assert one.run_ids == (ids[:SEEDS] if "number" in case else ids)
-
-
-def test_a_refuted_claim_is_told_what_it_has_right(store: Store, tmp_path: Path) -> None:
-    """Higher in every run, by a tenth of the margin; a mean that is lower is told nothing of."""
-    for number, (gain, reason) in enumerate(((0.004, AS_CLAIMED_BUT_SMALL), (-0.004, ""))):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        write_files(folder)
-        own = Store(folder / "results")
-        tight = [0.2 + 0.0001 * i for i in range(SEEDS)]
-        save_runs(own, folder, {"high": [share + gain for share in tight], "low": tight})
-        one = judge_one(own, folder)
-        assert (one.verdict, one.reason) == ("refuted", reason)
 
 
 def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
@@ -132,33 +117,6 @@ def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Stor
     write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     clone = published_alone(store, tmp_path, study)
-    assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
-
-
-def test_a_damaged_table_is_no_lack_of_runs(store: Store, tmp_path: Path) -> None:
-    """The study's own ends it; another's, which may have nothing to do with it, is told with what lacks."""
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    clone = published_alone(store, tmp_path, "another")
-    _damage(published_path(clone, "another"))
-    assert "another.parquet: damaged; take it from" in judge_one(clone, tmp_path).reason
-    _damage(published_path(published_alone(store, tmp_path), "mine"))
-    with pytest.raises(UserError, match="damaged"):
-        judge_one(clone, tmp_path)
-
-
-def _damage(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-1])
-
-
-def test_runs_that_lie_in_several_places_are_judged_together(store: Store, tmp_path: Path) -> None:
-    """Five here, three of one arm in one table and three of the other in a second."""
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    published_alone(store, tmp_path, "another", ("high",), (5, 6, 7))
-    clone = published_alone(store, tmp_path, "third", ("low",), (5, 6, 7))
-    assert "high has 3 of the 8 fixed ones" in judge_one(clone, tmp_path).reason
-    save_runs(clone, tmp_path, {"high": HIGH[:5], "low": LOW[:5]})
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
 
 
@@ -225,27 +183,6 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
     assert seven.decisive is not None and seven.decisive.p == pytest.approx(7 * 2 / 252)  # 0.056
 
 
-def test_seeds_may_be_too_few_for_a_list_alone(store: Store, tmp_path: Path) -> None:
-    """The smallest two-sided p of 5 over 5 runs is 2 in 252: 6 times that is below 0.05."""
-    write_files(tmp_path)
-    save_runs(store, tmp_path, {"high": WIDE[:5], "low": WIDE[:5][::-1]})
-    reasons = [_judge_among(count, store, tmp_path).reason for count in (6, 7)]
-    told = "too few seeds: the smallest p possible of greater is 0.0079, and the list has 7 contrasts"
-    assert reasons == ["", told]
-
-
-def test_seeds_may_be_too_few_in_the_claimed_direction_alone(store: Store, tmp_path: Path) -> None:
-    """No event in 8 runs against a tenth: 2 (0.9^8) = 0.86; 8 of 8 would have been 2 (0.1^8)."""
-    changes = ('"mean"', '"incidence"\nabove = 0.6'), ("margin = 0.04\n", "")
-    counted = changed(('b = "low"', "value = 0.1"), *changes)
-    write_files(tmp_path, counted)
-    save_runs(store, tmp_path, {"high": LOW})
-    one = judge_one(store, tmp_path, counted.replace('"greater"', '"less"'))
-    assert one.verdict == "untestable"
-    assert one.reason == "too few seeds: the smallest p possible of less is 0.86, and the list has 1 contrast"
-    assert judge_one(store, tmp_path, counted).verdict == "inconclusive"
-
-
 # --- Of how many contrasts a claim speaks ------------------------------------------------------------
 
 TOP = [share + 0.7 for share in LOW]
@@ -269,28 +206,6 @@ def test_a_claim_speaks_of_all_its_contrasts_or_of_any(case: str, store: Store, 
     assert judge_one(store, tmp_path, claims).verdict == verdict
 
 
-def test_a_claim_of_any_is_refuted_by_all_alone(store: Store, tmp_path: Path) -> None:
-    claims = changed(('b = "low"', 'b = ["low", "middle"]\nneed = "any"'), ('"greater"', '"different"'))
-    write_files(tmp_path, claims)
-    save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
-    assert judge_one(store, tmp_path, claims).verdict == "untestable"  # middle has no runs
-    save_runs(store, tmp_path, {"middle": WIDE})
-    assert judge_one(store, tmp_path, claims).verdict == "inconclusive"
-    equal = Store(tmp_path / "equal")
-    save_runs(equal, tmp_path, {"high": NEAR, "low": LOW, "middle": LOW[::-1]})
-    assert judge_one(equal, tmp_path, claims).verdict == "refuted"
-
-
-def test_the_contrast_that_is_told_is_the_one_that_decides(store: Store, tmp_path: Path) -> None:
-    """Low lies far off and middle overlaps: where any is enough the surest tells, and else the least sure."""
-    text = ('b = "low"', 'b = ["middle", "low"]\nneed = "any"')
-    write_files(tmp_path)
-    overlapping = [share - 0.03 for share in HIGH]
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": overlapping})
-    one = judge_one(store, tmp_path, changed(text))
-    assert one.verdict == "supported" and one.decisive is not None and one.decisive.b == "low"
-
-
 # --- Two outcomes, two effects, gaps ----------------------------------------------------------------
 
 
@@ -298,7 +213,6 @@ def test_the_contrast_that_is_told_is_the_one_that_decides(store: Store, tmp_pat
     ("shares", "verdict"),
     [
         ((HIGH, LOW, HIGH, LOW), "supported"),
-        ((HIGH, LOW, WIDE, WIDE[::-1]), "supported"),
         ((HIGH, LOW, LOW, HIGH), "mixed"),
         ((LOW, HIGH, WIDE, WIDE[::-1]), "refuted"),
         ((WIDE, WIDE[::-1], WIDE, WIDE[::-1]), "inconclusive"),
@@ -360,21 +274,12 @@ def test_alpha_is_split_by_weights_fixed_beforehand(tmp_path: Path) -> None:
     ) == pytest.approx(1)
 
 
-def test_the_first_seed_may_be_a_lists_own(tmp_path: Path) -> None:
-    text = "[list]\nseeds_from = 100\n" + CLAIMS
-    assert load_claims(write_files(tmp_path, text)).claims["better"].seeds["low"] == tuple(range(100, 108))
-    with pytest.raises(UserError, match="3 is below seeds_from = 100"):
-        load_claims(write_files(tmp_path, text.replace("seeds = 8", "seeds = [3, 100]")))
-
-
 @pytest.mark.parametrize(
     ("high", "margin", "direction", "standing"),
     [
-        (HIGH, 0.04, "greater", "decided with content"),
         (HIGH, 0.6, "greater", "decided by the letter"),
         (NEAR, 0.04, "greater", "decided with content"),
         (WIDE, 0.04, "greater", "open"),
-        ([0.0] * 8, 0.04, "greater", "decided with content"),
     ],
 )
 def test_a_verdict_is_counted_by_what_it_says_of_size(

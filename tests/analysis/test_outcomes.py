@@ -22,6 +22,8 @@ from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Status, Store, to_json
 from pneuma.study.tables import to_parquet
 
+from .published_runs import record_of
+
 BUDGET = 1000
 SHARES = (0.2, 0.6, 0.4, 0.5)
 """Share killed at the evaluations at steps 250, 500, 750 and 1,000."""
@@ -67,15 +69,8 @@ def save(
     store.save_run(run_id, Status("done" if end == BUDGET else "diverged", end), files)
 
 
-def record(cells: Sequence[tuple[str, int, str]], **settings: Any) -> dict[str, Any]:
-    """Return the record of a study."""
-    run = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": BUDGET, **settings}
-    texts = {"study": "mine", "title": "Mine", "figure": "fig-mine", "baseline": "a", "same": []}
-    runs = [{"condition": c, "seed": s, "run_id": i, "run": run} for c, s, i in cells]
-    return {**texts, "selection": {}, "runs": runs}
-
-
-CELLS = (("a", 0, "a0" * 8), ("a", 1, "a1" * 8), ("b", 0, "b0" * 8))
+CELLS = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8, ("b", 0): "b0" * 8}
+ONE = {("a", 0): "a0" * 8}
 
 
 @pytest.fixture
@@ -85,7 +80,7 @@ def data(tmp_path: Path) -> StudyData:
     save(store, "a0" * 8)
     save(store, "a1" * 8, (0.2, 0.6), end=600)
     save(store, "b0" * 8, (0.1, 0.2, 0.3, 0.4))
-    return open_study(store, record(CELLS))
+    return open_study(store, record_of(CELLS))
 
 
 def republished(data: StudyData, folder: Path) -> StudyData:
@@ -178,7 +173,7 @@ def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_pa
     save(store, "a0" * 8)
     save(store, "a1" * 8, (0.3,), end=300)
     save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), step=(500, 1000, 1500, 2000))
-    unlike = record(CELLS)
+    unlike = record_of(CELLS)
     unlike["runs"][2] = {**unlike["runs"][2], "run": {**unlike["runs"][2]["run"], "steps": 2000}}
     data = open_study(store, unlike)
     found = [outcome(data, run, "auc-share-killed", common_step(data)) for run in data.runs]
@@ -186,21 +181,10 @@ def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_pa
     assert outcome(data, data.runs[0], "auc-share-killed") == pytest.approx(0.45)
 
 
-def test_an_evaluation_that_whole_horizons_put_just_after_the_step_counts(data: StudyData) -> None:
-    assert outcome(data, data.runs[0], PRIMARY, at_step=490) == 0.6
-    assert outcome(data, data.runs[0], PRIMARY, at_step=480) == 0.2
-
-
-def test_a_condition_has_one_value_a_run_in_the_selections_order(data: StudyData) -> None:
-    assert outcome_values(data, "a", PRIMARY).tolist() == [0.5, 0.6]
-    with pytest.raises(UserError, match="condition of study mine"):
-        outcome_values(data, "c", PRIMARY)
-
-
 def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     save(store, "a0" * 8, q_estimate=(1, 2, 3, 9.5), q_true=(1, 1, 1, 2))
-    data = open_study(store, record(CELLS[:1]))
+    data = open_study(store, record_of(ONE))
     assert outcome(data, data.runs[0], "q-overestimation") == 7.5
 
 
@@ -216,27 +200,9 @@ def test_a_run_without_a_value_says_why(data: StudyData, tmp_path: Path) -> None
     assert reason(data, run, PRIMARY) == ""
     store = Store(tmp_path / "early")
     save(store, "a0" * 8, (), end=40)
-    early = open_study(store, record(CELLS[:1]))
+    early = open_study(store, record_of(ONE))
     assert np.isnan(outcome(early, early.runs[0], PRIMARY))
     assert "the run diverged at step 40 has no value" in reason(early, early.runs[0], PRIMARY)
-
-
-def test_logs_have_what_was_logged_and_say_so_of_the_rest(tmp_path: Path, write_events: Any) -> None:
-    store = Store(tmp_path / "results")
-    points = [
-        point
-        for k in range(1, 11)
-        for point in (("rollout/ep_rew_mean", 100 * k, k / 4), ("train/entropy_loss", 100 * k, -1 / k))
-    ]
-    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(store, store.selection("logs") or {})
-    (run,) = data.runs
-    assert (outcome(data, run, "final-return"), outcome(data, run, "best-return")) == (2.5, 2.5)
-    assert outcome(data, run, "least-entropy") == pytest.approx(0.1)
-    assert outcome(data, run, "wall-seconds") > 0
-    assert np.isnan(outcome(data, run, PRIMARY))
-    assert reason(data, run, PRIMARY) == "a study of imported TensorBoard logs holds no evaluations"
 
 
 def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_left_out(
@@ -309,13 +275,3 @@ def test_a_forks_time_is_of_the_steps_after_it(data: StudyData) -> None:
     assert seconds and outcome(data, fork, "wall-seconds") == pytest.approx(seconds)
     assert outcome(data, fork, "steps-per-second") == pytest.approx((whole.end - fork.begun) / seconds)
     assert outcome(data, fork, "wall-seconds", fork.begun) == 0
-
-
-def test_budgets_that_whole_horizons_put_apart_are_the_same(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    for run_id in ("a0" * 8, "b0" * 8):
-        save(store, run_id)
-    for other, common in ((1020, None), (2000, 1000)):
-        two = record((CELLS[0], CELLS[2]))
-        two["runs"][1] = {**two["runs"][1], "run": {**two["runs"][1]["run"], "steps": other}}
-        assert common_step(open_study(store, two)) == common

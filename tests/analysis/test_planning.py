@@ -138,13 +138,5 @@ def test_a_factor_that_another_hides_has_no_p_value() -> None:
     assert constant[0].p_value == 1.0
 
 
-def test_an_outcome_that_is_yes_or_no_is_tested_without_a_warning() -> None:
-    """Some relabelings of few yeses lie within the model without the effect: there it takes nothing away."""
-    x, y = ["a"] * 4 + ["b"] * 4, ["c", "c", "d", "d"] * 2
-    found = factorial([1, 0, 1, 0, 0, 1, 0, 1], {"x": x, "y": y}, np.random.default_rng(9))
-    assert [effect.p_value for effect in found] == [1, 1, 1]
-    assert [effect.share for effect in found] == [0, 0, 0]
-
-
 def map_text(levels: list[int]) -> list[str]:
     return [str(level) for level in levels]

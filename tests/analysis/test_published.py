@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,13 @@ import pytest
 
 from pneuma.analysis import WINDOWS
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.published import published_path, published_studies, read_published, unpack_signs
-from pneuma.analysis.publishing import encode_study, pack_signs, rounded
+from pneuma.analysis.published import published_path, published_studies, read_published
+from pneuma.analysis.publishing import encode_study, rounded
 from pneuma.analysis.run_index import open_published, open_study
 from pneuma.errors import UserError
-from pneuma.figures.curves import draw_study
 from pneuma.study.store import Status, Store
 
-from .published_runs import CELLS, RECORD, SETTINGS, longer_record, record_of, save_run
+from .published_runs import CELLS, RECORD, SETTINGS, save_run
 
 TIMES = ("wall-seconds", "steps-per-second")
 
@@ -108,20 +106,13 @@ def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
         assert np.array_equal(rounded(np.array(odd)), odd, equal_nan=True)
 
 
-def test_signs_come_back_as_they_were() -> None:
-    one = {"one action": [(512.0, 512.0), (1024.0, 2048.0)], "dead units": [], "no entropy": [(256.0, 768.0)]}
-    for signs in (one, {}):
-        assert unpack_signs(pack_signs(signs)) == signs
-    assert len(pack_signs(one)) < len(json.dumps(one))
-
-
 # --- In place of the runs -------------------------------------------------------------------------
 
 
 def test_one_flipped_bit_anywhere_is_noticed_where_the_table_is_needed(store: Store) -> None:
     path = _publish(store)
     data = path.read_bytes()
-    for place in range(0, len(data), 997):
+    for place in range(0, len(data), 4001):
         path.write_bytes(data[:place] + bytes([data[place] ^ (1 << place % 8)]) + data[place + 1 :])
         with pytest.raises(UserError, match="mine.parquet: damaged; take it from version control again"):
             read_published(store, "mine")
@@ -134,32 +125,6 @@ def test_one_flipped_bit_anywhere_is_noticed_where_the_table_is_needed(store: St
     with pytest.raises(UserError, match="mine.parquet: cannot be read"):
         read_published(store, "mine")
     assert published_studies(store) == []
-
-
-@pytest.mark.parametrize("window", WINDOWS)
-def test_the_figure_is_the_same_byte_for_byte(store: Store, tmp_path: Path, window: str) -> None:
-    clone = Store(tmp_path / "clone")
-    _publish(store, to=clone)
-    options: Any = {"window": window, "formats": ("svg", "png")}
-    ours = draw_study(open_study(store, RECORD), tmp_path / "ours", **options)
-    theirs = draw_study(open_published(clone.root)[0], tmp_path / "theirs", **options)
-    assert [path.read_bytes() for path in ours] == [path.read_bytes() for path in theirs]
-
-
-def test_a_selection_finds_its_runs_in_the_table_by_their_ids(store: Store, tmp_path: Path) -> None:
-    """Runs that never finished keep their place, by which colours are given; one may have two names."""
-    store.save_run("ff" * 8, Status("crashed", 100), {})
-    cells = {("never", 0): "ff" * 8, **CELLS, ("twin", 0): "a0" * 8}
-    clone = Store(tmp_path / "clone")
-    _publish(store, {**record_of(cells), "same": [["a", "twin"]]}, to=clone)
-    (data,) = open_published(clone.root)
-    assert (data.conditions, data.same) == (["never", "a", "b", "twin"], [["a", "twin"]])
-    assert (data.left_out, len(data.runs)) == (1, 5)
-    assert read_published(clone, "mine")("ff" * 8).status.name == "crashed"
-    data = open_study(clone, record_of({("b", 1): "b1" * 8, ("c", 0): "c0" * 8}))
-    assert [(run.condition, run.seed) for run in data.runs] == [("b", 1)]
-    with pytest.raises(UserError, match="no run of this selection"):
-        open_study(clone, record_of({("c", 0): "c0" * 8}))
 
 
 # --- Part by part -----------------------------------------------------------------------------------
@@ -176,19 +141,6 @@ def test_published_part_by_part_it_is_the_same_to_the_byte(
     assert _publish(second, **options).read_bytes() == _publish(store, **options).read_bytes()
 
 
-def test_only_the_selections_runs_stay_and_those_that_are_here_are_taken_anew(
-    store: Store, tmp_path: Path
-) -> None:
-    _publish(store)
-    second = _part(tmp_path, 1, before=store)
-    save_run(second, "b1" * 8, 1, python="3.12.0")
-    fewer = record_of({cell: run_id for cell, run_id in CELLS.items() if cell != ("b", 0)})
-    table = pq.read_table(io.BytesIO(_publish(second, fewer).read_bytes()))
-    assert table["run_id"].to_pylist() == ["a0" * 8, "a1" * 8, "b1" * 8]
-    versions = [json.loads(text)["python"] for text in table["provenance"].to_pylist()]
-    assert versions == ["3.11.7", "3.11.7", "3.12.0"]
-
-
 @pytest.mark.parametrize(
     ("before", "options"),
     [({}, {"rounding": True}), ({}, {"curves": ("return",)}),
@@ -201,12 +153,6 @@ def test_runs_whose_other_curves_were_kept_are_not_mixed_with_new_ones(
     with pytest.raises(UserError, match="differ in .* publish with the same --curves and --round as before"):
         _publish(_part(tmp_path, 1, before=store), **options)
     _publish(store, **options)  # all are here: nothing is mixed
-
-
-def test_short_runs_join_the_grid_of_longer_ones(store: Store, tmp_path: Path) -> None:
-    _publish(first := _part(tmp_path, 0), longer_record(0))
-    parts = _publish(_part(tmp_path, 1, before=first), longer_record(0)).read_bytes()
-    assert parts == _publish(store, longer_record(0)).read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis import pvalues
 from pneuma.analysis.contrasts import Contrast, compare
-from pneuma.analysis.corrections import bonferroni, holm
+from pneuma.analysis.corrections import holm
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.pvalues import relabel
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS, decide, found, smallest_p, together
@@ -35,11 +35,6 @@ def test_holm_by_hand() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.9, 0.6]) == pytest.approx([1.0, 1.0])
     assert holm([]).tolist() == []
-
-
-def test_bonferroni_by_hand() -> None:
-    assert bonferroni([0.01, 0.04, 0.5]) == pytest.approx([0.03, 0.12, 1.0])
-    assert bonferroni([]).tolist() == []
 
 
 @pytest.mark.parametrize(

@@ -50,17 +50,6 @@ def test_a_return_that_is_not_finite_blanks_its_own_window_alone() -> None:
     assert set(curve[12:]) == {0.5}
 
 
-def test_what_was_logged_holds_until_the_next_entry() -> None:
-    curve = logged_curve(np.array([10.0, 20.0]), np.array([1.5, 2.5]), GRID, 30)
-    np.testing.assert_equal(_at(curve, 9, 10, 19, 20, 30, 31), [NAN, 1.5, 1.5, 2.5, 2.5, NAN])
-
-
 def test_a_logged_nan_is_a_blank_until_the_next_entry() -> None:
     curve = logged_curve(np.array([10.0, 20.0, 30.0]), np.array([1.0, NAN, 2.0]), GRID, 200)
     np.testing.assert_equal(_at(curve, 19, 20, 29, 30), [1, NAN, NAN, 2])
-
-
-def test_a_run_that_logged_nothing_is_blank() -> None:
-    nothing = np.zeros(0)
-    assert np.isnan(logged_curve(nothing, nothing, GRID, 200)).all()
-    assert np.isnan(update_curve(nothing, nothing, GRID, 200)).all()

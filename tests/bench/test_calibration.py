@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.analysis import coverage as table
-from pneuma.analysis.bands import BANDS
+from pneuma.analysis import bands
+from pneuma.analysis.bands import BANDS, coverage, is_trusted
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.verdicts import decide
@@ -17,8 +17,8 @@ from ..cli.calls import described
 
 def test_the_committed_coverages_are_those_that_are_drawn() -> None:
     generator = np.random.default_rng(1)
-    for i, seeds in enumerate(table.SEEDS):
-        for band, least in table.LEAST_COVERAGE.items():
+    for i, seeds in enumerate(bands.COVERAGE_SEEDS):
+        for band, least in bands.LEAST_COVERAGE.items():
             samples, near = (500, 0.06) if band == "bootstrap" else (3_000, 0.03)
             drawn = [
                 band_coverage(band, draw(generator, (samples, seeds))) for draw in DISTRIBUTIONS.values()
@@ -34,11 +34,11 @@ def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
 
 
 def test_between_two_numbers_of_runs_the_lesser_coverage_counts() -> None:
-    assert table.coverage("ci", 4) == table.coverage("ci", 6) == 0.752
-    assert table.coverage("ci", 1_000) == 0.942 and table.coverage("ci", 2) == 0
-    assert table.is_trusted("ci", 20) and not table.is_trusted("ci", 19)
-    assert {name for name, band in BANDS.items() if band.about_mean} == {*table.LEAST_COVERAGE}
-    assert table.coverage("variance", 50) is None and table.is_trusted("minmax", 3)
+    assert coverage("ci", 4) == coverage("ci", 6) == 0.752
+    assert coverage("ci", 1_000) == 0.942 and coverage("ci", 2) == 0
+    assert is_trusted("ci", 20) and not is_trusted("ci", 19)
+    assert {name for name, band in BANDS.items() if band.about_mean} == {*bands.LEAST_COVERAGE}
+    assert coverage("variance", 50) is None and is_trusted("minmax", 3)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -31,6 +30,7 @@ def test_ratios_are_the_medians_of_rounds_and_are_printed(monkeypatch: pytest.Mo
     assert f"{case}: batched over sb3, median of rounds: 3.00\n" in printed("bench", "engines")
 
 
+@pytest.mark.slow
 def test_every_face_is_measured_beside_cartpole(monkeypatch: pytest.MonkeyPatch) -> None:
     start = {"import_seconds": 0.1, "first_step_cold_seconds": 4.0, "first_step_warm_seconds": 0.2}
     monkeypatch.setattr(env, "start_seconds", lambda: start)
@@ -40,18 +40,6 @@ def test_every_face_is_measured_beside_cartpole(monkeypatch: pytest.MonkeyPatch)
     assert {case["face"] for case in document["cases"]} == {"kernel", "single", "vector", "cartpole"}
     assert all(case["agent_steps_per_second"] > 0 for case in document["cases"])
     assert len(printed("bench", "env").splitlines()) == len(document["cases"]) + 3
-
-
-def test_a_rate_is_steps_over_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A step that takes a tenth of a millisecond is taken 10,000 times a second."""
-    now = 0.0
-
-    def step(_: int) -> None:
-        nonlocal now
-        now += 1e-4
-
-    monkeypatch.setattr(time, "perf_counter", lambda: now)
-    assert env.rate_of(step, 0.05) == pytest.approx(10_000)
 
 
 def test_worst_case_keeps_every_monster_busy() -> None:

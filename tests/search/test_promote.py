@@ -126,12 +126,6 @@ def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(alik
         find_winners(alike, None, (0, 1001))
 
 
-def test_what_an_untrusted_record_says_ends_no_comment(alike: list[Searched], tmp_path: Path) -> None:
-    (own,) = find_winners(alike[:1], None, (0,))
-    own = replace(own, trial=replace(own.trial, run_ids=("\n[run]\nepochs = 1\n#",)))
-    assert {cell.run.epochs for cell in plan([own], tmp_path).cells} == {10}
-
-
 def test_what_can_be_compared_by_hand(alike: list[Searched]) -> None:
     found, (low, high) = mean_difference(np.array([0.5, 0.7]), np.array([0.4, 0.4]))
     assert found == pytest.approx(0.2) and low < 0.2 < high

@@ -16,6 +16,7 @@ MORE = '[space.gamma]\nlow = 0.8\nhigh = 1.0\nwhen = { activation = "relu" }\n'
 SECOND = '[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["svg", "png"])
 def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
     make_task: MakeTask, tmp_path: Path, ending: str

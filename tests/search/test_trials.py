@@ -25,13 +25,6 @@ def test_a_search_is_the_same_however_often_it_is_begun_again(make_task: MakeTas
     assert solve(make_task(5, more)) == once[:5]  # fewer trials are the first of more
 
 
-def test_a_generation_is_asked_for_before_any_of_it_is_told(make_task: MakeTask) -> None:
-    task = make_task(8, "[sampler]\nstartup_trials = 4")
-    one, other = solve(task), solve(task, outcomes=Formula(lambda cell, name: -height(cell, name)))
-    assert [told.params for told in one[:4]] == [told.params for told in other[:4]]
-    assert [told.params for told in one[4:]] != [told.params for told in other[4:]]
-
-
 def test_the_first_trials_are_those_that_it_starts_with(make_task: MakeTask) -> None:
     told = solve(make_task(4, start='start = ["table-6-1", "table-6-2"]'))
     assert told[0].params == {"learning_rate": 3e-4, "activation": "relu"}
