@@ -159,21 +159,6 @@ def test_a_fresh_clone_exports_the_same_tables(
     assert _export(clone, table, tmp_path / "theirs.csv", *selection) == ours
 
 
-def test_curves_that_a_rounded_table_lacks_with_a_window_are_told_and_left_out(
-    trained: Path, tmp_path: Path
-) -> None:
-    """A rounded table keeps returns alone as the thesis's figures average them."""
-    results = Path(shutil.copytree(trained, tmp_path / "results"))
-    assert _publish(results, "--round").code == 0
-    shutil.rmtree(results / "runs")
-    command = ("study", "export", "activation", "--table", "curves", "--window", "trailing-100")
-    called = call(*command, "--out", tmp_path / "c.csv", "--results", results)
-    told = "length, kills, hp: not held with the window trailing-100, and left out"
-    assert called.code == 0 and told in called.err
-    quantities = {line.split(",")[1] for line in (tmp_path / "c.csv").read_text().splitlines()[1:]}
-    assert quantities == {"return", "share_killed"}
-
-
 def test_what_a_clone_cannot_do_is_one_line(clone: Path, tmp_path: Path) -> None:
     results = Path(shutil.copytree(clone / "published", tmp_path / "results" / "published")).parent
     export = ("export", "activation", "--out", "-", "--table")

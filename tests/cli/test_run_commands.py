@@ -187,22 +187,6 @@ def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("out", "words"),
-    [
-        ("policy.zipp", "must end in .zip or .onnx (did you mean .zip?)"),
-        ("nowhere/policy.zip", "there is no folder nowhere"),
-        ("folder.zip", "is a folder"),
-    ],
-)
-def test_a_file_that_cannot_be_written_is_refused(
-    out: str, words: str, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(store.root)
-    (store.root / "folder.zip").mkdir()
-    assert f"--out {out}: {words}" in refused("run", "export", ALONE, "--out", out)
-
-
-@pytest.mark.parametrize(
     ("status", "files", "words"),
     [
         ("diverged", {}, "left no policy"),

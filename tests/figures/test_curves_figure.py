@@ -12,7 +12,6 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.analysis.curves import curve_names
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
@@ -157,18 +156,6 @@ def test_random_player_and_hunter_are_told_with_their_levels_and_flatten_nothing
     study.add("elsewhere", 0, hunter=0.9)  # of another world than the others'
     study.draw(tmp_path)
     assert "scripted hunter" not in words(drawn[2])
-
-
-def test_every_quantity_has_a_panel_and_all_can_be_drawn(
-    study: HandMade, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    (path,) = study.draw(tmp_path, quantities=("entropy", "grad_norm"))
-    assert path.stem == "fig-mine-entropy-grad_norm"
-    assert [axes.get_yscale() for axes in drawn[0].axes] == ["linear", "log"]
-    names = curve_names(study.data)
-    (path,) = study.draw(tmp_path, quantities=names)
-    assert path.stem == "fig-mine-all"
-    assert len(drawn[1].axes) == len(names) == 18  # 3 of evaluations, 4 of episodes, 11 of updates
 
 
 def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, drawn: list[Figure]) -> None:

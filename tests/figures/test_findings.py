@@ -61,13 +61,6 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
     )
 
 
-def test_counts_are_by_place() -> None:
-    page = with_verdicts("<!-- counts -->\n<!-- end -->", CLAIMS)
-    assert "| Judged in | decided with content | decided by the letter | open |" in page
-    assert "| The text's world | 1 | 0 | 1 | 0 | 0 |" in page
-    assert "| The published code's world | 0 | 0 | 0 | 0 | 1 |" in page
-
-
 @pytest.mark.parametrize(
     ("page", "message"),
     [
