@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.analysis.published import published_path
-from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.run_index import open_study
 from pneuma.api import evaluate, load_policy, open_data, run_study
 from pneuma.config import as_fields, make_env_config, make_run, stream_seed
 from pneuma.engines.policy import Policy
@@ -24,7 +20,6 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
-from .analysis.published_runs import CELLS, RECORD, save_run
 from .pages import BLOCK
 
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
@@ -72,19 +67,6 @@ def test_what_cannot_be_run_is_refused_and_nothing_is_written(
     assert not (tmp_path / "results").exists()
 
 
-@pytest.mark.slow
-def test_a_run_that_crashes_is_told_with_where_to_look(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    body = "    assert players['attack'].max() < 20\n    return players['xp']\n"
-    (tmp_path / "breaking_pay.py").write_text(f"def pay(events, players, stats):\n{body}")
-    text = 'title = "T"\nbase = "table-6-2"\n[conditions.only]\nreward = "breaking_pay:pay"\n'
-    (tmp_path / "mine.toml").write_text(f"{text}[presets.quick]\nseeds = 1\nsteps = 1024\n")
-    with pytest.raises(UserError, match="1 of 1 runs did not end: only seed 0 crashed.*; see .*error.txt"):
-        run_study("mine.toml")
-
-
 def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> None:
     store, run = Store(tmp_path), make_run({"level": "somebodys/isle"})
     layers = ((np.zeros((60, 5), np.float32), np.zeros(5, np.float32)),)
@@ -99,34 +81,6 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
     policy, env, settings = load_policy("0123", tmp_path, trust=True)
     assert isinstance(policy, Policy) and policy.best(np.zeros((1, 60), np.float32)).tolist() == [0]
     assert (env, settings["level"]) == ("pneuma/Pneuma-v0", "somebodys/isle")
-
-
-def test_a_file_of_the_name_of_another_is_not_taken_for_it(tmp_path: Path) -> None:
-    one, other = tmp_path / "one" / "mine.toml", tmp_path / "other" / "mine.toml"
-    for path in (one, other):
-        path.parent.mkdir()
-        path.touch()
-    names = {"study": "mine", "title": "", "figure": "", "baseline": ""}
-    record = {**names, "path": str(one), "runs": [], "same": [], "selection": {}}
-    Store(tmp_path).save_selection("mine", record)
-    with pytest.raises(UserError, match="the runs of study mine in .* are of .*one/mine.toml"):
-        open_data(other, tmp_path)
-    Store(tmp_path).selection_path("mine").write_text("{")
-    with pytest.raises(UserError, match="mine.json: damaged; run, import or fork it anew"):
-        open_data("mine", tmp_path)
-
-
-def test_published_studies_are_opened_by_name(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    for (_, seed), run_id in CELLS.items():
-        save_run(store, run_id, seed)
-    path = published_path(store, "mine-godot")
-    store.write(path, encode_study(open_study(store, {**RECORD, "study": "mine-godot"})))
-    shutil.rmtree(tmp_path / "runs")
-    data = open_data("mine", tmp_path, world="godot")
-    assert data.study == "mine-godot" and data.conditions == ["a", "b"]
-    one = data.of_conditions("b")
-    assert one.conditions == ["b"]
 
 
 LAYER = (np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32), np.zeros(5, np.float32))

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from pneuma import doctor
-from pneuma.doctor import BROKEN, GOOD, NOTE, Finding, examine
-from pneuma.study.store import Status, Store
+from pneuma.doctor import BROKEN, GOOD, Finding, examine
 
 from .cli.calls import call
 
@@ -49,23 +48,6 @@ def test_what_does_not_run_is_broken_with_its_last_line(
     assert _find("one", tmp_path).told == "ImportError: no such library"
     assert _find("two", tmp_path).state == BROKEN  # and this process lives
     assert (_find("three", tmp_path).state, _find("three", tmp_path).told) == (GOOD, "well")
-
-
-def test_a_results_folder_is_not_made_and_a_file_in_its_place_is_broken(tmp_path: Path) -> None:
-    assert "not made yet" in _find("results", tmp_path / "a" / "b").told
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "results").write_text("")
-    assert _find("results", tmp_path / "results").state == BROKEN
-    assert _find("results", tmp_path / "results" / "deeper").state == BROKEN
-
-
-def test_damaged_runs_are_counted(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    for number in range(3):
-        store.save_run(f"{number:016x}", Status("done", 5), {"run.json": b"{}"})
-    assert (_find("runs", tmp_path).state, _find("runs", tmp_path).told) == (GOOD, "3 done")
-    (tmp_path / "runs" / f"{1:016x}" / "run.json").write_bytes(b"{ }")
-    assert (_find("runs", tmp_path).state, _find("runs", tmp_path).told) == (NOTE, "1 damaged, 2 done")
 
 
 def test_the_command_ends_with_1_only_where_something_needed_is_broken(

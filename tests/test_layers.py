@@ -40,54 +40,24 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what says that programs have to be compiled:
     "pneuma.study.compiling": ("pneuma.env.compiled",),
     "pneuma.study.checkpoints": (
-        "pneuma.engines.base",
-        "pneuma.engines.checkpoint",
-        "pneuma.engines.records",
+        "pneuma.engines.base", "pneuma.engines.checkpoint", "pneuma.engines.records",
     ),
-    # what reads records, and what produced them:
+    # what reads records, what produced them, and which of them claims fixed:
     "pneuma.analysis": (
-        "pneuma.study.store",
-        "pneuma.study.files",
-        "pneuma.study.spec",
-        "pneuma.study.tables",
-        "pneuma.study.origins",
-    ),
-    # what reads claims and finds the runs that they fixed:
-    "pneuma.analysis.claims": (
-        "pneuma.analysis",
-        "pneuma.study.claimed",
-        "pneuma.study.spec",
-        "pneuma.study.files",
-    ),
-    "pneuma.analysis.claim_runs": (
-        "pneuma.analysis",
-        "pneuma.study.claimed",
-        "pneuma.study.spec",
-        "pneuma.study.store",
-        "pneuma.study.plan",
-        "pneuma.study.origins",
+        "pneuma.study.store", "pneuma.study.files", "pneuma.study.spec", "pneuma.study.tables",
+        "pneuma.study.origins", "pneuma.study.claimed", "pneuma.study.plan",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
-    "pneuma.figures": ("pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch"),
-    "pneuma.figures.paper": (
-        "pneuma.figures",
-        "pneuma.analysis",
-        "pneuma.study.files",
-        "pneuma.study.provenance",
+    "pneuma.figures": (
+        "pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch", "pneuma.study.store",
+        "pneuma.study.files", "pneuma.study.provenance",
     ),
-    # what judges claims by the runs of a results folder:
-    "pneuma.figures.verdict_words": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
-    "pneuma.figures.findings": ("pneuma.figures", "pneuma.analysis", "pneuma.study.store"),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study",),
     "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
     "pneuma.until_decided": ("pneuma.study", "pneuma.analysis"),  # joins both: design section 1
     "pneuma.cli": ("pneuma",),
-}
-
-
-LATE = ("pneuma.cli.report_contents",)
-"""Modules of the command line that only a command's own code loads, once it needs them."""
+}  # fmt: skip
 
 
 def _belongs(module: str, package: str) -> bool:
@@ -150,30 +120,6 @@ def test_modules_import_only_what_their_layer_may() -> None:
 )
 def test_the_check_itself_knows_right_from_wrong(module: str, imported: str, allowed: bool) -> None:
     assert _allowed(module, imported) is allowed
-
-
-HEAVY = (
-    "torch", "jax", "numba", "pandas", "matplotlib", "optuna", "stable_baselines3", "pyarrow", "pydantic",
-)  # fmt: skip
-
-
-LAYERS = ("analysis", "figures", "engines", "bench", "search", "until_decided")
-LIGHT = ("pneuma.analysis", "pneuma.figures")
-"""Their __init__ holds names alone."""
-
-
-def test_commands_load_what_is_heavy_only_when_they_need_it() -> None:
-    heavy = (*HEAVY, *(f"pneuma.{layer}" for layer in LAYERS))
-    loaded = []
-    for module, path in MODULES.items():
-        if _belongs(module, "pneuma.cli") and module not in LATE:
-            body = ast.parse(path.read_text(encoding="utf-8")).body
-            names = [alias.name for node in body if isinstance(node, ast.Import) for alias in node.names]
-            names += [node.module or "" for node in body if isinstance(node, ast.ImportFrom)]
-            loaded += [
-                (module, n) for n in names if any(_belongs(n, own) for own in heavy) and n not in LIGHT
-            ]
-    assert loaded == []
 
 
 def test_the_package_list_is_every_folder_with_code() -> None:

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import Run
 from pneuma.search.spec import list_searches, load_search
 from pneuma.study.claimed import fixed_amounts
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
-from pneuma.worlds import WORLDS
 
 ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
@@ -52,25 +50,6 @@ def _trained(target: str) -> set[str]:
     }
 
 
-def _small(run: Run) -> bool:
-    return max(*run.actor, *run.critic) <= 256
-
-
-def test_the_reproduction_is_chapter_6s_small_networks_at_full_budget() -> None:
-    commands = _commands("reproduction")
-    assert {(study, world) for study, world, _ in commands} == {
-        (study, world)
-        for study in (
-            "activation", "actor-size", "clip-range", "gradient-limits", "hyperparameters", "optimizer",
-        )
-        for world in WORLDS
-    }  # fmt: skip
-    for study, world, selection in commands:
-        plan = make_plan(load_study(study, world), selection)
-        assert plan.seeds == tuple(range(10))
-        assert all(_small(cell.run) and cell.run.steps >= 1_000_000 for cell in plan.cells)
-
-
 @pytest.mark.slow
 def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
     trained = set().union(*map(_trained, TARGETS))
@@ -99,16 +78,6 @@ def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None
     assert trained == [load_search(names[0]).presets["paper"].steps for names in searched]
 
 
-@pytest.mark.parametrize("target", ["study", "figures", "trajectories", "tuning"])
-def test_a_target_that_has_no_plan_refuses_to_be_asked_for_one(target: str) -> None:
-    told = subprocess.run(
-        ["make", "--dry-run", "--assume-old=install", target, "DO=plan"],
-        cwd=ROOT, capture_output=True, text=True, env={"PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
-    assert told.returncode == 2 and f"{target} takes RESULTS" in told.stderr
-    assert not told.stdout
-
-
 @pytest.mark.parametrize(
     ("do", "status", "reached"), [("publish", 2, 6), ("run", 1, 6), ("run", 2, 1), ("publish", 130, 1)]
 )
@@ -130,13 +99,3 @@ def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
         do == "publish" and reached == 6
     )
     assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 6)
-
-
-def test_whoever_names_a_results_folder_for_all_commands_names_it_for_make(tmp_path: Path) -> None:
-    own = {"PATH": os.environ["PATH"], "PNEUMA_RESULTS": str(tmp_path)}
-    for target, said in (("study", True), ("figures", False)):  # figures rewrite README and findings
-        told = subprocess.run(
-            [MAKE or "make", "--dry-run", "--assume-old=install", target],
-            cwd=ROOT, capture_output=True, text=True, check=True, env=own,
-        )  # fmt: skip
-        assert (f'--results "{tmp_path}"' in told.stdout) == said

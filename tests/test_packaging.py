@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SOURCE = Path(__file__).parents[1]
 NEEDED = ("pneuma", "studies", "pyproject.toml", "README.md", "LICENSE")
 
@@ -30,6 +32,7 @@ def run(*command: str, cwd: Path, **environment: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_wheel_from_sdist_works_away_from_the_source(tmp_path: Path) -> None:
     tree = tmp_path / "tree"
     tree.mkdir()

@@ -53,10 +53,6 @@ def test_commands_of_a_page_are_there_with_their_options(page: Path) -> None:
     assert not wrong
 
 
-def test_pages_have_commands() -> None:
-    assert sum(len(_typed(page)) for page in PAGES) > 100
-
-
 @pytest.mark.parametrize(
     ("line", "told"),
     [

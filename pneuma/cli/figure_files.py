@@ -72,7 +72,7 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
     if out is not None:
         _check_figures_folder(out)
     else:
-        store.check_writable()
+        check_folder("--results", store.root)
     target = out or store.root / "figures"
     with TemporaryDirectory() as folder:
         files = {path.name: path.read_bytes() for path in draw(Path(folder))}

@@ -7,7 +7,10 @@ import io
 import json
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pneuma.cli import main
+from pneuma.engines.policy import Policy
 
 SMALL_RUN = """
 [run]
@@ -20,6 +23,15 @@ evaluation_episodes = 2
 episode_steps = 40
 """
 """Of a study file: what makes its runs as short as can be."""
+
+_SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
+TINY = [
+    "--steps", "250",  # 4 horizons of 64 are 256
+    "--condition", "tanh",
+    "--condition", "relu",
+    *(part for setting in _SETTINGS for part in ("--set", setting)),
+]  # fmt: skip
+"""Of the study activation: runs as short as can be."""
 
 
 class Called(NamedTuple):
@@ -63,3 +75,13 @@ def refused(*arguments: object) -> str:
     (line,) = err.splitlines()
     assert line.startswith("pneuma: ")
     return line.removeprefix("pneuma: ")
+
+
+def policy_of(activation: str = "tanh") -> Policy:
+    """Return a policy that was never trained."""
+    draws = np.random.default_rng(0)
+
+    def layer(before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
+        return draws.standard_normal((before, after)).astype(np.float32), np.zeros(after, np.float32)
+
+    return Policy(activation, (layer(60, 128), layer(128, 5)), (layer(60, 256), layer(256, 1)))

@@ -37,24 +37,15 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 RUN = "study run activation"
 MISTAKES = {
     "study run activaton": "'activaton' (did you mean activation?)",
-    "study show activaton": "did you mean activation?",
-    "study status activaton": "did you mean activation?",
     f"{RUN} --condition tahn": "'tahn' (did you mean tanh?)",
     f"{RUN} --set lerning_rate=1": "'lerning_rate' (did you mean learning_rate?)",
-    f"{RUN} --set lr=1": "'lr' (did you mean learning_rate?)",
     f"{RUN} --set gamma=2": "gamma = 2",
-    f"{RUN} --set epochs=many": 'epochs = "many"',
     f"{RUN} --set optimizer=sdg": "did you mean sgd?",
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
-    f"{RUN} --set =3": "--set =3: must be KEY=VALUE",
     f"{RUN} --set seed=3": "--seeds",
     f"{RUN} --set steps=3": "--steps",
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
-    f"{RUN} --set minibatch=512": "minibatch = 512",
-    f"{RUN} --set level=thesi": "did you mean thesis?",
     f"{RUN} --steps 0": "--steps 0: must be a whole number of at least 1",
-    f"{RUN} --steps 1e-5": "--steps 1e-5",
-    f"{RUN} --steps many": "--steps many",
     f"{RUN} --workers 0": "--workers 0",
     f"{RUN} --executor lcal": "did you mean local?",
     f"{RUN} --address a:1": "--address a:1: goes with --executor ray",
@@ -63,23 +54,17 @@ MISTAKES = {
     f"{RUN} --executor slurm --slurm mem": "--slurm mem: must be KEY=VALUE",
     f"{RUN} --engine sb4": "did you mean sb3?",
     f"{RUN} --preset quik": "did you mean quick?",
-    f"{RUN} --sedes 3": "--seeds",
     f"{RUN} --setting godot": "--setting is called --world now",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     f"{RUN} --seeds 3,3": "--seeds 3,3",
-    f"{RUN} --seeds 3,x": "--seeds 3,x",
-    f"{RUN} --seeds 5..3": "--seeds 5..3",
-    f"{RUN} --seeds 0..99999999999": "--seeds 0..99999999999",
     f"{RUN} --seeds 10001": "a count from 1 to 10000",
     f"{RUN} --seeds 4294967296,": "from 0 to 4294967295",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
-    "study rn": "'run'",
     "studdy": "'study'",
     "study run": "NAME",
     "study export activation --out x.csv": "--table",
     "study plot": "pneuma study run",
     "study plot activation": "pneuma study run activation",
-    "study plot activation --seeds 4": "pneuma study run activation",
     "study export activation --table episodes --out x.csv": "pneuma study run activation",
 }
 
@@ -111,13 +96,6 @@ def test_results_that_cannot_be_written_are_refused(here: Path) -> None:
     assert (here / "file").read_text() == "mine"
 
 
-def test_a_home_folder_is_read_as_a_shell_reads_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bash leaves `--results=~/mine` as it is, and a folder named `~` is nobody's wish."""
-    monkeypatch.setenv("HOME", str(here))
-    for folder, read in (("~/mine", f"{here}/mine"), ("~nobody-at-all/mine", "~nobody-at-all/mine")):
-        assert f"has no runs in {read}:" in refused("study", "status", "activation", f"--results={folder}")
-
-
 def test_the_status_of_nothing_is_no_mistake(here: Path) -> None:
     assert "No study was run" in printed("study", "status")
     assert described("study", "status", "--json") == {"schema": 1, "studies": []}
@@ -126,12 +104,9 @@ def test_the_status_of_nothing_is_no_mistake(here: Path) -> None:
 # --- Choices that are checked once there is something to show -------------------------------------
 
 CHOICES = {
-    "study export activation --table episods --out x": "mean episodes?",
     "study export activation --table episodes --format cvs --out x": "mean csv?",
     "study export activation --table episodes --out results/studies/activation.json/x": "--out",
-    "study plot activation --band sdt": "did you mean std?",
     "study plot activation --window trailing": "trailing-100",
-    "study plot activation --quantity reward": "did you mean return?",
     "study plot activation --format pgn": "mean png?",
     "study plot activation --out results/studies/activation.json": "--out",
     "study plot activation --out figure.PDF": "--format pdf",

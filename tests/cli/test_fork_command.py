@@ -74,11 +74,3 @@ def test_a_fork_is_trained_beside_its_control_drawn_and_trained_to_the_same_bits
         "study", "plot", document["study"], "--results", results, "--out", tmp_path / "figures"
     )
     assert code == 0 and document["study"] in out
-
-
-def test_a_fork_whose_parent_lost_its_checkpoint_is_refused_and_says_so(results: Path) -> None:
-    store = Store(results)
-    (parent,) = (name for name in store.runs() if store.has_checkpoints(name))
-    shutil.rmtree(store.run_folder(parent) / "checkpoints")
-    code, out, err = call("run", "fork", parent, "--at", "200", "--set", "gamma=0.8", "--results", results)
-    assert (code, out) == (2, "") and "checkpoint" in err and len(err.splitlines()) == 1

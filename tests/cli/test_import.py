@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -49,19 +48,6 @@ def test_an_import_says_what_it_read_and_how_to_go_on(logs: Path, tmp_path: Path
     assert again.startswith("old: 3 runs, 63 points; 0 imported now, 3 were stored.")
 
 
-def test_an_import_as_json_is_one_document(logs: Path, tmp_path: Path, write_events: WriteEvents) -> None:
-    path = logs / "relu_1" / FILE
-    path.write_bytes(path.read_bytes()[:-1])
-    write_events(logs / "tanh_1" / f"{FILE}.2", [(RETURN, 1000, 3.0)])
-    code, out, err = call("import", "tensorboard", logs, "--name", "mine", "--results", tmp_path, "--json")
-    document = json.loads(out)
-    assert (code, document["schema"], document["study"]) == (0, 1, "mine")
-    kept = [(run["condition"], run["seed"], run["points"], run["superseded"]) for run in document["runs"]]
-    assert kept == [("relu", 1, 20, 0), ("tanh", 1, 22, 3), ("tanh", 2, 21, 0)]
-    assert document["runs"][0]["damage"][0].startswith(f"{FILE}: torn or damaged")
-    assert err == "".join(f"Note: {note}.\n" for note in document["notes"])
-
-
 # --- An imported study is a study -----------------------------------------------------------------
 
 
@@ -102,17 +88,3 @@ def test_its_tables_are_exported_without_times(results: Path, tmp_path: Path) ->
 def test_what_it_cannot_be_asked_for_is_refused(option: tuple[str, str], words: str, results: Path) -> None:
     assert refused("study", "plot", "old", *option, "--results", results).startswith(words)
     assert not (results / "figures").exists()
-
-
-def test_logs_without_returns_are_exported_and_not_drawn(tmp_path: Path, write_events: WriteEvents) -> None:
-    write_events(tmp_path / "logs" / "a_1" / FILE, [("train/value_loss", 10, 1.0)])
-    results = tmp_path / "results"
-    assert call("import", "tensorboard", tmp_path / "logs", "--results", results)[0] == 0
-    line = refused("study", "plot", "logs", "--results", results)
-    assert line == "study logs: a study of imported TensorBoard logs holds no return; its curves are: none"
-    out = tmp_path / "x.csv"
-    assert call("study", "export", "logs", "--table", "metrics", "--out", out, "--results", results)[0] == 0
-    assert out.read_text().splitlines()[0] == "condition,seed,run_id,step,value_loss"
-    assert "holds no returns" in refused(
-        "study", "export", "logs", "--table", "curves", "--out", "-", "--results", results
-    )

@@ -5,19 +5,16 @@ from __future__ import annotations
 import io
 import re
 import sys
-from pathlib import Path
 
 import pytest
 
 from pneuma.cli import progress
 from pneuma.cli.options import say
-from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay, duration
-from pneuma.cli.study_run import _tell_results
+from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay
 from pneuma.config import Run
-from pneuma.study.execute import CellProgress, CellResult
+from pneuma.study.execute import CellProgress
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store
 
 Captured = pytest.CaptureFixture[str]
 
@@ -59,18 +56,6 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> _Terminal:
 
 def _runs(plan: Plan) -> dict[str, Run]:
     return {cell.run_id: cell.run for cell in plan.cells}
-
-
-@pytest.mark.parametrize("quiet", [False, True])
-def test_only_notes_that_matter_are_shown_where_all_shall_be_quiet(
-    plan: Plan, quiet: bool, capsys: Captured
-) -> None:
-    with ProgressDisplay(plan, _runs(plan), quiet) as display:
-        display.update(CellProgress(plan.cells[0], 0, note="compiling", passing=True))
-        display.update(CellProgress(plan.cells[0], 0, note="goes on after a kill"))
-        display.update(CellProgress(plan.cells[0], 2560, "done"))
-    lines = capsys.readouterr().err.splitlines()
-    assert ("tanh seed 0: goes on after a kill" in lines, len(lines)) == (True, 1 if quiet else 3)
 
 
 def test_a_log_gets_a_line_now_and_then_and_one_for_every_end(
@@ -126,24 +111,3 @@ def test_training_outlives_its_terminal(
         display.update(CellProgress(plan.cells[0], 0, note="goes on from step 256"))
         display.update(CellProgress(plan.cells[0], 2560, "done"))
     say("Stopped.", aside=True)
-
-
-def test_why_a_run_went_wrong_is_told_by_who_knows_it_now(
-    plan: Plan, tmp_path: Path, capsys: Captured
-) -> None:
-    """An error.txt that lies there may be of an earlier try."""
-    store, cell = Store(tmp_path), plan.cells[0]
-    trace = store.run_folder(cell.run_id) / "error.txt"
-    store.write(trace, b"OSError: of yesterday")
-    end = CellResult(cell, Status("crashed"), True, "r: cannot be written (No space left on device)")
-    _tell_results(plan, [end], store, as_json=False, quiet=False)
-    told = capsys.readouterr().out.splitlines()[0]
-    assert told == f"tanh seed 0 crashed: r: cannot be written (No space left on device) ({trace})"
-
-
-@pytest.mark.parametrize(
-    ("seconds", "told"),
-    [(0.4, "0 s"), (99, "99 s"), (120, "2 min"), (5_940, "99 min"), (12_000, "3 h 20 min")],
-)
-def test_a_length_of_time_is_told_for_people(seconds: float, told: str) -> None:
-    assert duration(seconds) == told

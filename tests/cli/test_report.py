@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
-from pneuma.cli import main
 from pneuma.config import as_fields, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.figures.verdict_words import MEANINGS, PLACES
@@ -24,13 +22,11 @@ from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
-Captured = pytest.CaptureFixture[str]
+from ..figures.hand_made import make_id
+from .calls import described, refused
+
 Read = Callable[[bytes], Any]
 BUDGET = 1024
-
-
-def _run_id(study: str, condition: str, seed: int) -> str:
-    return hashlib.sha256(f"{study} {condition} {seed}".encode(errors="replace")).hexdigest()[:16]
 
 
 def _record(store: Store, study: str, conditions: dict[str, dict[str, Any]], **other: Any) -> dict[str, Any]:
@@ -38,38 +34,26 @@ def _record(store: Store, study: str, conditions: dict[str, dict[str, Any]], **o
     runs = []
     for name, own in conditions.items():
         for seed in (0, 1):
-            settings = {**as_fields(make_run({"steps": BUDGET, **own})), **other.get("settings", {})}
-            run_id = _run_id(study, name, seed)
+            settings = as_fields(make_run({"steps": BUDGET, **own}))
+            run_id = make_id(f"{study} {name}", seed)
             runs.append({"condition": name, "seed": seed, "run_id": run_id, "run": settings})
-            _store_run(store, run_id, other.get("status", "done"))
-    record = {
-        "study": study, "path": None, "title": other.get("title", study), "figure": f"fig-{study}",
-        "baseline": next(iter(conditions)), "same": [], "runs": runs,
-        "selection": other.get("selection", {}),
-    }  # fmt: skip
+            _store_run(store, run_id)
+    named = {"study": study, "path": None, "title": study, "figure": f"fig-{study}"}
+    record = {**named, "baseline": next(iter(conditions)), "same": [], "runs": runs, "selection": {}, **other}
     store.save_selection(study, record)
     return record
 
 
-def _store_run(store: Store, run_id: str, status: str) -> None:
+def _store_run(store: Store, run_id: str, status: str = "done") -> None:
     episode = {"slot": 0, "episode": 0, "step": 50, "return": 1.0, "length": 50, "kills": 1, "hp": 0.0}
-    evaluation = {
-        **dict.fromkeys(EVALUATION_COLUMNS, 0.5),
-        "step": BUDGET,
-        "episodes": 50,
-        "argmax_starts": 6,
-    }
-    provenance = {
-        "started": run_id,
-        "python": "3.11.7",
-        "packages": {"torch": "2.13.0"},
-        "cpu": "<b>fast</b>",
-    }
+    played = {"step": BUDGET, "episodes": 50, "argmax_starts": 6}
+    evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.5), **played}
+    machine = {"python": "3.11.7", "packages": {"torch": "2.13.0"}, "cpu": "<b>fast</b>"}
     files = {
         "episodes.parquet": to_parquet([{**episode, "ending": "killed"}], EPISODE_COLUMNS),
         "metrics.parquet": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}], METRIC_COLUMNS),
         "evaluations.parquet": to_parquet([evaluation], EVALUATION_COLUMNS),
-        "provenance.json": json.dumps(provenance).encode(),
+        "provenance.json": json.dumps({"started": run_id, **machine}).encode(),
     }
     store.save_run(run_id, Status(status, BUDGET), files)
 
@@ -85,8 +69,10 @@ def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
 
     def make(*names: str) -> Any:
         out = tmp_path / "report.html"
-        assert main(["report", *names, "--out", str(out), "--results", str(store.root), "--quiet"]) == 0
-        return read_page(out.read_bytes())
+        told = described("report", *names, "--out", out, "--results", store.root, "--quiet", "--json")
+        page = out.read_bytes()
+        assert (told["schema"], told["file"], told["bytes"]) == (1, str(out), len(page))
+        return read_page(page)
 
     return make
 
@@ -101,7 +87,10 @@ def _words(page: Any) -> str:
 # --- What it shows ---------------------------------------------------------------------------------
 
 
-def test_without_any_run_every_shipped_study_says_how_to_get_them(make: Callable[..., Any]) -> None:
+def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_study_verify(
+    store: Store, make: Callable[..., Any]
+) -> None:
+    store.root.mkdir()
     page = make()
     words = _words(page)
     for name in spec.list_studies():
@@ -110,17 +99,26 @@ def test_without_any_run_every_shipped_study_says_how_to_get_them(make: Callable
         for world in ("godot", "arena"):
             assert (f"pneuma study run {name} --world {world}" in words) is (world in known)
     assert page.all("img") == []
+    document = described("study", "verify", "--results", store.root, "--json")
+    counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
+    rows = [each.text for each in page.elements if each.tag == "td"][: len(MEANINGS) * len(PLACES)]
+    assert [int(cell) for cell in rows] == [counted[place, word] for place in PLACES for word in MEANINGS]
+    anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
+    assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
+    assert document["claims_hash"] in words
 
 
-def test_a_study_with_runs_has_figure_conditions_runs_and_provenance(
+def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     store: Store, make: Callable[..., Any]
 ) -> None:
     record = _record(store, "activation", TWO)
+    _publish_ways(store, record["runs"][0])
     page = make("activation")
     words = _words(page)
-    (image,) = page.all("img")
-    kind, _, data = image.attributes["src"].partition(";base64,")
+    images = page.all("img")
+    kind, _, data = images[0].attributes["src"].partition(";base64,")
     assert kind == "data:image/svg+xml" and b"</svg>" in base64.b64decode(data)
+    assert len(images) == 2 and "pneuma study trajectories activation" in words
     assert all(f"run-{run['run_id']}" in page.anchors for run in record["runs"])
     assert "2 conditions, 2 seeds each, 1,024 agent steps a run" in words
     assert "4 runs: 4 done" in words
@@ -129,17 +127,7 @@ def test_a_study_with_runs_has_figure_conditions_runs_and_provenance(
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
 
 
-def test_runs_that_are_missing_or_diverged_are_counted(store: Store, make: Callable[..., Any]) -> None:
-    record = _record(store, "activation", TWO)
-    store.save_run(record["runs"][0]["run_id"], Status("planned"), {})
-    (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
-    _store_run(store, record["runs"][1]["run_id"], "diverged")
-    words = _words(make("activation"))
-    assert "1 of 4 runs are not here, not finished or damaged, and left out below." in words
-    assert "1 of 4 runs diverged; they count in every number below." in words
-
-
-def test_what_is_missing_is_trained_by_the_selection_that_lacks_it(
+def test_what_is_missing_is_counted_and_trained_by_the_selection_that_lacks_it(
     store: Store, make: Callable[..., Any]
 ) -> None:
     chosen = asdict(Selection("paper", (0, 1), conditions=("tanh", "relu"), settings={"betas": [0.9, 0.9]}))
@@ -149,64 +137,14 @@ def test_what_is_missing_is_trained_by_the_selection_that_lacks_it(
         world = "godot" if name.endswith("godot") else "text"
         store.save_selection(name, {**record, "path": path, "world": world})
         (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
+        _store_run(store, record["runs"][1]["run_id"], "diverged")
     options = "--preset paper --seeds 2 --condition tanh --condition relu --set 'betas=[0.9, 0.9]'"
     words = _words(make("activation", "mine", "mine-forks-ab12"))
     assert f"To train what is missing: pneuma study run activation --world godot {options}" in words
     assert f"To train what is missing: pneuma study run mine.toml {options}" in words
     assert "pneuma study run mine-forks" not in words  # there is no such file
-
-
-def test_settings_are_set_against_the_studys_base(store: Store, make: Callable[..., Any]) -> None:
-    _record(store, "activation", TWO, settings={"gamma": 0.5})
-    page = make("activation")
-    said = [each.text for each in page.all("li")]
-    assert "gamma = 0.5 (not 0.99)" in said
-    assert "activation" in [each.text for each in page.all("th") if each.attributes.get("scope") == "col"]
-
-
-def test_the_same_results_give_the_same_bytes_and_tell_no_folder(
-    store: Store, make: Callable[..., Any], tmp_path: Path
-) -> None:
-    _record(store, "activation", TWO)
-    pages = [make("activation") and (tmp_path / "report.html").read_bytes() for _ in range(2)]
-    assert pages[0] == pages[1]
-    assert str(tmp_path).encode() not in pages[0]
-
-
-# --- Claims ----------------------------------------------------------------------------------------
-
-
-def test_the_verdicts_are_those_of_study_verify(
-    store: Store, make: Callable[..., Any], capsys: Captured
-) -> None:
-    store.root.mkdir()
-    page = make()
-    capsys.readouterr()
-    assert main(["study", "verify", "--results", str(store.root), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
-    rows = [each.text for each in page.elements if each.tag == "td"][: len(MEANINGS) * len(PLACES)]
-    assert [int(cell) for cell in rows] == [counted[place, word] for place in PLACES for word in MEANINGS]
-    anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
-    assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
-    assert document["claims_hash"] in _words(page)
-
-
-# --- Untrusted and damaged folders -----------------------------------------------------------------
-
-
-def test_a_hostile_record_is_shown_and_does_nothing(store: Store, make: Callable[..., Any]) -> None:
-    name = "<script>alert(1)</script>"
-    _record(store, "own", {name: {}, "relu": {"activation": "relu"}}, title=name, settings={"extra": name})
-    page = make("own")
-    assert page.all("script") == []
-    assert page.all("h2")[1].text == name
-
-
-def test_a_name_that_is_no_text_costs_its_figures_alone(store: Store, make: Callable[..., Any]) -> None:
-    _record(store, "own", {"a\ud800b": {}}, title="a\ud800b")
-    page = make("own")
-    assert page.all("h2")[1].text == "a\\ud800b" and "2 runs: 2 done" in _words(page)
+    assert "1 of 4 runs are not here, not finished or damaged, and left out below." in words
+    assert "1 of 4 runs diverged; they count in every number below." in words
 
 
 def test_what_is_damaged_is_said_and_the_rest_is_shown(store: Store, make: Callable[..., Any]) -> None:
@@ -239,48 +177,5 @@ def _publish_ways(store: Store, run: dict[str, Any]) -> Path:
     return path
 
 
-def test_where_policies_go_is_shown_where_that_is_published(store: Store, make: Callable[..., Any]) -> None:
-    record = _record(store, "activation", TWO)
-    _publish_ways(store, record["runs"][0])
-    page = make("activation")
-    assert len(page.all("img")) == 2
-    assert "pneuma study trajectories activation" in _words(page)
-
-
-def test_effects_of_crossed_factors_are_shown(store: Store, make: Callable[..., Any]) -> None:
-    """All runs evaluate alike, so that no effect has any variance."""
-    crossed = {
-        f"{activation} {scale}": {"activation": activation, "scale": scale}
-        for activation in ("tanh", "relu")
-        for scale in ("unit", "raw")
-    }
-    _record(store, "collapse", crossed)
-    page = make("collapse")
-    assert "Effects of collapse's factors on final-share-killed, tested by permutation; 8 runs" in _words(
-        page
-    )
-    cells = [cell.text for cell in page.all("td")]
-    at = cells.index("2 × 2")
-    assert cells[at : at + 5] == ["2 × 2", "1, 4", "–", "–", "1.0000"]
-
-
-# --- The command -----------------------------------------------------------------------------------
-
-
-def test_json_says_what_was_written(store: Store, tmp_path: Path, capsys: Captured) -> None:
-    _record(store, "own", TWO)
-    out = tmp_path / "page.html"
-    assert main(["report", "own", "--out", str(out), "--results", str(store.root), "--json"]) == 0
-    output = capsys.readouterr()
-    document = json.loads(output.out)
-    assert {key: document[key] for key in ("schema", "file", "studies")} == {
-        "schema": 1, "file": str(out), "studies": 1,
-    }  # fmt: skip
-    assert document["bytes"] == out.stat().st_size
-    assert isinstance(document["claims"], int)
-    assert "own" in output.err
-
-
-def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path, capsys: Captured) -> None:
-    assert main(["report", "--out", str(tmp_path / "report.pdf"), "--results", str(tmp_path)]) == 2
-    assert "must end in .html" in capsys.readouterr().err
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    assert "must end in .html" in refused("report", "--out", tmp_path / "report.pdf", "--results", tmp_path)

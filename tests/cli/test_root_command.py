@@ -7,20 +7,17 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 from typer.main import get_command
 
-from pneuma.cli import app, main
+from pneuma.cli import app
 from pneuma.cli.options import say
-from pneuma.study import spec
 from pneuma.study.store import Store
 
-from .calls import call, described, printed, refused
+from .calls import described, printed, refused
 
 CLI = Path(__file__).parents[2] / "cli.py"
 
@@ -62,25 +59,6 @@ def test_the_shim_says_what_it_needs_where_that_is_not_installed() -> None:
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert line.endswith("is not installed: pip install -c constraints.txt .")
-
-
-def test_the_version_is_that_of_the_package() -> None:
-    assert printed("--version") == f"pneuma {version('pneuma')}\n"
-
-
-@pytest.mark.parametrize("stop", [KeyboardInterrupt(), typer.Abort(), SystemExit(143)])
-def test_a_command_that_is_stopped_leaves_with_its_code(
-    stop: BaseException, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def leave() -> None:
-        raise stop
-
-    monkeypatch.setattr(spec, "list_studies", leave)
-    if isinstance(stop, SystemExit):
-        with pytest.raises(SystemExit, match="143"):
-            main(["study", "list"])
-    else:
-        assert call("study", "list").code == 130
 
 
 def test_a_reader_who_has_gone_is_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 
 import pytest
 
-from pneuma.cli import study_crossed, study_output, study_run, study_status, study_summary
 from pneuma.cli.options import Selected, read_selection, selecting_words, selects
 from pneuma.study.plan import Selection
-
-COMMANDS = (
-    study_run.plan_, study_run.run, study_output.export, study_output.publish, study_summary.summary,
-    study_summary.collapse, study_crossed.robustness, study_crossed.effects, study_status.status,
-)  # fmt: skip
 
 
 @selects
@@ -23,21 +16,12 @@ def command(name: str, selection: Selected = None, quiet: bool = False) -> tuple
     return name, selection, quiet
 
 
-def test_options_stand_in_the_place_of_the_selection() -> None:
-    assert list(inspect.signature(command).parameters) == [
-        "name", "preset", "seeds", "steps", "engine", "condition", "set_", "quiet",
-    ]  # fmt: skip
-
-
 def test_what_is_given_becomes_one_selection() -> None:
     given = {"preset": None, "seeds": "3,5", "steps": "512", "engine": None, "condition": ["tanh"]}
     told = command(name="activation", **given, set_=["gamma=0.9"], quiet=True)
     chosen = Selection(seeds=(3, 5), steps=512, conditions=("tanh",), settings={"gamma": 0.9})
     assert told == ("activation", chosen, True)
-
-
-def test_nothing_given_is_no_selection() -> None:
-    none = dict.fromkeys(("preset", "seeds", "steps", "engine", "condition", "set_"))
+    none = {**dict.fromkeys(given), "set_": None}
     assert command(name="activation", **none) == ("activation", None, False)
 
 
@@ -65,10 +49,3 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
     )
     read = read_selection(preset, seeds, steps, engine, given.get("--condition"), given.get("--set"))
     assert (read or Selection(settings={})) == replace(selection, settings=selection.settings or {})
-
-
-@pytest.mark.parametrize("own", COMMANDS, ids=lambda own: own.__name__)
-def test_every_command_on_a_study_has_them_all(own: object) -> None:
-    held = inspect.signature(own).parameters  # type: ignore[arg-type]
-    assert {"preset", "seeds", "steps", "engine", "condition", "set_", "world"} <= {*held}
-    assert "selection" not in held

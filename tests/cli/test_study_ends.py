@@ -12,22 +12,17 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
-from .calls import SMALL_RUN, call
+from .calls import call, printed
 
 
-@pytest.mark.parametrize("as_json", [False, True])
-def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path, as_json: bool) -> None:
+def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path) -> None:
     (cell,) = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",))).cells
     Store(tmp_path).save_run(cell.run_id, Status("diverged", 512), {})
-    options = ["--json"] if as_json else []
-    called = call(
-        "study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path, *options
-    )
-    assert called.code == 0
-    text = called.err if as_json else called.out
-    assert "tanh seed 0 diverged at step 512" in text
-    if as_json:
-        assert called.document["runs"][0]["status"] == "diverged"
+    run = ("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path)
+    assert "tanh seed 0 diverged at step 512" in printed(*run)
+    called = call(*run, "--json")
+    assert called.code == 0 and "tanh seed 0 diverged at step 512" in called.err
+    assert called.document["runs"][0]["status"] == "diverged"
 
 
 def test_a_crash_is_exit_code_1_and_says_where_to_look(
@@ -75,16 +70,3 @@ def test_a_plan_measures_where_it_is_asked_to(tmp_path: Path) -> None:
     plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "1", "--results", tmp_path)
     called = call(*plan, "--calibrate")
     assert "measuring how fast batched trains" in called.err and "rough" not in called.out
-
-
-def test_status_says_both_of_a_damaged_run_that_is_published(tmp_path: Path) -> None:
-    study = tmp_path / "small.toml"
-    head = 'title = "Small"\nbase = "table-6-2"\n'
-    study.write_text(f"{head}{SMALL_RUN}[conditions.one]\n[presets.quick]\nseeds = 1\nsteps = 128\n")
-    words = (study, "--results", tmp_path / "results")
-    assert call("study", "run", *words, "--quiet").code == 0
-    assert call("study", "publish", *words).code == 0
-    (metrics,) = (tmp_path / "results").glob("runs/*/metrics.parquet")
-    metrics.write_bytes(b"")
-    told = call("study", "status", *words).out
-    assert "done as published, damaged here" in told

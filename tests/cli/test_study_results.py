@@ -1,11 +1,9 @@
-"""The study commands over runs that are really trained: a tiny activation study, once for the module."""
+"""The study commands over runs that are really trained: a tiny activation study."""
 
 from __future__ import annotations
 
 import io
-import os
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -13,16 +11,7 @@ import pytest
 
 from pneuma.study.checkpoints import file_name
 
-from .calls import Called, call, printed, refused
-
-CLI = Path(__file__).parents[2] / "cli.py"
-SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
-TINY = [
-    "--steps", "250",  # 4 horizons of 64 are 256
-    "--condition", "tanh",
-    "--condition", "relu",
-    *(part for setting in SETTINGS for part in ("--set", setting)),
-]  # fmt: skip
+from .calls import TINY, Called, call, described, printed, refused
 
 # Design section 2, word for word.
 EPISODES = "condition, seed, run_id, slot, episode, step, return, length, kills, hp, ending"
@@ -33,169 +22,92 @@ METRICS = (
 )
 
 
-@dataclass(frozen=True)
-class Trained:
-    """A results folder with two conditions of two seeds, and what the two runs of the study said."""
-
-    results: Path
-    first: Called
-    second: Called
+@pytest.fixture
+def results(trained: Path, tmp_path: Path) -> Path:
+    """A copy that a test may change."""
+    return Path(shutil.copytree(trained, tmp_path / "results"))
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    results = tmp_path_factory.mktemp("trained") / "results"
-    first = call("study", "run", "activation", *TINY, "--seeds", "1", "--json", "--results", results)
-    second = call("study", "run", "activation", *TINY, "--seeds", "2", "--results", results)
-    return Trained(results, first, second)
+# --- run, plan, status ---------------------------------------------------------------------------
 
 
-# --- run -----------------------------------------------------------------------------------------
-
-
-def test_run_gives_one_document_and_tells_people_on_standard_error(trained: Trained) -> None:
-    assert trained.first.code == 0
-    document = trained.first.document
-    assert {key: document[key] for key in ("schema", "study")} == {"schema": 1, "study": "activation"}
-    assert [{k: run[k] for k in run if k != "run_id"} for run in document["runs"]] == [
-        {"condition": condition, "seed": 0, "status": "done", "trained": True}
-        for condition in ("tanh", "relu")
-    ]
-    assert len({run["run_id"] for run in document["runs"]}) == 2
-    assert "250 steps are rounded up to 256" in trained.first.err
-
-
-def test_one_seed_more_trains_only_the_new_runs(trained: Trained) -> None:
-    assert trained.second.code == 0
-    assert "activation: 4 done; 2 trained now, 2 were stored." in trained.second.out
-
-
-def test_a_quiet_run_says_nothing_when_all_is_well(trained: Trained) -> None:
-    again = call("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", trained.results)
-    assert again == Called(0, "", "")
-
-
-def test_the_folder_can_be_named_by_the_environment(
-    trained: Trained, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PNEUMA_RESULTS", str(trained.results))
-    assert len(call("study", "status", "activation", "--json").document["runs"]) == 4
-
-
-# --- plan, status --------------------------------------------------------------------------------
-
-
-def test_plan_tells_what_is_stored_and_what_is_not(trained: Trained) -> None:
-    called = call(
-        "study", "plan", "activation", *TINY, "--seeds", "3", "--json", "--results", trained.results
-    )
+def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path) -> None:
+    first = sorted((results / "runs").iterdir())[0]
+    shutil.rmtree(first)
+    run = ("study", "run", "activation", *TINY, "--seeds", "2", "--results", results)
+    called = call(*run, "--json")
     document = called.document
     assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
-    assert [set(run) for run in document["runs"]] == [
-        {"run_id", "condition", "seed", "state", "expected_seconds"}
-    ] * 6
+    assert [(run["seed"], run["condition"], run["status"]) for run in document["runs"]] == [
+        (seed, condition, "done") for seed in (0, 1) for condition in ("tanh", "relu")
+    ]
+    assert [run["run_id"] for run in document["runs"] if run["trained"]] == [first.name]
+    assert "250 steps are rounded up to 256" in called.err
+    assert "activation: 4 done; 0 trained now, 4 were stored." in printed(*run)
+    assert call(*run, "--quiet") == Called(0, "", "")
+
+
+def test_plan_tells_what_is_stored_and_what_is_not(trained: Path) -> None:
+    plan = ("study", "plan", "activation", *TINY, "--seeds", "3", "--json", "--results", trained)
+    document = described(*plan)
+    assert (document["schema"], document["study"]) == (1, "activation")
+    assert {*document["runs"][0]} == {"run_id", "condition", "seed", "state", "expected_seconds"}
     assert [run["state"] for run in document["runs"]] == ["stored"] * 4 + ["to-train"] * 2
     assert [run["seed"] for run in document["runs"]] == [0, 0, 1, 1, 2, 2]
 
 
-@pytest.mark.parametrize(
-    ("text", "seeds"), [("3,5,8", [3, 5, 8]), ("7,", [7]), ("2", [0, 1]), ("1", [0]), ("5, 3", [5, 3])]
-)
-def test_seeds_are_a_count_or_a_list(text: str, seeds: list[int], tmp_path: Path) -> None:
-    called = call(
-        "study",
-        "plan",
-        "activation",
-        "--condition",
-        "tanh",
-        "--seeds",
-        text,
-        "--json",
-        "--results",
-        tmp_path,
-    )
-    assert [run["seed"] for run in called.document["runs"]] == seeds
+def test_status_is_of_the_latest_selection_or_of_one_that_is_named(
+    trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PNEUMA_RESULTS", str(trained))
+    document = described("study", "status", "activation", "--json")
+    assert {*document["runs"][0]} == {
+        "run_id", "condition", "seed", "status", "step", "published", "trained",
+    }  # fmt: skip
+    assert [(run["seed"], run["status"]) for run in document["runs"]] == [
+        (0, "done"), (0, "done"), (1, "done"), (1, "done"),
+    ]  # fmt: skip
+    runs = described("study", "status", "activation", *TINY, "--seeds", "1,2", "--json")["runs"]
+    assert [(run["seed"], run["status"]) for run in runs] == [
+        (1, "done"), (1, "done"), (2, "planned"), (2, "planned"),
+    ]  # fmt: skip
 
 
-def test_status_is_of_the_latest_selection(trained: Trained) -> None:
-    called = call("study", "status", "activation", "--json", "--results", trained.results)
-    document = called.document
-    assert (called.code, document["schema"], document["study"]) == (0, 1, "activation")
-    assert [set(run) for run in document["runs"]] == [
-        {"run_id", "condition", "seed", "status", "step", "published", "trained"}
-    ] * 4
-    assert {(run["condition"], run["seed"], run["status"], run["trained"]) for run in document["runs"]} == {
-        (condition, seed, "done", False) for condition in ("tanh", "relu") for seed in (0, 1)
-    }
-
-
-def test_status_of_a_selection_of_its_own(trained: Trained) -> None:
-    called = call(
-        "study", "status", "activation", *TINY, "--seeds", "1,2", "--json", "--results", trained.results
-    )
-    runs = [(run["seed"], run["status"]) for run in called.document["runs"]]
-    assert runs == [(1, "done"), (1, "done"), (2, "planned"), (2, "planned")]
-
-
-def test_a_damaged_record_stands_in_no_other_studys_way(trained: Trained, tmp_path: Path) -> None:
-    results = Path(shutil.copytree(trained.results, tmp_path / "results"))
+def test_a_damaged_record_stands_in_no_other_studys_way(results: Path) -> None:
     (results / "studies" / "clip-range.json").write_text("{", encoding="utf-8")
     told = "clip-range.json: damaged; `pneuma study run clip-range` writes it anew.\n"
-    for command, shown in (("status", "activation: 4 done"), ("plot", "fig-6-5.png")):
+    for command, shown in (("status", "activation: 4 done"), ("plot", "fig-6-5")):
         called = call("study", command, "--results", results)
         assert called.code == 0 and shown in called.out
         assert called.err.startswith("Note: ") and called.err.endswith(told)
         assert call("study", command, "clip-range", "--results", results).code == 2
-    (results / "studies" / "activation.json").unlink()
-    called = call("study", "status", "--results", results)
-    assert (called.code, called.out) == (2, "") and told[:-2] in called.err
 
 
-def test_status_tells_how_far_a_run_is_that_was_killed(trained: Trained, tmp_path: Path) -> None:
-    results = Path(shutil.copytree(trained.results, tmp_path / "results"))
+def test_status_tells_how_far_a_run_is_that_was_killed(results: Path) -> None:
     killed, nothing = sorted((results / "runs").iterdir())[:2]
     for folder in (killed, nothing):
         shutil.rmtree(folder)
         (folder / "checkpoints").mkdir(parents=True)
     (killed / "checkpoints" / file_name(1024, b"")).touch()
-    lines = call("study", "status", "--results", results).out.splitlines()
+    lines = printed("study", "status", "--results", results).splitlines()
     ends = dict(line.split(maxsplit=3)[3].split("  ", 1) for line in lines[1:])
     assert ends.pop(killed.name) == "partial  at step 1,024"
     assert ends.pop(nothing.name) == "planned"
     assert list(ends.values()) == ["done", "done"]
 
 
-# --- plot ----------------------------------------------------------------------------------------
-
-
-def test_plot_writes_into_the_results_unless_told_otherwise(trained: Trained, tmp_path: Path) -> None:
-    results = Path(shutil.copytree(trained.results, tmp_path / "results"))
-    called = call("study", "plot", "--results", results)
-    assert called.code == 0
-    assert sorted(os.listdir(results / "figures")) == ["fig-6-5.png", "fig-6-5.svg", "index.json"]
-    out = tmp_path / "out"
-    called = call(
-        "study", "plot", "activation", "--results", results, "--out", out, "--format", "pdf", "--json"
-    )
-    assert called.document == {"schema": 1, "figures": [str(out / "fig-6-5.pdf")]}
-    assert (out / "fig-6-5.pdf").read_bytes().startswith(b"%PDF")
-
-
 # --- export --------------------------------------------------------------------------------------
 
 
-def _export(trained: Trained, table: str, form: str, out: Path, *selection: str) -> bytes:
-    called = call(
-        "study", "export", "activation", "--table", table, "--format", form, "--out", out, *selection,
-        "--results", trained.results,
-    )  # fmt: skip
-    assert called.code == 0
+def _export(results: Path, table: str, form: str, out: Path, *selection: str) -> bytes:
+    how = ("--table", table, "--format", form, "--out", out, *selection, "--results", results)
+    printed("study", "export", "activation", *how)
     return out.read_bytes()
 
 
 @pytest.mark.parametrize(("table", "columns"), [("episodes", EPISODES), ("metrics", METRICS)])
 def test_an_exported_table_has_exactly_the_documented_columns(
-    trained: Trained, table: str, columns: str, tmp_path: Path
+    trained: Path, table: str, columns: str, tmp_path: Path
 ) -> None:
     header = _export(trained, table, "csv", tmp_path / "x.csv").decode().splitlines()[0]
     assert header == columns.replace(", ", ",")
@@ -203,29 +115,30 @@ def test_an_exported_table_has_exactly_the_documented_columns(
     assert list(frame.columns) == columns.split(", ")
 
 
-@pytest.mark.parametrize(
-    ("table", "form"), [("evaluations", "csv"), ("curves", "parquet"), ("curves", "latex")]
-)
-def test_exporting_twice_gives_the_same_bytes(
-    trained: Trained, table: str, form: str, tmp_path: Path
+@pytest.mark.parametrize("form", ["csv", "parquet", "latex"])
+def test_exporting_twice_gives_the_same_bytes(trained: Path, form: str, tmp_path: Path) -> None:
+    first = _export(trained, "curves", form, tmp_path / "first")
+    assert first and _export(trained, "curves", form, tmp_path / "second") == first
+
+
+def test_all_formats_hold_the_same_rows_in_the_studys_order_seed_by_seed(
+    trained: Path, tmp_path: Path
 ) -> None:
-    first = _export(trained, table, form, tmp_path / "first")
-    assert first and _export(trained, table, form, tmp_path / "second") == first
-
-
-def test_all_formats_hold_the_same_rows(trained: Trained, tmp_path: Path) -> None:
     csv = pd.read_csv(io.BytesIO(_export(trained, "metrics", "csv", tmp_path / "x.csv")))
     parquet = pd.read_parquet(io.BytesIO(_export(trained, "metrics", "parquet", tmp_path / "x.parquet")))
-    latex = _export(trained, "metrics", "latex", tmp_path / "x.tex").decode()
-    assert len(csv) == len(parquet) == 2 * 2 * 4  # conditions, seeds, updates
     pd.testing.assert_frame_equal(csv, parquet, check_dtype=False, rtol=1e-12)
+    latex = _export(trained, "metrics", "latex", tmp_path / "x.tex").decode()
     rows = [line for line in latex.splitlines() if line.endswith(r"\\")]
-    assert len(rows) == 1 + 16
-    assert r"run\_id" in rows[0]
+    assert len(rows) == 1 + 16 and r"run\_id" in rows[0]
+    blocks = list(dict.fromkeys(zip(csv["seed"], csv["condition"], strict=True)))
+    assert blocks == [(0, "tanh"), (0, "relu"), (1, "tanh"), (1, "relu")]
+    assert csv["step"].to_list() == [64, 128, 192, 256] * 4
+    own = _export(trained, "episodes", "csv", tmp_path / "own.csv", *TINY, "--seeds", "1,")
+    assert set(pd.read_csv(io.BytesIO(own))["seed"]) == {1}
 
 
 def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
-    trained: Trained, tmp_path: Path
+    trained: Path, tmp_path: Path
 ) -> None:
     """At the end of training: what the last hundred episodes of each run returned, least and greatest."""
     looks = ("--window", "trailing-100", "--band", "minmax")
@@ -243,50 +156,27 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (
-            ("--table", "episodes", "--out", "e.csv", "--band", "se"),
-            "--band se: goes with --table curves alone",
-        ),
-        (("--table", "episodes", "--out", "."), "--out ."),
-        (("--table", "episodes", "--out", "e.xlsx"), "its ending tells no format"),
-        (("--table", "episode", "--out", "e.csv"), "did you mean episodes"),
+        ("--table episodes --out e.csv --band se", "--band se: goes with --table curves alone"),
+        ("--table episodes --out .", "--out ."),
+        ("--table episodes --out e.xlsx", "its ending tells no format"),
     ],
 )
-def test_what_cannot_be_exported_is_told(trained: Trained, words: tuple[str, ...], told: str) -> None:
-    assert told in refused("study", "export", "activation", *words, "--results", trained.results)
+def test_what_cannot_be_exported_is_told(trained: Path, words: str, told: str) -> None:
+    assert told in refused("study", "export", "activation", *words.split(), "--results", trained)
 
 
-def test_rows_come_in_the_studys_order_seed_by_seed(trained: Trained, tmp_path: Path) -> None:
-    frame = pd.read_csv(io.BytesIO(_export(trained, "metrics", "csv", tmp_path / "x.csv")))
-    blocks = list(dict.fromkeys(zip(frame["seed"], frame["condition"], strict=True)))
-    assert blocks == [(0, "tanh"), (0, "relu"), (1, "tanh"), (1, "relu")]
-    assert frame["step"].to_list() == [64, 128, 192, 256] * 4
-
-
-def test_a_selection_exports_only_its_own_runs(trained: Trained, tmp_path: Path) -> None:
-    data = _export(trained, "episodes", "csv", tmp_path / "x.csv", *TINY, "--seeds", "1,")
-    assert set(pd.read_csv(io.BytesIO(data))["seed"]) == {1}
-
-
-# --- summary -------------------------------------------------------------------------------------
-
-
-def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Trained) -> None:
+def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Path) -> None:
+    summary = ("study", "summary", "activation", "--results", trained)
     asked = ("final-died", "steps-to:0.125", "q-overestimation", "collapse-step", "wall-seconds")
-    options = [part for name in asked for part in ("--outcome", name)]
-    told = call("study", "summary", "activation", *options, "--results", trained.results)
-    assert told.code == 0
-    blocks = [block.splitlines() for block in told.out.split("\n\n")[1:]]
+    told = printed(*summary, *(part for name in asked for part in ("--outcome", name)))
+    blocks = [block.splitlines() for block in told.split("\n\n")[1:]]
     assert [block[0].partition(": ")[0] for block in blocks[:-1]] == list(asked)
     assert "until 12.5% of the monsters" in blocks[1][0]
-    assert blocks[2][2].endswith("0  the run has no value of its evaluations to take q-overestimation from")
+    assert "the run has no value of its evaluations" in blocks[2][2]
     assert blocks[3][2].endswith("0  the run never collapsed")
-    assert "P(better" in blocks[0][1] and "P(better" not in "".join(blocks[4])
-    means = printed("study", "summary", "activation", "--results", trained.results).splitlines()
-    assert means[2].split()[:4] == ["condition", "runs", "final-share-killed", "(share)"]
+    means = printed(*summary).splitlines()
     assert [line.split()[:2] for line in means[3:5]] == [["tanh", "2"], ["relu", "2"]]
-    document = call("study", "summary", "activation", *options[:2], "--json", "--results", trained.results)
-    outcomes = {row["outcome"] for row in document.document["summary"]}
+    document = described(*summary, "--outcome", "final-died", "--json")
+    outcomes = {row["outcome"] for row in document["summary"]}
     assert outcomes == {"runs", "diverged", "collapsed", "final-died"}
-    wrong = call("study", "summary", "activation", "--outcome", "final-dead", "--results", trained.results)
-    assert wrong.code == 2 and "did you mean final-died?" in wrong.err and wrong.err.count("\n") == 1
+    assert "did you mean final-died?" in refused(*summary, "--outcome", "final-dead")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,7 @@ import pytest
 from PIL import Image
 
 from pneuma.analysis.trajectories import encode_trajectories, gathered
-from pneuma.cli.study_output import open_data
 from pneuma.env.level import LEVELS
-from pneuma.env.render import Renderer
-from pneuma.env.watch import level_worlds
-from pneuma.figures.trajectories import draw_trajectories
 from pneuma.study.store import Status, Store
 
 from .calls import call, described, printed, refused
@@ -110,24 +105,6 @@ def test_a_level_of_a_runs_own_is_opened_only_if_trusted(tmp_path: Path) -> None
     assert "name a folder for the figure by --out DIR" in refused(
         "study", "trajectories", *told, "--format", "svg"
     )
-
-
-@pytest.mark.slow
-def test_the_map_of_a_level_of_ones_own_is_drawn_too_where_its_file_may_be_opened(
-    trained: Path, tmp_path: Path
-) -> None:
-    data = open_data(Store(trained), GODOT[0], None, "godot", mixed=False)
-    start = level_worlds().players["x"][0, 0], level_worlds().players["y"][0, 0]
-    way = np.array([start, (start[0] + 200, start[1] + 100)])
-    row = {"condition": "tanh", "seed": 0, "run_id": "f" * 16, "episode": 0, "player": 0, "steps": 1}
-    found = gathered("thesis", [{**row, "kills": 0, "ending": "killed", "places": way}])
-    own = replace(found, level="mine.tmx")
-    drawn = {}
-    drawer = Renderer(level_worlds(), "map", panel=False)
-    for name, ways, ground in (("shipped", found, None), ("own", own, drawer), ("bare", own, None)):
-        (path,) = draw_trajectories(data, ways, tmp_path, name, drawer=ground)
-        drawn[name] = path.read_bytes()
-    assert drawn["own"] == drawn["shipped"] != drawn["bare"]
 
 
 def test_a_world_without_places_is_refused(tmp_path: Path) -> None:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from pneuma.cli import main
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
-Captured = pytest.CaptureFixture[str]
+from .calls import described, refused
 
 
 @pytest.fixture
@@ -29,56 +26,46 @@ def recorded(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _document(captured: Captured, *arguments: str | Path) -> Any:
-    assert main([str(argument) for argument in (*arguments, "--json")]) == 0
-    return json.loads(captured.readouterr().out)
-
-
-def test_a_plan_in_godots_world_is_of_other_runs(tmp_path: Path, capsys: Captured) -> None:
-    command = ("study", "plan", "activation", "--results", tmp_path)
-    text = _document(capsys, *command)
-    godot = _document(capsys, *command, "--world", "godot")
-    assert (text["study"], godot["study"]) == ("activation", "activation-godot")
-    ids = [{run["run_id"] for run in document["runs"]} for document in (text, godot)]
-    assert [len(own) for own in ids] == [9, 9]
-    assert not ids[0] & ids[1]
-
-
-def test_status_tells_each_worlds_record(recorded: Path, capsys: Captured) -> None:
-    command = ("study", "status", "activation", "--results", recorded)
-    assert len(_document(capsys, *command)["runs"]) == 1  # text is the usual one
-    assert len(_document(capsys, *command, "--world", "text")["runs"]) == 1
-    assert len(_document(capsys, *command, "--world", "godot")["runs"]) == 2
-    assert len(_document(capsys, "study", "status", "activation-godot", "--results", recorded)["runs"]) == 2
+@pytest.mark.parametrize(
+    ("words", "runs"),
+    [
+        ("activation", 1),
+        ("activation --world text", 1),
+        ("activation --world godot", 2),
+        ("activation-godot", 2),
+    ],
+)
+def test_status_tells_each_worlds_record(words: str, runs: int, recorded: Path) -> None:
+    document = described("study", "status", *words.split(), "--results", recorded, "--json")
+    assert len(document["runs"]) == runs
 
 
 @pytest.mark.parametrize(
     ("world", "names"),
-    [
-        ((), ["activation", "activation-arena", "activation-godot"]),
-        (("--world", "godot"), ["activation-godot"]),
-    ],
+    [("", ["activation", "activation-arena", "activation-godot"]), ("--world godot", ["activation-godot"])],
 )
-def test_status_of_all_is_of_all_worlds_or_of_one(
-    world: tuple[str, ...], names: list[str], recorded: Path, capsys: Captured
-) -> None:
-    document = _document(capsys, "study", "status", *world, "--results", recorded)
+def test_status_of_all_is_of_all_worlds_or_of_one(world: str, names: list[str], recorded: Path) -> None:
+    document = described("study", "status", *world.split(), "--results", recorded, "--json")
     assert [study["study"] for study in document["studies"]] == names
 
 
-def test_a_selection_in_godots_world_goes_over_its_own_record(recorded: Path, capsys: Captured) -> None:
-    command = ("study", "status", "activation", "--world", "godot", "--steps", "8192")
-    runs = _document(capsys, *command, "--results", recorded)["runs"]
+def test_a_selection_in_another_world_is_of_other_runs_and_goes_over_its_own_record(recorded: Path) -> None:
+    command = ("activation", "--results", recorded, "--json")
+    text, godot = (described("study", "plan", *command, "--world", world) for world in ("text", "godot"))
+    ids = [{run["run_id"] for run in document["runs"]} for document in (text, godot)]
+    assert [len(own) for own in ids] == [9, 9] and not ids[0] & ids[1]
+    runs = described("study", "status", *command, "--world", "godot", "--steps", "8192")["runs"]
     assert [(run["condition"], run["seed"]) for run in runs] == [("relu", 0), ("relu", 1)]
 
 
-@pytest.mark.parametrize("command", ["plan", "run", "status", "plot", "publish", "show"])
-def test_a_misspelt_world_is_told_with_the_right_one(command: str, tmp_path: Path, capsys: Captured) -> None:
-    assert main(["study", command, "activation", "--world", "gdot", "--results", str(tmp_path)]) == 2
-    assert "unknown world 'gdot' (did you mean godot?)" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("plan activation --world gdot", "unknown world 'gdot' (did you mean godot?)"),
+        ("publish activation --world gdot", "unknown world 'gdot' (did you mean godot?)"),
+        ("status activation --world godot", "run `pneuma study run activation --world godot` first"),
+    ],
+)
+def test_a_world_that_is_not_there_is_told_with_what_to_do(words: str, told: str, tmp_path: Path) -> None:
+    assert told in refused("study", *words.split(), "--results", tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_was_not_run_in_a_world_is_told_with_the_command(tmp_path: Path, capsys: Captured) -> None:
-    assert main(["study", "status", "activation", "--world", "godot", "--results", str(tmp_path)]) == 2
-    assert "run `pneuma study run activation --world godot` first" in capsys.readouterr().err

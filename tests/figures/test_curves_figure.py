@@ -12,12 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.analysis.curves import curve_names
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.curves import draw_study
-from pneuma.figures.panels import CAPTION_LINES, FEW_RUNS, caption_lines, title_of
+from pneuma.figures.panels import FEW_RUNS
 from pneuma.figures.style import SIZES
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
@@ -50,13 +49,6 @@ def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
     assert first.name == f"fig-mine.{form}"
 
 
-def test_other_numbers_give_other_bytes(study: HandMade, tmp_path: Path) -> None:
-    (first,) = study.draw(tmp_path / "first")
-    study.record["runs"].pop(0)
-    (second,) = study.draw(tmp_path / "second")
-    assert first.read_bytes() != second.read_bytes()
-
-
 def test_a_variant_never_has_the_studys_own_file_and_says_what_it_changed(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
@@ -80,31 +72,18 @@ def test_every_run_of_another_study_is_drawn_beside(
     assert "Another" in legend(drawn[1])
 
 
-@pytest.mark.parametrize(
-    ("size", "pixels"), [("page", (1400, 0)), ("column", (660, 0)), ("slide", (1920, 1080))]
-)
-def test_a_size_is_what_it_says(study: HandMade, tmp_path: Path, size: str, pixels: tuple[int, int]) -> None:
-    (path,) = study.draw(tmp_path, size=size, formats=("png",))
-    with Image.open(path) as image:
-        assert image.width == pixels[0] and pixels[1] in (0, image.height)
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_no_word_reaches_over_the_edge(
     study: HandMade, tmp_path: Path, drawn: list[Figure], size: str
 ) -> None:
     study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
-    study.draw(tmp_path, size=size, band="bootstrap", formats=("png",))
+    (path,) = study.draw(tmp_path, size=size, band="bootstrap", formats=("png",))
+    with Image.open(path) as image:
+        assert image.width == {"page": 1400, "column": 660, "slide": 1920}[size]
     width, height = drawn[0].bbox.size
     for text in (*drawn[0].texts, *drawn[0].legends):
         box = text.get_window_extent()
         assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
-
-
-def test_what_does_not_fit_a_slide_is_told(study: HandMade, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="do not fit a height of 5.625 inches"):
-        study.draw(tmp_path / "figures", quantities=curve_names(study.data), size="slide")
-    assert not (tmp_path / "figures").exists()
 
 
 # --- Curves ------------------------------------------------------------------------------------------
@@ -179,27 +158,6 @@ def test_random_player_and_hunter_are_told_with_their_levels_and_flatten_nothing
     assert "scripted hunter" not in words(drawn[2])
 
 
-def test_every_quantity_has_a_panel_and_all_can_be_drawn(
-    study: HandMade, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    (path,) = study.draw(tmp_path, quantities=("entropy", "grad_norm"))
-    assert path.stem == "fig-mine-entropy-grad_norm"
-    assert [axes.get_yscale() for axes in drawn[0].axes] == ["linear", "log"]
-    names = curve_names(study.data)
-    (path,) = study.draw(tmp_path, quantities=names)
-    assert path.stem == "fig-mine-all"
-    assert len(drawn[1].axes) == len(names) == 18  # 3 of evaluations, 4 of episodes, 11 of updates
-
-
-def test_what_no_run_has_a_value_of_is_not_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
-    mail = HandMade(tmp_path)
-    mail.add("rate-1", 0, evaluations=(NAN,) * 4)
-    mail.draw(tmp_path)
-    assert len(drawn[0].axes) == 1
-    with pytest.raises(UserError, match="holds no share_killed; its curves are: "):
-        mail.draw(tmp_path, quantities=("share_killed",))
-
-
 def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path)
     for rate in range(12):
@@ -226,7 +184,6 @@ def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, draw
         ({"reward": ("thesis", "kills")}, {"quantities": ("return",)}, "unlike rewards"),
         ({}, {"window": "trailing-100"}, "Training curves average the last 100 episodes."),
         ({}, {"quantities": ("entropy",)}, "average the updates of the last 5 % of the budget."),
-        ({}, {"layout": "thesis"}, "Training curves average the last 100 episodes."),
     ],
 )
 def test_a_figure_says_what_to_mind(
@@ -236,23 +193,6 @@ def test_a_figure_says_what_to_mind(
         run["run"] |= {k: v[place % 2] if isinstance(v, tuple) else v for k, v in changed.items()}
     study.draw(tmp_path, **options)
     assert said in words(drawn[0])
-
-
-@pytest.mark.parametrize(
-    ("changed", "title"),
-    [
-        ({}, "Mine in the text's world"),
-        ({"env": "pneuma/PneumaGodot-v0"}, "Mine in the published code's world"),
-        ({"env": "CartPole-v1"}, "Mine"),
-        ({"level": "own.json"}, "Mine"),
-    ],
-)
-def test_where_a_study_is_played_is_told_by_its_runs(
-    study: HandMade, changed: dict[str, str], title: str
-) -> None:
-    for run in study.record["runs"]:
-        run["run"] |= changed
-    assert title_of(study.data) == title
 
 
 def test_what_is_missing_is_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
@@ -269,14 +209,6 @@ def test_what_is_missing_is_told(study: HandMade, tmp_path: Path, drawn: list[Fi
         "A/A: tanh = again are one configuration",
     ):
         assert said in words(drawn[0])
-
-
-def test_a_caption_has_three_lines_and_whole_sentences() -> None:
-    sentences = [f"Sentence {number} {'of many words ' * 6}and no more." for number in range(9)]
-    lines = caption_lines(sentences, SIZES["page"])
-    assert len(lines) <= CAPTION_LINES
-    told = " ".join(lines)
-    assert told.endswith("and no more.") and told.startswith(sentences[0])
 
 
 def test_imported_logs_say_what_was_averaged_and_where_they_end(

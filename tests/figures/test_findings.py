@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.figures.findings import main, with_verdicts
+from pneuma.figures.findings import with_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged
 
@@ -46,11 +46,6 @@ def test_a_claim_is_a_paragraph_of_its_own_words_and_a_line_for_each_place() -> 
     )
 
 
-def test_an_open_claim_says_what_it_takes() -> None:
-    page = with_verdicts("<!-- claim tanh-steadier -->\n<!-- end -->\n", CLAIMS)
-    assert "ratio 0.800, n = 50 and 50, p = 0.200; 1,200 seeds an arm would be needed." in page
-
-
 def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
     page = with_verdicts(
         "<!-- verdicts tanh-better -->\n<!-- end -->\n<!-- verdicts -->\n<!-- end -->", CLAIMS
@@ -64,20 +59,6 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
         page.count("| tanh less than relu: deviation between seeds of monsters killed, last evaluation |")
         == 1
     )
-
-
-def test_counts_are_by_place() -> None:
-    page = with_verdicts("<!-- counts -->\n<!-- end -->", CLAIMS)
-    assert "| Judged in | decided with content | decided by the letter | open |" in page
-    assert "| The text's world | 1 | 0 | 1 | 0 | 0 |" in page
-    assert "| The published code's world | 0 | 0 | 0 | 0 | 1 |" in page
-
-
-def test_writing_again_changes_nothing() -> None:
-    page = with_verdicts(
-        "a\n<!-- counts -->\n<!-- end -->\n<!-- claim tanh-better -->\nx\n<!-- end -->\n", CLAIMS
-    )
-    assert with_verdicts(page, CLAIMS) == page
 
 
 @pytest.mark.parametrize(
@@ -105,15 +86,3 @@ def test_what_a_page_links_to_is_there(name: str) -> None:
     links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
     near = [link for link in links if "://" not in link]
     assert [link for link in near if not (page.parent / link).exists()] == []
-
-
-def test_without_published_tables_pages_stay_as_they_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(text := "<!-- counts -->\nold\n<!-- end -->\n")
-    with pytest.raises(UserError, match="results: is no folder"):
-        main([page], tmp_path / "results")
-    (tmp_path / "results").mkdir()
-    main([page], tmp_path / "results")
-    assert page.read_text() == text and "the pages stay as they are" in capsys.readouterr().out

@@ -11,7 +11,6 @@ import pytest
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
-from pneuma.errors import UserError
 from pneuma.figures import paper
 
 from .hand_made import HandMade
@@ -88,14 +87,6 @@ def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> No
     (tmp_path / "paper" / "index.json").write_text(json.dumps({"figures": entries}))
     paper.draw_all(tmp_path / "paper", tmp_path / "results")
     assert (drawn.exists(), mine.exists(), other.exists()) == (False, True, True)
-
-
-def test_where_nothing_is_published_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(UserError, match="is no folder, so nothing is drawn, and nothing removed"):
-        paper.main(tmp_path / "paper", tmp_path / "results")
-    (tmp_path / "results").mkdir()
-    paper.main(tmp_path / "paper", tmp_path / "results")
-    assert "no study is published in" in capsys.readouterr().out
 
 
 def test_the_tables_of_hyperparameters_are_those_of_the_thesis() -> None:

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import html
-import json
-import re
-import shutil
-import subprocess
-from base64 import b64decode
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 
-from pneuma.figures import report
 from pneuma.figures.report import (
     Conditions,
     Part,
@@ -100,10 +92,6 @@ def test_the_page_asks_for_nothing_outside_of_itself(page: Any) -> None:
     assert policy.attributes["content"].startswith("default-src 'none'; img-src data:;")
 
 
-def test_two_writes_give_the_same_bytes() -> None:
-    assert report_page(_report()) == report_page(_report())
-
-
 def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Any, read_page: Read) -> None:
     hostile = read_page(report_page(_report(HOSTILE)))
     assert [each.tag for each in hostile.elements] == [each.tag for each in page.elements]
@@ -112,11 +100,6 @@ def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Any, 
     ]
     assert hostile.all("h2")[1].text == HOSTILE
     assert {each.attributes["href"].removeprefix("#") for each in hostile.all("a")} <= set(hostile.anchors)
-
-
-def test_what_cannot_be_seen_is_written_as_its_code(read_page: Read) -> None:
-    shown = read_page(report_page(_report("a\u202eb\u200b\ud800")))
-    assert shown.all("h2")[1].text == r"a\u202eb\u200b\ud800"
 
 
 def test_numbers_have_a_row_for_each_condition_and_their_intervals() -> None:
@@ -133,67 +116,3 @@ def test_numbers_have_a_row_for_each_condition_and_their_intervals() -> None:
         ["tanh", "0.25 [0.12, 0.50]\nn = 3", "–"],
         ["relu", "–", "0.500\nn = 2"],
     ]
-
-
-@pytest.mark.parametrize(("size", "form"), [(1000, "svg+xml"), (200_000, "png")])
-def test_a_large_drawing_gives_way_to_a_small_image(size: int, form: str) -> None:
-    from PIL import Image
-
-    def draw(folder: Path, _: tuple[str, ...]) -> list[Path]:
-        (folder / "figure.svg").write_bytes(b" " * size)
-        Image.new("RGB", (20, 40)).save(folder / "figure.png", dpi=(300, 300))
-        return [folder / "figure.png", folder / "figure.svg"]
-
-    kind, _, data = report._source(draw).partition(";base64,")
-    assert kind == f"data:image/{form}" and b64decode(data)
-
-
-# --- In a browser ----------------------------------------------------------------------------------
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-QUIET = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"),
-)
-WIDTHS = (320, 768, 1600)
-MEASURED = """JSON.stringify({
-    whole: [document.documentElement.scrollWidth, document.documentElement.clientWidth],
-    boxes: [...document.querySelectorAll('.scroll')].map(e => [e.scrollWidth > e.clientWidth, e.tabIndex]),
-    pictures: [...document.images].map(image => image.complete && image.naturalWidth),
-    asked: performance.getEntriesByType('resource').filter(each => !each.name.startsWith('data:')).length,
-})"""
-
-
-def test_a_browser_opens_it_at_any_width_and_asks_for_nothing(tmp_path: Path) -> None:
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip("no Chromium here: install it (Debian: apt-get install chromium) to test the page in it")
-    measured = _measure(browser, tmp_path, report_page(_report()).decode())
-    for width, found in measured.items():
-        assert found["whole"] == [int(width), int(width)]  # the page itself never scrolls sideways
-        assert found["pictures"] == [700]
-        assert found["asked"] == 0
-    assert [True, 0] in measured["320"]["boxes"]  # a wide table does, in a box that the keyboard reaches
-
-
-def _measure(browser: str, folder: Path, page: str) -> dict[str, Any]:
-    """Return what the page measures by its width: in frames, which no window limits.
-
-    The script is put before the page's policy, which would forbid it.
-    """
-    told = f"addEventListener('load', () => parent.postMessage([innerWidth, {MEASURED}], '*'))"
-    (folder / "asked.html").write_text(page.replace("<head>", f"<head><script>{told}</script>", 1))
-    (folder / "frame.html").write_text(
-        "<!DOCTYPE html><pre></pre><script>const found = {}; addEventListener('message', event => { "
-        "found[event.data[0]] = JSON.parse(event.data[1]); "
-        "document.querySelector('pre').textContent = JSON.stringify(found); })</script>"
-        + "".join(f'<iframe src="asked.html" width="{width}" style="border: 0"></iframe>' for width in WIDTHS)
-    )
-    options = (f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=10000", "--dump-dom")
-    command = [browser, *QUIET, *options, "--window-size=1800,1000", (folder / "frame.html").as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    found = re.search("<pre>(.*?)</pre>", done.stdout, re.DOTALL)
-    assert done.returncode == 0 and found, done.stderr
-    measured: dict[str, Any] = json.loads(html.unescape(found[1]))
-    assert [*measured] == [str(width) for width in WIDTHS]
-    return measured

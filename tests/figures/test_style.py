@@ -6,7 +6,6 @@ import xml.dom.minidom
 from pathlib import Path
 
 import numpy as np
-import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
@@ -15,13 +14,11 @@ from pneuma.errors import plain
 from pneuma.figures.panels import label_rows
 from pneuma.figures.style import (
     COLOURS,
-    MOST_IN_A_PANEL,
     condition_looks,
     house_style,
     save_figure,
     short_names,
     shrink,
-    split_name,
 )
 
 
@@ -32,33 +29,9 @@ def test_table_6_2_has_one_colour_under_all_its_names() -> None:
     assert first == ["non-stationary", "tanh", "0.1"]
 
 
-def test_others_take_what_is_left_in_their_order_and_all_of_a_panel_differ() -> None:
-    colours = [look["color"] for look in condition_looks(("one", "relu", "two", "tanh", "three")).values()]
-    assert colours == [COLOURS[place] for place in (2, 1, 3, 0, 4)]
-    names = [f"a={number}, tanh" for number in range(MOST_IN_A_PANEL)]
-    looks = condition_looks(names).values()
-    assert len({look["color"] for look in looks}) == len({look["marker"] for look in looks}) == len(names)
-
-
 def test_crossed_conditions_share_a_colour_where_each_has_a_panel() -> None:
     crossed = [f"limit={limit}, {kind}" for limit in (1, 2, 3) for kind in ("tanh", "relu", "leaky-relu")]
     assert [look["color"] for look in condition_looks(crossed).values()] == [*COLOURS[:3]] * 3
-
-
-def test_colours_are_seen_on_white_in_grey() -> None:
-    assert max(float(np.dot(to_rgb(colour), [0.299, 0.587, 0.114])) for colour in COLOURS) < 0.75
-
-
-@pytest.mark.parametrize(
-    ("name", "levels", "own"),
-    [
-        ("tanh", {}, "tanh"),
-        ("order=nearest, scale=raw", {"order": "nearest", "scale": "raw"}, ""),
-        ("betas=[0.9, 0.999], relu", {"betas": "[0.9, 0.999]"}, "relu"),
-    ],
-)
-def test_a_name_is_its_levels_and_what_is_left(name: str, levels: dict[str, str], own: str) -> None:
-    assert split_name(name) == (levels, own)
 
 
 def test_names_with_the_same_factors_go_by_their_levels_if_these_tell_them_apart() -> None:
@@ -100,11 +73,3 @@ def test_a_small_png_keeps_its_dots_and_the_colours_of_few(tmp_path: Path) -> No
         assert (image.mode, round(image.info["dpi"][0])) == ("P", 200)
         shown = np.asarray(image.convert("RGB"))
     assert np.abs(shown.astype(int) - pixels).max() <= 25  # of 255: less than two neighbouring colours
-
-
-def test_paths_of_an_svg_lie_on_hundredths_and_nothing_else_changes(tmp_path: Path) -> None:
-    drawing = b'<g id="d1.23456"><path id="m" d="M 1.23456 -0.001 \nL 100.5 7.999 "/><use x="1.23456"/></g>'
-    path = tmp_path / "paths.svg"
-    path.write_bytes(drawing)
-    shrink(path)
-    assert path.read_bytes() == drawing.replace(b"1.23456 -0.001", b"1.23 -0").replace(b"7.999", b"8")

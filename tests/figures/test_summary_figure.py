@@ -61,28 +61,3 @@ def test_few_runs_have_no_interval(tmp_path: Path, drawn: list[Figure]) -> None:
     intervals = [line for line in runs.get_lines() if line.get_marker() in ("", "None")]
     assert len(intervals) == 2  # the levels of players alone
     assert "Of fewer than 5 runs there is no interval." in words(drawn[0])
-
-
-def test_many_conditions_are_rows_that_fit_a_page_by_their_levels(
-    tmp_path: Path, drawn: list[Figure]
-) -> None:
-    study = HandMade(tmp_path)
-    for number in range(90):
-        study.add(f"rate={number}, scale=raw, wide-clip", 0)
-    draw_summary(study.data, tmp_path, ("svg",))
-    labels = drawn[0].axes[0].get_yticklabels()
-    assert labels[2].get_text() == "2, raw, wide-clip (n = 1)"
-    assert len(labels) == 90 and drawn[0].get_size_inches()[1] < 12
-    heights = [label.get_window_extent() for label in labels]
-    assert heights[0].y0 >= heights[1].y1 - 2
-    assert "Rows: rate, scale, condition." in words(drawn[0])
-
-
-def test_what_was_not_run_has_no_row_and_is_named(
-    study: HandMade, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    study.add("leaky-relu", 0, status="crashed")
-    draw_summary(study.data, tmp_path, ("svg",))
-    rows = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
-    assert rows == ["tanh (n = 2)", "relu (n = 2)"]
-    assert "Without a finished run: leaky-relu." in words(drawn[0])

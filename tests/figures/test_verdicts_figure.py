@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from pneuma.analysis.intervals import Interval
-from pneuma.analysis.judgement import Comparison, Verdict
-from pneuma.figures.verdicts import draw_verdicts, empty_word, in_margins
+from pneuma.analysis.judgement import Comparison
+from pneuma.figures.verdicts import draw_verdicts, in_margins
 
 from .hand_made_verdicts import claim, comparison, judged
 
@@ -35,19 +35,6 @@ def test_effects_are_in_margins_and_right_is_as_claimed(
 ) -> None:
     found = in_margins(claim(**fields), shown("supported", *numbers, **fields))
     assert found == (told if told is None else pytest.approx(told))
-
-
-@pytest.mark.parametrize(
-    ("reason", "word"),
-    [
-        ("arms at floor: none of a, b", "floor"),
-        ("not admitted: cannot be decided", "not admitted"),
-        ("tanh seed 3: no value", "no value"),
-        ("budget not reached: x; train with: y", "not run"),
-    ],
-)
-def test_an_empty_cell_says_why_in_a_word(reason: str, word: str) -> None:
-    assert empty_word(Verdict(claim(), "text", "untestable", reason)) == word
 
 
 def test_all_verdicts_are_drawn_and_again_to_the_same_bytes(tmp_path: Path) -> None:

@@ -1,0 +1,17 @@
+"""A tiny activation study that is really trained, once for all tests of commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .calls import TINY, printed
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder with two conditions of two seeds, which no test changes."""
+    results = tmp_path_factory.mktemp("trained") / "results"
+    printed("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", results)
+    return results
