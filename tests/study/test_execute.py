@@ -181,6 +181,7 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
     assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
 
 
+@pytest.mark.slow
 def test_a_damaged_run_is_trained_again_to_the_same_bits(alone: tuple[Executed, Executed]) -> None:
     executed = alone[0]
     path = executed.store.run_folder(_run_id(executed, 1)) / "metrics.parquet"

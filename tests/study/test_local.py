@@ -19,7 +19,8 @@ from pneuma.study.identity import run_id
 from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Store
 
-RUN = make_run({"steps": 512, "evaluation_episodes": 1})
+SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
+RUN = make_run({**SETTINGS, "steps": 500, "learning_rate": 0.5})
 TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 

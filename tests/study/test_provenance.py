@@ -7,8 +7,7 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from pneuma.study import provenance
-from pneuma.study.provenance import Attempt, differences, finished_provenance, machine
+from pneuma.study.provenance import Attempt, finished_provenance, machine
 
 
 def attempt(start: int = 0) -> Attempt:
@@ -45,15 +44,3 @@ def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytes
     older = {"started": "then", "wall_seconds": 100.0, "step": 600, "machine": {}}
     about = finished_provenance(own, {"attempts": [older], "resumes": []}, 1000)
     assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)
-
-
-@pytest.mark.parametrize(
-    ("commit", "told"), [("b" * 40, "bbbbbbb"), ("a" * 40 + "-dirty", "aaaaaaa-dirty"), (None, "none")]
-)
-def test_another_commit_is_told_by_its_first_digits(
-    commit: str | None, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(provenance, "_commit", lambda: "a" * 40)
-    here = machine(1)
-    assert differences(here) == []
-    assert differences({**here, "commit": commit}) == [f"commit ({told}, now aaaaaaa)"]

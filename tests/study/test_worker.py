@@ -116,7 +116,7 @@ def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
 
 def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
     run = make_run(
-        {"steps": 10**9, "horizon": 64, "minibatch": 32, "episode_steps": 50, "evaluation_episodes": 1}
+        {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "steps": 10**9}
     )
     process = subprocess.Popen(
         [sys.executable, "-m", "pneuma.study.worker"],
