@@ -38,6 +38,7 @@ from pneuma.env_fields import (
     SHIPPED_LEVELS,
     SPELL_NAMES,
     EnvConfig,
+    is_random_level,
     make_env_config,
     read_field,
     read_fields,
@@ -51,7 +52,8 @@ __all__ = [
     "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
     "OPTIMIZER_FIELDS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
     "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_fields", "beyond_engine", "env_config",
-    "make_env_config", "make_run", "read_field", "read_fields", "fields_read", "stream_seed",
+    "evaluation_config", "make_env_config", "make_run", "read_field", "read_fields", "fields_read",
+    "stream_seed",
 ]  # fmt: skip
 
 RULES_VERSION = 3
@@ -186,6 +188,8 @@ class Run(EnvConfig):
     """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
 
     evaluation_episodes: Annotated[int, Interval(ge=1, le=10_000)] = 50
+    held_out_levels: Annotated[int, Interval(ge=0, le=10_000)] = 0
+    """Random islands, never trained on, to evaluate on; 0 for the level that is trained on."""
 
     parent: Annotated[str, matching(r"|[0-9a-f]{16}", "the id of a run")] = ""
     """The run that a fork goes on from; set by `pneuma run fork` alone, as are the next two."""
@@ -311,6 +315,10 @@ def _check_learner(run: Run) -> None:
         )
     if run.learning_rate > 1 and run.algorithm in TABULAR:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
+    if run.held_out_levels and not is_random_level(run.level):
+        raise UserError(
+            f"held_out_levels = {run.held_out_levels} is not allowed: the level is not a random one"
+        )
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
     if run.fork_reset == "critic" and "critic" not in fields_read(run):
@@ -350,6 +358,14 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
 def env_config(run: Run) -> EnvConfig:
     """Return the environment's part of a run."""
     return EnvConfig(**{item.name: getattr(run, item.name) for item in fields(EnvConfig)})
+
+
+def evaluation_config(run: Run) -> EnvConfig:
+    """Return the environment that a run is evaluated in: its own, or levels that it is not trained on."""
+    own = env_config(run)
+    if not run.held_out_levels:
+        return own
+    return replace(own, level="random:test:0", random_levels=run.held_out_levels)
 
 
 def as_fields(config: EnvConfig) -> dict[str, Any]:

@@ -217,6 +217,7 @@ NUMBERS: dict[str, tuple[Any, Any, Any, Any]] = {
     "noise": (-0.1, 1000.1, 0, 1000),
     "weight_decay": (-0.1, 1.1, 0, 1),
     "evaluation_episodes": (0, 10_001, 1, 10_000),
+    "held_out_levels": (-1, 10_001, 0, 10_000),
     "fork_step": (-1, 10**12 + 1, 0, 10**12),
     "target_kl": (0, 100.1, 1e-12, 100),
     "conjugate_steps": (0, 1001, 1, 1000),

@@ -27,6 +27,7 @@ UPDATE_QUANTITIES = (
     "grad_norm",
     "grad_norm_actor",
     "grad_norm_critic",
+    "approx_kl",
     "explained_variance",
     "dead_units",
     *ACTION_QUANTITIES,

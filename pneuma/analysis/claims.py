@@ -3,7 +3,8 @@
     [list]                      title, what was learned before, alpha, weights, the first seed
     [defaults]                  seeds and steps of a claim that has none
     [logs.runs.small]           figures of the author's published single runs
-    [pilot], [plausible]        what the design check needs: `pneuma.analysis.design`
+    [margins], [plausible]      by outcome, of claims that state none; the latter for the design check
+    [pilot]                     spreads between runs, for `pneuma.analysis.design`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
 studies/claims.toml → ClaimList → `judgement.py`. The file's checksum is in every verdict. docs/claims.md says
@@ -61,8 +62,16 @@ Finite = Annotated[float, BeforeValidator(_fraction)]
 Positive = Annotated[Finite, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
-ByOutcome = Positive | dict[str, Positive] | None
+ByWorld = Positive | dict[str, Positive]
+"""One number for all worlds, or one for each."""
+ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
+
+
+class ByOutcomes(Table):
+    """Numbers of a whole list, by outcome."""
+
+    numbers: dict[str, ByWorld]
 
 
 class LogContrast(Table):
@@ -207,9 +216,21 @@ class Claim(Table):
         return tuple(dict.fromkeys((*self.a, *self.b, *self.c, *self.d)))
 
     def of(self, key: Literal["margin", "plausible"], outcome: str) -> float | None:
-        """Return the margin, or what is plausible, of one outcome."""
-        value: float | dict[str, float] | None = getattr(self, key)
-        return value.get(outcome) if isinstance(value, dict) else value
+        """Return the margin, or what is plausible, of one outcome; None where it depends on the world."""
+        value = getattr(self, key)
+        found = value.get(outcome) if isinstance(value, dict) else value
+        return None if isinstance(found, dict) else found
+
+    def in_world(self, world: str) -> Claim:
+        """Return the claim with the margins and plausible effects of one world."""
+
+        def here(value: Any) -> Any:
+            if not isinstance(value, dict):
+                return value
+            numbers = {name: own.get(world) if isinstance(own, dict) else own for name, own in value.items()}
+            return {name: number for name, number in numbers.items() if number is not None}
+
+        return self.model_copy(update={"margin": here(self.margin), "plausible": here(self.plausible)})
 
     def contrasts_in(self, place: str) -> int:
         """Return how many contrasts it has in one of `PLACES`."""
@@ -224,7 +245,6 @@ class ClaimList:
 
     Attributes:
         digest: SHA-256 of the file.
-        plausible: by outcome, the largest effect thought possible, of claims that say nothing.
     """
 
     path: Path
@@ -233,7 +253,6 @@ class ClaimList:
     logs: PublishedLogs
     head: ListHead = ListHead()
     pilot: Pilot | None = None
-    plausible: Mapping[str, float] | None = None
 
     @property
     def contrasts(self) -> int:
@@ -263,6 +282,10 @@ class ClaimList:
         return self.head.weights.get(group, 1.0) * self.head.world_weights.get(place, 1.0)
 
 
+_TABLES = ("list", "defaults", "margins", "plausible", "logs", "pilot", "claims")
+_DEFAULTS = ("seeds", "steps", "outcome", "kind")
+
+
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     """Load the shipped claims, or those of a file.
 
@@ -270,8 +293,8 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
         UserError: naming file, line, key, value and what is allowed.
     """
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
-    file.refuse_unknown((), file.data, ("list", "defaults", "logs", "pilot", "plausible", "claims"))
-    file.refuse_unknown(("defaults",), file.table(("defaults",)), ("seeds", "steps"))
+    file.refuse_unknown((), file.data, _TABLES)
+    file.refuse_unknown(("defaults",), file.table(("defaults",)), _DEFAULTS)
     head = _read(ListHead, file, ("list",), file.table(("list",)))
     logs = _read_logs(file)
     claims = {name: _read_claim(file, name, logs, head) for name in file.table(("claims",))}
@@ -281,8 +304,7 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
         if place not in PLACES:
             raise file.mistake(("list", "world_weights"), str(unknown_name("world", place, PLACES)), place)
     pilot = _read(Pilot, file, ("pilot",), file.table(("pilot",))) if "pilot" in file.data else None
-    plausible = file.table(("plausible",))
-    return ClaimList(file.path, checksum(file.text.encode()), claims, logs, head, pilot, plausible)
+    return ClaimList(file.path, checksum(file.text.encode()), claims, logs, head, pilot)
 
 
 _Model = TypeVar("_Model", bound=Table)
@@ -307,10 +329,23 @@ def _read_claim(file: TomlFile, name: str, logs: PublishedLogs, head: ListHead) 
     if isinstance(table.get("study"), str):
         study = _study(file, where, table["study"])
         fixed = vars(read_fixed_runs(file, where, study))
-    claim = _read(Claim, file, where, {**table, **fixed, "name": name})
+    usual = {key: own for key in _DEFAULTS[2:] if (own := file.table(("defaults",)).get(key)) is not None}
+    claim = _read(Claim, file, where, {**usual, **table, **fixed, "name": name})
+    claim = claim.model_copy(update={key: _usual(file, claim, key) for key in ("margin", "plausible")})
     for key, message in _mistakes(claim, logs, head):
         raise file.mistake(where, message, key)
     return claim
+
+
+def _usual(file: TomlFile, claim: Claim, key: Literal["margin", "plausible"]) -> ByOutcome:
+    """Return a claim's margins, or what is plausible; of outcomes that it says nothing on, the list's."""
+    own: ByOutcome = getattr(claim, key)
+    if own is not None and not isinstance(own, dict):
+        return own
+    table = file.table(("margins" if key == "margin" else key,))
+    usual = _read(ByOutcomes, file, (), {"numbers": table}).numbers
+    names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcomes}
+    return {**{name: usual[of] for name, of in names.items() if of in usual}, **(own or {})} or None
 
 
 def _study(file: TomlFile, where: Where, name: str) -> Study:
@@ -348,8 +383,8 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
     effects = kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
     told = "a difference of two effects is of means, with another condition in each of a, b, c, d"
     check(effects or not (claim.c or claim.d), "c", told)
-    for outcome in claim.outcomes:
-        margin = claim.of("margin", outcome)
+    for world, outcome in product(claim.worlds, claim.outcomes):
+        margin = claim.in_world(world).of("margin", outcome)
         lacks = "the key 'margin' is missing: within it, a difference counts as none"
         check(margin is not None or claim.direction not in MARGINAL, "margin", lacks)
         if margin is not None:

@@ -59,7 +59,7 @@ class Plan:
 def check_design(claims: ClaimList) -> list[Plan]:
     """Return what the seeds of each claim can tell, in every world that it is about."""
     return [
-        _plan(claims, claim, world, outcome, a, b)
+        _plan(claims, claim.in_world(world), world, outcome, a, b)
         for claim in claims.claims.values()
         for world in claim.worlds
         for outcome in claim.outcomes
@@ -95,7 +95,7 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
     spread = spreads.get(f"{outcome} {claim.event.words}" if claim.event else outcome)
     if claim.event and spread is None:
         spread = UNKNOWN_SHARE
-    plausible = claim.of("plausible", outcome) or (claims.plausible or {}).get(outcome)
+    plausible = claim.of("plausible", outcome)
     detectable, provable = _limits(claim, seeds, alpha, spread)
     reason = _reason(claim, outcome, sum(seeds), detectable, provable, plausible)
     told = f"{claim.value:g}" if b is None else b

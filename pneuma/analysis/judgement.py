@@ -141,7 +141,7 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
         UserError: for a damaged published table.
     """
     runs, refused = ClaimRuns(store, claims), not_admitted(claims)
-    cases = [(claim, place) for claim in claims.claims.values() for place in PLACES]
+    cases = [(claim.in_world(place), place) for claim in claims.claims.values() for place in PLACES]
     return [
         _judge_one(claim, place, runs, claims, refused.get((claim.name, place), ""))
         for claim, place in cases

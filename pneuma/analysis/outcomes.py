@@ -179,6 +179,23 @@ def _roughness(values: np.ndarray) -> float:
     return float((travelled - abs(values[-1] - values[0])) / (len(values) - 1))
 
 
+def _most_of_one(seen: RunView) -> float:
+    """Return the share of the most frequent action at the end."""
+    shares = [_taken(seen.curve(f"action_{i}"), _last) for i in range(len(ACTION_NAMES))]
+    return max(shares, default=NAN)
+
+
+def _early(quantity: str) -> Measure:
+    """Return the mean of a curve over the first tenth of the run's budget."""
+
+    def measure(seen: RunView) -> float:
+        steps, values = seen.curve(quantity)
+        early = values[steps <= 0.1 * min(seen.run.budget, seen.until)]
+        return float(early.mean()) if len(early) else NAN
+
+    return measure
+
+
 def _share_area(seen: RunView) -> float:
     steps, shares = seen.evaluations("share_killed")
     first = min(np.searchsorted(steps, seen.since), max(len(steps) - 1, 0))  # one that diverged early has one
@@ -305,6 +322,21 @@ OUTCOMES: dict[str, Outcome] = {
         )
         for i, name in enumerate(ACTION_NAMES)
     },
+    "one-action": _trained(
+        "share of the most frequent action at the end", "action_0", "", SHARE, "share", _most_of_one
+    ),
+    "mean-kl": _trained(
+        "mean KL divergence of an update from the policy before",
+        "approx_kl",
+        measure=_curve("approx_kl", np.mean),
+    ),
+    "early-explained-variance": _trained(
+        "share of the returns' variance that the critic explains, first tenth of training",
+        "explained_variance",
+        "higher",
+        (-np.inf, 1.0),
+        measure=_early("explained_variance"),
+    ),
     "collapsed": Outcome(
         "the run collapsed (1) or not (0)", "", "lower", SHARE, "signs", _diagnosed("collapsed")
     ),

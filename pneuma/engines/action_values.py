@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pneuma.config import Run, env_config, stream_seed
+from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import MOST_STEPS
@@ -35,7 +35,7 @@ class ActionValues:
         self.run = run
         beyond = _steps_beyond(run)
         steps = run.episode_steps + (beyond or 0)
-        self.worlds = Worlds(starts, replace(env_config(run), episode_steps=steps))
+        self.worlds = Worlds(starts, replace(evaluation_config(run), episode_steps=steps))
         self._known = beyond is not None
 
     def measure(self, policy: Policy) -> dict[str, float]:

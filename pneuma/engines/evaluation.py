@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
-from pneuma.config import Run, env_config, stream_seed
+from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.acting import MOST_WEIGHTS, play_episodes
 from pneuma.engines.action_values import ActionValues
 from pneuma.engines.own_agent import OwnAgent
@@ -32,9 +32,9 @@ class Evaluation:
     def __init__(self, run: Run) -> None:
         self.run = run
         self.episodes = run.evaluation_episodes
-        probe = Worlds(1, env_config(run))
+        probe = Worlds(1, evaluation_config(run))
         self.argmax_starts = len(probe.level.starts)
-        self.worlds = Worlds(self.episodes + self.argmax_starts, env_config(run))
+        self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
         self.random_share, self.hunter_share = self._anchors()

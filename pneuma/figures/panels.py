@@ -223,6 +223,7 @@ _QUANTITIES = {
     "grad_norm": Quantity("Gradient norm before clipping", "L2 norm", log=True),
     "grad_norm_actor": Quantity("Actor's gradient norm", "L2 norm", log=True),
     "grad_norm_critic": Quantity("Critic's gradient norm", "L2 norm", log=True),
+    "approx_kl": Quantity("KL divergence of an update", "KL divergence (nats)"),
     "explained_variance": Quantity("Variance of returns explained", "Explained variance"),
     "dead_units": Quantity("Dead hidden units", "Share of units", percent=True),
     **{

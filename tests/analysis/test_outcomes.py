@@ -38,7 +38,8 @@ def episode(k: int) -> dict[str, Any]:
 def update(k: int, count: int) -> dict[str, Any]:
     """Update k of a run: entropy falls and norms rise, but for one peak at the second of them."""
     row = {**dict.fromkeys(METRIC_COLUMNS, 1 / 7), "step": BUDGET // count * k, "entropy": 1.6 - k / 10}
-    return {**row, "grad_norm": 50.0 if k == 2 else float(k), "action_0": 0.25}
+    own = {"action_0": 0.25, "approx_kl": k / 100, "explained_variance": k / 20}
+    return {**row, **own, "grad_norm": 50.0 if k == 2 else float(k)}
 
 
 def evaluation(k: int, share: float) -> dict[str, Any]:
@@ -117,6 +118,9 @@ def republished(data: StudyData, folder: Path) -> StudyData:
         ("final-entropy", np.float32(0.6)),
         ("max-grad-norm", 50),
         ("median-grad-norm", 6),  # of 1, 50, 3, 4, 5, 6, 7, 8 and 9, twenty points each, and one of 10
+        ("mean-kl", (20 * 0.45 + 0.1) / 181),  # 0.01 to 0.09, twenty points each, and one of 0.1
+        ("early-explained-variance", 0.05),  # of the first update, at a tenth of the budget
+        ("one-action", 0.25),
         ("final-dead-units", np.float32(1 / 7)),
         ("final-action-0", 0.25),
         ("best-score", 1.2),  # twice the share of 0.6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -34,6 +35,15 @@ def evaluation() -> Evaluation:
 
 def test_a_row_has_exactly_the_columns_of_the_contract(evaluation: Evaluation) -> None:
     assert tuple(evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 100)) == EVALUATION_COLUMNS
+
+
+def test_held_out_levels_are_none_that_is_trained_on() -> None:
+    trained = run_of(level="random:train:0", random_levels=4)
+    names = [
+        {level.name for level in Evaluation(run).worlds.levels}
+        for run in (trained, replace(trained, held_out_levels=3))
+    ]
+    assert names == [{f"random:train:{i}" for i in range(4)}, {f"random:test:{i}" for i in range(3)}]
 
 
 def test_score_is_zero_for_the_random_player_and_one_for_the_hunter(evaluation: Evaluation) -> None:

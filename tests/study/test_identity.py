@@ -109,7 +109,7 @@ OF_ONE_VALUE = {"engine"}
 
 def test_every_field_of_a_run_is_tested_here() -> None:
     several = {*OF_OTHER_OPTIMIZERS, *OF_OTHER_ALGORITHMS, *OF_PLAYERS, *OF_ONE_VALUE}
-    tested = {*OTHER, *several, "level", "random_levels"}
+    tested = {*OTHER, *several, "level", "random_levels", "held_out_levels"}
     assert tested == {item.name for item in fields(Run)}
 
 
