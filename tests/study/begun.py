@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from pneuma.study.executors.local import one_thread_environment
 
@@ -63,20 +62,6 @@ def run(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
     assert "Traceback" not in told, told
     runs = json.loads(out)["runs"] if out else []
     return process.returncode, told, [(row["status"], row["trained"]) for row in runs]
-
-
-def wait_for_words(process: subprocess.Popen[str], words: str, seconds: float = 60.0) -> None:
-    """Wait until a command has told something on standard error."""
-    assert process.stderr is not None
-    found = threading.Event()
-
-    def read(lines: IO[str]) -> None:
-        for line in lines:
-            if words in line:
-                return found.set()
-
-    threading.Thread(target=read, args=(process.stderr,), daemon=True).start()
-    assert found.wait(seconds), words
 
 
 def wait_until(true: Callable[[], object], seconds: float = 60.0) -> None:

@@ -12,9 +12,8 @@ from pneuma.config import make_run
 from pneuma.engines.base import Progress
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.records import Records
-from pneuma.errors import UserError
 from pneuma.study import checkpoints, provenance
-from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files, file_name
+from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import Store
 
@@ -112,21 +111,6 @@ def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) 
     assert steps(store) == []
 
 
-def test_a_folder_in_the_place_of_a_checkpoint_or_a_temporary_file_is_swept(store: Store) -> None:
-    folder = store.run_folder(NAME)
-    tell(begin(store), 256, at_once=True)
-    there = (folder / ".run.json.x", folder / "checkpoints" / file_name(512, b""))
-    for path in there:
-        (path / "deeper").mkdir(parents=True)
-    (folder / "checkpoints" / ".half.written").write_bytes(b"half")
-    checkpoint = begin(store).latest()
-    assert checkpoint is not None and checkpoint.step == 256
-    assert [path.name for path in folder.rglob("*") if path.is_file()] == [
-        checkpoint_files(folder)[0].path.name
-    ]
-    assert not any(path.exists() for path in there)
-
-
 def test_one_that_the_engine_refuses_is_given_up_aloud(store: Store) -> None:
     for step in (256, 512):
         tell(begin(store), step, at_once=True)
@@ -135,23 +119,6 @@ def test_one_that_the_engine_refuses_is_given_up_aloud(store: Store) -> None:
     assert own.give_up(CheckpointError("another layout"))
     assert steps(store) == [256] and said == ["the checkpoint at step 512 is given up: another layout"]
     assert own.give_up(CheckpointError("another layout")) and not own.give_up(CheckpointError("none"))
-
-
-def test_what_cannot_be_written_is_said_and_tried_again(
-    store: Store, clock: _Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: Any) -> None:
-        raise UserError("no room")
-
-    said: list[str] = []
-    own = begin(store, said=said)
-    with monkeypatch.context() as patch:
-        patch.setattr(Store, "write", refuse)
-        tell(own, 256, at_once=True)
-    assert said == ["no checkpoint at step 256: no room"]
-    clock.now += 15.0
-    tell(own, 512)
-    assert steps(store) == [512]
 
 
 def test_another_package_or_commit_is_flagged_where_a_run_goes_on(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.claimed import claims_preset, training_command
+from pneuma.study.claimed import claims_preset
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import Preset, Study, load_study
 
@@ -83,12 +83,6 @@ def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
     assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
 
 
-def test_a_plan_of_claims_holds_their_runs_and_no_others(tmp_path: Path) -> None:
-    plan = make_plan(_study(tmp_path), Selection("claims"))
-    assert _seeds(plan) == {"low": [0, 1, 7], "middle": [0, 1], "high": [0, 1, 2, 3]}
-    assert {cell.run.steps for cell in plan.cells} == {1024}
-
-
 def test_joined_presets_have_the_seeds_of_both(tmp_path: Path) -> None:
     study = _study(tmp_path)
     both = make_plan(study, Selection("paper+claims"))
@@ -129,20 +123,3 @@ def test_a_study_without_claims_has_no_such_preset(tmp_path: Path) -> None:
         claims_preset(study)
     with pytest.raises(UserError, match="study mine is no file"):
         claims_preset(replace(study, path=None))
-
-
-def test_a_mistake_in_a_claim_is_told_with_its_line(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"claims\.toml, line 7: .*did you mean high\?"):
-        claims_preset(_study(tmp_path, CLAIMS.replace('a = "high"\nb = [', 'a = "hihg"\nb = [')))
-
-
-def test_the_command_names_study_and_world(tmp_path: Path) -> None:
-    shipped = load_study("optimizer", "godot")
-    assert shipped.path is not None
-    claims = shipped.path.parent / "claims.toml"
-    assert training_command(shipped, claims) == ("pneuma study run optimizer --preset claims --world godot")
-    own = _study(tmp_path)
-    assert training_command(own, tmp_path / "claims.toml") == (
-        f"pneuma study run {tmp_path / 'mine.toml'} --preset claims"
-    )
-    assert training_command(own, claims) == ""  # other claims than those beside it: another preset

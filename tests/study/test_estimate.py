@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import pytest
 
 from pneuma.config import Run, as_fields, make_run
-from pneuma.study import estimate
 from pneuma.study.estimate import START_SECONDS, Paces, stored_paces, total_seconds
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import machine
@@ -63,34 +61,6 @@ def test_a_run_unlike_all_takes_the_tables_time_as_often_as_this_machine_is_slow
     assert paces.knows(replace(RUN, seed=7)) and not paces.knows(big)
     assert paces.seconds(RUN, 1000) - START_SECONDS == pytest.approx(3 * usual)
     assert paces.seconds(big, 1000) - START_SECONDS == pytest.approx(3 * by_table)
-
-
-def test_nonsense_in_a_results_folder_times_nothing(tmp_path: Path) -> None:
-    store, odd = Store(tmp_path), [{"steps": "x"}, {"engine": "mine", "fork_step": 0}, [], {"fork_step": 0}]
-    for i, settings in enumerate(odd):
-        about = {"cpu": HERE["cpu"], "wall_seconds": 1.0, "attempts": [{"step": 64, "machine": HERE}]}
-        files = {"run.json": to_json({"run": settings}), "provenance.json": to_json(about)}
-        store.save_run(f"{i:016}", Status("done", 1), files)
-    assert stored_paces(store, []) == Paces()
-
-
-def test_calibrating_measures_what_is_unknown_and_leaves_out_what_compiled(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Steps of a millisecond, an evaluation that doubles one of five updates, and one that waited 20 s."""
-    clock = {"now": 0.0}
-
-    def train(groups: object, store: object, how: object, on_event: Any) -> None:
-        for update, seconds in enumerate([0.0, 30.0, 0.256, 0.256, 0.512, 0.256, 20.0]):
-            clock["now"] += seconds
-            on_event({"event": "step", "run_id": "x", "step": 256 * update})
-
-    monkeypatch.setattr(estimate, "run_groups", train)
-    monkeypatch.setattr(time, "monotonic", lambda: clock["now"])
-    paces, said = Paces(), list[str]()
-    estimate.calibrate([RUN, replace(RUN, seed=1)], paces, said.append)
-    assert len(said) == 1
-    assert paces.seconds(RUN, 1000) - START_SECONDS == pytest.approx(1.25)  # 5 updates' time for 4
 
 
 def test_runs_share_workers() -> None:

@@ -21,7 +21,6 @@ from pneuma.study.checkpoints import checkpoint_files, encode, file_name
 from pneuma.study.fork import CAUSES, Change, plan_cause_forks, plan_fork
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
-from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store, run_document
 
 SMALL: dict[str, object] = {
@@ -200,15 +199,6 @@ def test_momentum_begins_or_ends_with_a_fresh_optimizer_alone(
     assert plan(store, reset="optimizer", momentum=after)
 
 
-def test_a_damaged_checkpoint_is_passed_over_for_the_sound_one_before(store: Store) -> None:
-    late, early = checkpoint_files(store.run_folder(stored(store, (AT, 256))))
-    late.path.write_bytes(late.path.read_bytes()[:-1])
-    assert {cell.run.fork_step for cell in plan(store, 300, gamma=0.9).cells} == {AT}
-    early.path.write_bytes(b"")
-    with pytest.raises(UserError, match="checkpoints of run .* up to there are damaged"):
-        plan(store, 300, gamma=0.9)
-
-
 def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
     name = stored(store)
     document = json.loads(store.read_file(name, "run.json"))
@@ -226,15 +216,6 @@ def test_the_control_of_a_forks_fork_resets_nothing_and_its_parent_is_named(stor
     file.path.unlink()
     with pytest.raises(UserError, match=f"as it is a fork: fork run {'0' * 16} with both"):
         plan(store, gamma=0.9)
-
-
-def test_a_fork_on_another_machine_than_its_parents_is_flagged(store: Store) -> None:
-    """But not what the parent computed on: nothing is computed yet."""
-    here = {**machine(1), "device": "gpu: an abacus"}
-    same, other = stored(store, about=here), stored(store, about={**here, "cpu": "abacus"}, gamma=0.5)
-    notes = [plan(store, of=name, entropy_coefficient=0.1).notes for name in (same, other)]
-    assert len(notes[0]) == 1
-    assert "trained with another cpu (abacus, now" in notes[1][1]
 
 
 # --- Plans of several runs -------------------------------------------------------------------------

@@ -50,15 +50,15 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs
-        for name in ("fast_1", "slow_1", "slow_2"):
+        for name in ("fast_1", "slow_2"):
             model = PPO("MlpPolicy", "CartPole-v1", n_steps=64, n_epochs=1, seed=len(name) + int(name[-1]))
             logger = configure(str(tmp_path / "logs" / name), ["tensorboard", "csv"])
             model.set_logger(logger)
-            model.learn(512)
+            model.learn(128)
             logger.close()
     done = _import(tmp_path)
     named = [(run.condition, run.seed, run.steps) for run in done.runs]
-    assert named == [("fast", 1, 512), ("slow", 1, 512), ("slow", 2, 512)]
+    assert named == [("fast", 1, 128), ("slow", 2, 128)]
     for run in done.runs:
         with (tmp_path / "logs" / run.shown / "progress.csv").open() as file:
             rows = list(csv.DictReader(file))
@@ -73,8 +73,8 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
         assert len(found) == len(wanted)
     assert done.notes == []
     before = _files(tmp_path / "results")
-    assert [run.new for run in done.runs] == [True] * 3
-    assert [run.new for run in _import(tmp_path).runs] == [False] * 3
+    assert [run.new for run in done.runs] == [True] * 2
+    assert [run.new for run in _import(tmp_path).runs] == [False] * 2
     assert _files(tmp_path / "results") == before, "importing twice changes nothing"
 
 
@@ -123,52 +123,6 @@ def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(
             left = len(broken) - last
             told = f"torn or damaged: the last {left} of {len(broken)} bytes are left out"
             assert damage == [told] * (left > 0)
-
-
-def _write_values(path: Path, *held: tuple[str, str, Any]) -> None:
-    """Write an event of tensors at step 3: tag, plugin and what each holds."""
-    from tensorboard.compat.proto.event_pb2 import Event
-    from tensorboard.summary.writer.record_writer import RecordWriter
-    from tensorboard.util.tensor_util import make_tensor_proto
-
-    with path.open("wb") as file:
-        for tag, plugin, tensor in held:
-            event = Event(step=3)
-            value = event.summary.value.add(tag=tag, tensor=make_tensor_proto(tensor))
-            value.metadata.plugin_data.plugin_name = plugin
-            if tag == "huge":
-                value.tensor.tensor_shape.dim.add(size=10**14)
-            if tag == "strange":
-                value.tensor.dtype = 99
-            RecordWriter(file).write(event.SerializeToString())
-
-
-def test_a_tensor_may_hold_a_number_and_any_other_is_told(tmp_path: Path) -> None:
-    _write_values(
-        tmp_path / FILE,
-        ("text", "text", "words"),
-        ("number", "scalars", 1.5),
-        ("number", "", 2.5),  # some writers name the plugin once
-        ("array", "scalars", [1.5, 2]),
-        ("word", "scalars", "x"),
-        ("huge", "scalars", 1.5),
-        ("strange", "scalars", 1.5),
-    )
-    found, damage = read_event_file(tmp_path / FILE)
-    assert [scalar[:3] for scalar in found] == [("number", 3, 1.5), ("number", 3, 2.5)]
-    tags = ("array", "word", "huge", "strange")
-    assert damage == [f"values of {tag} are no numbers and are left out" for tag in tags]
-
-
-def test_a_length_that_was_made_up_is_damage(tmp_path: Path, write_events: WriteEvents) -> None:
-    from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c
-
-    path, head = write_events(tmp_path / FILE, POINTS), struct.pack("<Q", 2**62)
-    with path.open("ab") as file:
-        file.write(head + struct.pack("<I", masked_crc32c(head)) + b"event")
-    found, (words,) = read_event_file(path)
-    assert [scalar[:3] for scalar in found] == POINTS
-    assert words.startswith("torn or damaged: the last 17 of ")
 
 
 def test_damage_is_kept_and_a_file_too_large_or_a_missing_package_is_told(

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import select
 import signal
 import sys
-import threading
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +19,8 @@ from pneuma.study.identity import run_id
 from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Store
 
-RUN = make_run({"steps": 512, "evaluation_episodes": 1})
+SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
+RUN = make_run({**SETTINGS, "steps": 500, "learning_rate": 0.5})
 TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 
@@ -109,17 +107,3 @@ def test_a_closed_terminal_is_one_interrupt_however_often_it_is_told(nohup: bool
         assert signal.getsignal(signal.SIGHUP) == handler
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_one_that_another_thread_takes_wakes_the_wait() -> None:
-    # Like a thread of a mathematical library, it does not block what the main thread does.
-    other = threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGTERM])
-    with Interrupts() as interrupts:
-        other.start()
-        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
-        try:
-            assert select.select([interrupts.wakeup], [], [], 5)[0]
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-            other.join()
-        assert interrupts.count == 1

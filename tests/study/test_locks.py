@@ -5,13 +5,11 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from pneuma.study.locks import RunLock, is_held
-from pneuma.study.store import Store
 
 
 def test_one_holder_at_a_time(tmp_path: Path) -> None:
@@ -54,31 +52,3 @@ def test_who_opened_the_file_before_it_was_removed_does_not_hold_the_lock_of_a_g
         assert mine and is_held(tmp_path)
         with RunLock(tmp_path) as other:
             assert not other
-
-
-def test_where_there_are_no_locks_nobody_is_kept_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(37, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with RunLock(tmp_path) as mine:
-        assert mine and not is_held(tmp_path)
-
-
-def test_a_link_a_pipe_or_a_folder_in_the_locks_place_is_refused_and_not_waited_for(tmp_path: Path) -> None:
-    store, name = Store(tmp_path), "0123456789abcdef"
-    folder = store.run_folder(name)
-    folder.mkdir(parents=True)
-    path = folder / ".lock"
-    cases: list[tuple[Callable[[], object], Callable[[], object], str]] = [
-        (lambda: path.symlink_to(tmp_path / "elsewhere"), path.unlink, "symbolic links"),
-        (lambda: os.mkfifo(path), path.unlink, "is no ordinary file; remove it"),
-        (path.mkdir, path.rmdir, "directory"),
-    ]
-    for make, undo, why in cases:
-        make()
-        with pytest.raises(OSError, match=why), RunLock(folder):
-            pass
-        assert not is_held(folder) and store.status(name).name == "planned"
-        undo()
-    assert not (tmp_path / "elsewhere").exists()

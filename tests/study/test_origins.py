@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.cli import main
 from pneuma.study.execute import selection_record
-from pneuma.study.origins import stored_origins, unusual_origins
+from pneuma.study.origins import unusual_origins
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -47,20 +47,6 @@ def test_a_gpu_is_another_processor_and_so_is_a_way_over_two() -> None:
     gpu = {**MILAN, "device": "gpu: NVIDIA H200"}
     told = {"a": origin(MILAN), "b": origin(MILAN), "c": origin(gpu), "d": origin(XEON, MILAN)}
     assert unusual_origins(told.items()) == {"c": "other processor", "d": "other processor"}
-
-
-def test_of_two_as_frequent_the_earlier_is_the_usual_one() -> None:
-    late, early = origin(XEON, started="2026-02-01"), origin(MILAN, started="2026-01-01")
-    assert unusual_origins([("a", late), ("b", early)]) == {"a": "other processor"}
-
-
-def test_an_untrusted_provenance_is_no_trouble(tmp_path: Path) -> None:
-    for odd in ({}, {"attempts": 3}, {"attempts": [3, {"machine": []}]}, {"cpu": [1], "packages": 7}):
-        unusual_origins([("a", odd), ("b", origin(MILAN))])
-    store = Store(tmp_path)
-    for i, told in enumerate((b"3", b"{", b'{"imported": true}', b'{"cpu": "x"}')):
-        store.save_run(f"{i:016}", Status("done", 1), {"provenance.json": told})
-    assert [*stored_origins(store, [f"{i:016}" for i in range(5)])] == [(f"{3:016}", {"cpu": "x"})]
 
 
 # --- Stored studies ----------------------------------------------------------------------------------

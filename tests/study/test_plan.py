@@ -82,13 +82,6 @@ def test_options_go_over_the_preset(study: Study) -> None:
     ]
 
 
-def test_a_setting_goes_over_every_condition(study: Study) -> None:
-    plan = make_plan(study, Selection(settings={"horizon": 128, "optimizer": "rmsprop"}))
-    assert {cell.run.horizon for cell in plan.cells} == {128}
-    assert {cell.run.optimizer for cell in plan.cells} == {"rmsprop"}
-    assert plan.same == (("adam", "sgd", "also-adam"),)  # now nothing tells them apart
-
-
 def test_a_setting_that_no_condition_reads_is_refused(study: Study) -> None:
     """Otherwise a person believes to have trained with a momentum that nothing used."""
     with pytest.raises(UserError, match=r"momentum .*adam"):

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from datetime import UTC, datetime, timedelta, timezone
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from pneuma.study import provenance
-from pneuma.study.provenance import Attempt, differences, finished_provenance, machine
+from pneuma.study.provenance import Attempt, finished_provenance, machine
 
 
 def attempt(start: int = 0) -> Attempt:
@@ -50,59 +44,3 @@ def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytes
     older = {"started": "then", "wall_seconds": 100.0, "step": 600, "machine": {}}
     about = finished_provenance(own, {"attempts": [older], "resumes": []}, 1000)
     assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)
-
-
-def test_what_else_ran_on_the_core_shows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """6 s pass after the first update, of which the process had the core for 4.5."""
-    clock, used = [1000.0], [10.0]
-    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
-    monkeypatch.setattr(time, "process_time", lambda: used[0])
-    own = attempt().updated(100)
-    assert own.so_far(100)["processor_share"] is None
-    clock[0], used[0] = clock[0] + 6, used[0] + 4.5
-    told = own.so_far(400)
-    assert told["processor_share"] == 0.75
-    quiet = {**told, "processor_share": 0.99}
-    assert finished_provenance(own, {"attempts": [quiet], "resumes": []}, 400)["processor_share"] == 0.75
-    older = {key: value for key, value in told.items() if key != "processor_share"}
-    assert finished_provenance(own, {"attempts": [older], "resumes": []}, 400)["processor_share"] is None
-
-
-def test_a_gpu_is_told_by_its_name_and_apart_from_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "jax", raising=False)
-    before = machine(1)
-    assert before["device"] == "cpu"
-    gpu = SimpleNamespace(device_kind="Abacus 3000")
-    monkeypatch.setitem(
-        sys.modules, "jax", SimpleNamespace(default_backend=lambda: "gpu", devices=lambda: [gpu])
-    )
-    assert differences(before) == ["device (cpu, now gpu: Abacus 3000)"]
-
-
-@pytest.mark.parametrize(
-    ("commit", "told"), [("b" * 40, "bbbbbbb"), ("a" * 40 + "-dirty", "aaaaaaa-dirty"), (None, "none")]
-)
-def test_another_commit_is_told_by_its_first_digits(
-    commit: str | None, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(provenance, "_commit", lambda: "a" * 40)
-    here = machine(1)
-    assert differences(here) == []
-    assert differences({**here, "commit": commit}) == [f"commit ({told}, now aaaaaaa)"]
-
-
-@pytest.mark.parametrize("earlier", [{}, {"packages": 3, "threads": "x"}, {"packages": ["torch"]}])
-def test_untrusted_nonsense_only_differs(earlier: dict[str, Any]) -> None:
-    assert any(told.startswith("torch (none, now ") for told in differences(earlier))
-
-
-@pytest.mark.parametrize(
-    ("told", "expected"), [("max 100000\n", 8), ("150000 100000\n", 2), ("900000 100000\n", 8), ("1 0", 8)]
-)
-def test_a_container_may_have_fewer_cores_than_its_machine(
-    told: str, expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "cpu.max").write_text(told)
-    monkeypatch.setattr(provenance, "QUOTA", tmp_path / "cpu.max")
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
-    assert provenance.available_cores() == expected

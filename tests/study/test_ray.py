@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -18,7 +17,6 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.study.executors import ray
 from pneuma.study.executors.local import one_thread_environment
-from pneuma.study.store import Store
 
 from .begun import begin as begin_locally
 from .begun import end_begun, outcome, wait_until, write_study
@@ -89,6 +87,7 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 # --- The same bytes ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_on_a_cluster_of_its_own_leaves_the_same_files(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     process = begin(tmp_path, study)
@@ -101,65 +100,7 @@ def test_a_run_on_a_cluster_of_its_own_leaves_the_same_files(tmp_path: Path) -> 
     assert outcome(tmp_path / "results")
 
 
-@pytest.mark.slow
-def test_after_ctrl_c_every_run_has_a_checkpoint_and_goes_on_here(tmp_path: Path, cluster: Nodes) -> None:
-    study = write_study(tmp_path, steps=64 * 1500, seeds=2)
-    process = begin(tmp_path, study, "--address", cluster.address)
-    store = Store(tmp_path / "results")
-    wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
-    process.send_signal(signal.SIGINT)
-    out, told = process.communicate(timeout=60)
-    assert process.returncode == 130, told
-    stored = [(run["status"], run["trained"]) for run in json.loads(out)["runs"]]
-    assert stored == [("partial", False)] * 2
-    assert "The same command goes on where every run was stopped" in told
-    assert {store.status(name).name for name in store.runs()} == {"partial"}
-    code, told, _ = run_locally(tmp_path, study)
-    assert code == 0
-    assert told.count("goes on from step") == 2
-    assert "it may end with other bits" not in told
-    stopped = outcome(tmp_path / "results")
-    (tmp_path / "results").rename(tmp_path / "stopped")
-    assert run_locally(tmp_path, study)[0] == 0
-    assert stopped == outcome(tmp_path / "results")
-
-
 # --- Refusals ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_an_address_where_something_else_listens_is_refused_before_anything_is_written(
-    tmp_path: Path,
-) -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        address = f"127.0.0.1:{other.getsockname()[1]}"
-        process = begin(tmp_path, write_study(tmp_path), "--address", address)
-        out, told = process.communicate(timeout=60)
-    (line,) = told.splitlines()
-    assert (process.returncode, out) == (2, "")
-    assert (
-        f"pneuma: --address {address}: no cluster can be joined there" in line and "ray start --head" in line
-    )
-    assert not (tmp_path / "results").exists()
-
-
-@pytest.mark.slow
-def test_a_cluster_that_is_not_fit_is_refused(tmp_path: Path, cluster: Nodes) -> None:
-    """Its nodes lack a version that the command has; then a GPU."""
-    other = tmp_path / "other" / "pyarrow-99.0.dist-info"
-    other.mkdir(parents=True)
-    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: pyarrow\nVersion: 99.0\n")
-    path = os.pathsep.join([str(other.parent), one_thread_environment()["PYTHONPATH"]])
-    study = write_study(tmp_path)
-    process = begin(tmp_path, study, "--address", cluster.address, environment={"PYTHONPATH": path})
-    out, told = process.communicate(timeout=60)
-    assert (process.returncode, out) == (2, "") and "lacks pyarrow 99.0, which the command has" in told
-    study.write_text("gpu = true\n" + study.read_text())
-    process = begin(tmp_path, study, "--address", cluster.address)
-    out, told = process.communicate(timeout=60)
-    assert (process.returncode, out) == (2, "") and "has a GPU to give" in told and "--num-gpus" in told
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:

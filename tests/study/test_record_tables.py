@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -48,21 +45,3 @@ def test_the_same_rows_give_the_same_bytes() -> None:
     rows = [_row(episode) for episode in range(100)]
     assert to_parquet(iter(rows), COLUMNS) == to_parquet([dict(row) for row in rows], COLUMNS)
     assert to_parquet(rows, COLUMNS) != to_parquet([*rows[:-1], _row(99, kills=4)], COLUMNS)
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted as Linux lists them")
-def test_reading_starts_no_threads(tmp_path: Path) -> None:
-    """A process that ends while Arrow's threads run may abort, with its work done and said."""
-    path = tmp_path / "table.parquet"
-    path.write_bytes(to_parquet([_row(episode) for episode in range(100)], COLUMNS))
-    program = f"""
-import os
-from pathlib import Path
-from pneuma.study.tables import from_parquet
-data = Path({str(path)!r}).read_bytes()
-before = len(os.listdir("/proc/self/task"))
-from_parquet(data)
-print(len(os.listdir("/proc/self/task")) - before)
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "0\n"

@@ -135,19 +135,6 @@ def test_a_run_saved_again_holds_only_its_new_files_and_a_crash_never_replaces_a
     assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
 
 
-def test_a_save_that_fails_half_way_leaves_the_run_planned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> NoReturn:
-        raise OSError("no space left on device")
-
-    store = Store(tmp_path / "other")
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(UserError, match="run.json: cannot be written"):
-        store.save_run(NAME, Status("done", 1024), FILES)
-    assert store.status(NAME) == Status("planned", 0)
-
-
 def test_only_checkpoints_by_name_tell_how_far_a_run_is_and_a_lock_that_it_runs(tmp_path: Path) -> None:
     """Who notes that a worker was killed does not know how far it was."""
     store = Store(tmp_path)

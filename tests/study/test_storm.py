@@ -7,9 +7,8 @@ import pytest
 from .storm import ORPHAN_SECONDS, damage_sweep, kill_storm
 
 
-@pytest.mark.parametrize(
-    ("engine", "steps"), [pytest.param("sb3", 2_560, marks=pytest.mark.slow), ("batched", 51_200)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("engine", "steps"), [("sb3", 2_560), ("batched", 51_200)])
 def test_a_study_killed_at_random_moments_ends_with_the_same_bits(engine: str, steps: int) -> None:
     storm = kill_storm(engine, kills=2, steps=steps, seed=1)
     assert (storm.kills.total(), storm.found) == (2, [])

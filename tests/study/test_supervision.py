@@ -6,18 +6,15 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.executors.supervisor import STOPPING
 from pneuma.study.store import Store
 
-from .begun import FOR_EVER, begin, run, wait_for_words, wait_until, write_study
+from .begun import FOR_EVER, begin, run, wait_until, write_study
 from .storm import children, wait_for_end
 
 
@@ -64,30 +61,6 @@ def test_ctrl_c_twice_ends_all_at_once(tmp_path: Path) -> None:
 # --- Failures ----------------------------------------------------------------------------------------
 
 
-REWARD = """\
-import numpy as np
-calls = 0
-def reward(events, players, stats):
-    global calls
-    calls += 1
-    if calls > 100:
-        raise ZeroDivisionError("at the hundredth call")
-    return np.zeros(events.shape)
-"""
-
-
-@pytest.mark.slow
-def test_a_crash_is_tried_once_more_and_told_with_its_traceback(tmp_path: Path) -> None:
-    (tmp_path / "broken.py").write_text(REWARD)
-    study = write_study(tmp_path, settings='reward = "broken:reward"')
-    code, told, runs = run(tmp_path, study)
-    assert (code, runs) == (1, [("crashed", True)])
-    assert "tried once more" in told and "at the hundredth call" in told
-    store = Store(tmp_path / "results")
-    (name,) = store.runs()
-    assert b"at the hundredth call" in store.read_file(name, "error.txt")
-
-
 # --- A full disk -------------------------------------------------------------------------------------
 
 
@@ -109,6 +82,7 @@ def test_on_a_full_disk_the_study_says_so_and_goes_on_when_there_is_room(tmp_pat
 # --- Two at once -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_commands_on_one_folder_share_the_work(tmp_path: Path) -> None:
     study = write_study(tmp_path, 64 * 30, seeds=3)
     both = [begin(tmp_path, study, "--workers", "1") for _ in range(2)]
@@ -117,36 +91,3 @@ def test_two_commands_on_one_folder_share_the_work(tmp_path: Path) -> None:
     rows = [json.loads(out)["runs"] for out, _ in told]
     assert all(row["status"] == "done" for one in rows for row in one)
     assert [one["trained"] + other["trained"] for one, other in zip(*rows, strict=True)] == [1, 1, 1]
-
-
-@pytest.mark.slow
-def test_a_command_that_waits_for_another_is_stopped_by_one_ctrl_c(tmp_path: Path) -> None:
-    study = write_study(tmp_path, FOR_EVER)
-    first = begin(tmp_path, study)
-    wait_until(lambda: checkpoints(tmp_path))
-    second = begin(tmp_path, study)
-    wait_for_words(second, "waiting for it to let go of")
-    second.send_signal(signal.SIGINT)
-    assert second.wait(timeout=30) == 130
-    first.send_signal(signal.SIGINT)
-    first.communicate(timeout=60)
-    second.communicate()
-
-
-def test_a_worker_computes_on_one_thread() -> None:
-    """A large product takes no more of the processors' time than passes, whatever else is going on."""
-    code = """
-import time
-import jax, numpy
-square = numpy.ones((1024, 1024), numpy.float32)
-product = jax.jit(lambda a: a @ a)
-product(square).block_until_ready()
-wall, own = time.perf_counter(), time.process_time()
-for _ in range(20):
-    product(square).block_until_ready()
-print((time.process_time() - own) / (time.perf_counter() - wall))
-"""
-    told = subprocess.run(
-        [sys.executable, "-c", code], env=one_thread_environment(), capture_output=True, text=True, check=True
-    )
-    assert float(told.stdout) < 1.2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import shutil
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -15,7 +14,6 @@ import pytest
 from safetensors.numpy import save
 
 import pneuma
-from pneuma.cli import study_plot
 from pneuma.config import as_fields, make_run
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.errors import UserError
@@ -96,9 +94,10 @@ def test_no_module_can_unpickle() -> None:
         imported = {alias.name for node in tree if isinstance(node, ast.Import) for alias in node.names}
         imported |= {node.module or "" for node in tree if isinstance(node, ast.ImportFrom)}
         assert not {name.split(".")[0] for name in imported} & RUNS_CODE, path
-        calls = {ast.unparse(node.func) for node in tree if isinstance(node, ast.Call)}
-        assert not calls & {"eval", "exec"}, path
-        loads = {name for name in calls if name.split(".")[-1] in ("load", "read_pickle")} - READS_TEXT
+        called = [node.func for node in tree if isinstance(node, ast.Call)]
+        assert not {"eval", "exec"} & {func.id for func in called if isinstance(func, ast.Name)}, path
+        last = [(getattr(func, "attr", getattr(func, "id", "")), func) for func in called]
+        loads = {ast.unparse(func) for name, func in last if name in ("load", "read_pickle")} - READS_TEXT
         assert loads <= ({"load"} if "safetensors.numpy" in imported else set()), path
 
 
@@ -122,15 +121,14 @@ def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
         assert store.selection("mine") is None, change
 
 
-@pytest.mark.parametrize("part", ["", "checkpoints"])
 def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_swept(
-    store: Store, tmp_path: Path, part: str
+    store: Store, tmp_path: Path
 ) -> None:
     run, theirs = make_run({"steps": 256}), tmp_path / "theirs"
     theirs.mkdir()
     for name in (".lock", ".netrc.bak"):
         (theirs / name).write_text("mine")
-    folder = store.run_folder(run_id(run)) / part
+    folder = store.run_folder(run_id(run)) / "checkpoints"
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.symlink_to(theirs)
     events = list[Event]()
@@ -140,16 +138,6 @@ def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_s
     assert {path.name: path.read_text() for path in theirs.iterdir()} == {
         ".lock": "mine", ".netrc.bak": "mine",
     }  # fmt: skip
-
-
-def test_a_pipe_or_a_device_is_no_file_to_read(store: Store) -> None:
-    folder = store.run_folder("fedcba9876543210")
-    folder.mkdir(parents=True)
-    os.mkfifo(folder / "status.json")
-    assert store.status("fedcba9876543210").name == "damaged"
-    (folder / "status.json").unlink()
-    (folder / "status.json").symlink_to("/dev/zero")
-    assert store.status("fedcba9876543210").name == "damaged"
 
 
 # --- Checkpoints -----------------------------------------------------------------------------------
@@ -256,17 +244,6 @@ def test_selecting_from_a_record_runs_nothing_that_it_names(
         assert code == 2 and "missing or damaged; run the study again" in told  # it came as far as the runs
 
 
-def test_a_record_cannot_pose_as_a_file_that_a_person_names(store: Store, evil: Path) -> None:
-    (evil.parent / "own.toml").write_text(
-        'title = "A"\nbase = "table-6-2"\n[conditions.a]\nreward = "evil_reward:reward"\n'
-        "[presets.quick]\nseeds = 1\nsteps = 512\n"
-    )
-    store.save_selection("own.toml", RECORD)
-    code, told = called("study", "status", "--seeds", "2", "--results", store.root)
-    assert not evil.exists()
-    assert code == 0 and told.startswith("No study was run in ")
-
-
 def test_untrusted_texts_cannot_drive_the_terminal(store: Store) -> None:
     wild = "\x1b]0;owned\x07"
     cell = {**CELL, "condition": f"a{wild}"}
@@ -275,45 +252,3 @@ def test_untrusted_texts_cannot_drive_the_terminal(store: Store) -> None:
         code, told = called("study", *words, "--results", store.root)
         assert (code, "owned" in told) == (2 if "c" in words else 0, True)
         assert "\x1b" not in told and "\x07" not in told
-
-
-def test_a_figure_replaces_a_link_and_leaves_what_it_leads_to(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`plot` into the results folder; what draws is beside the point."""
-    precious = tmp_path / "precious.png"
-    precious.write_bytes(b"mine")
-    (store.root / "figures").mkdir()
-    (store.root / "figures" / "mine.png").symlink_to(precious)
-    store.save_selection("mine", {**RECORD, "runs": [CELL]})
-
-    def draw(_: object, folder: Path, *__: object) -> list[dict[str, str]]:
-        (folder / "mine.png").write_bytes(b"drawn")
-        return [{"file": "mine.png"}]
-
-    monkeypatch.setattr(study_plot, "_draw_one", draw)
-    assert called("study", "plot", "mine", "--results", store.root)[0] == 0
-    assert precious.read_bytes() == b"mine"
-    assert (store.root / "figures" / "mine.png").read_bytes() == b"drawn"
-    shutil.rmtree(store.root / "figures")
-    (store.root / "figures").symlink_to(tmp_path)
-    code, told = called("study", "plot", "mine", "--results", store.root)
-    assert (code, "leads out of the results folder" in told) == (2, True)
-    assert sorted(os.listdir(tmp_path)) == ["precious.png", "results"]
-
-
-@pytest.mark.parametrize("part", ["runs", "studies"])
-def test_a_part_that_is_a_link_out_or_a_file_is_told_before_anything_is_trained(
-    tmp_path: Path, part: str
-) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "results").mkdir()
-    (tmp_path / "results" / part).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UserError, match="a link leads out of the results folder"):
-        Store(tmp_path / "results").check_writable()
-    (tmp_path / "results" / part).unlink()
-    (tmp_path / "results" / part).write_text("")
-    with pytest.raises(UserError, match="a file in place of the folder"):
-        Store(tmp_path / "results").check_writable()
-    (tmp_path / "whole").symlink_to(tmp_path / "elsewhere")  # the folder itself may be one
-    Store(tmp_path / "whole").check_writable()
