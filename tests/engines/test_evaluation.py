@@ -9,10 +9,9 @@ import pytest
 
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines.base import evaluation_updates
-from pneuma.engines.batched.networks import initial_networks
+from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.engines.sb3 import make_env
 from pneuma.engines.team import Team
 from pneuma.env.worlds import Worlds
@@ -30,10 +29,6 @@ def constant_policy(logits: list[float]) -> Policy:
 @pytest.fixture(scope="module")
 def evaluation() -> Evaluation:
     return Evaluation(run_of(seed=3))
-
-
-def test_a_row_has_exactly_the_columns_of_the_contract(evaluation: Evaluation) -> None:
-    assert tuple(evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 100)) == EVALUATION_COLUMNS
 
 
 def test_score_is_zero_for_the_random_player_and_one_for_the_hunter(evaluation: Evaluation) -> None:
@@ -77,12 +72,6 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     held_out = set(evaluation.worlds.worlds["key"].tolist())
     assert len(training) == 16
     assert not training & held_out
-
-
-def test_every_start_place_is_played_once_with_the_best_action(evaluation: Evaluation) -> None:
-    evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 1)
-    assert evaluation.worlds.worlds["start"][24:].tolist() == [0, 1, 2, 3, 4, 5]
-    assert evaluation.argmax_starts == 6
 
 
 def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:

@@ -21,7 +21,6 @@ import pneuma.engines.export as exports
 from pneuma.algorithms import MAILMAN
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
-from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.errors import UserError
 
@@ -68,19 +67,15 @@ def sb3_outputs(model: PPO, observations: np.ndarray) -> tuple[np.ndarray, np.nd
 # --- Stable-Baselines3 -----------------------------------------------------------------------------
 
 
-def test_a_zip_of_a_run_by_upgd_needs_no_optimizer_of_ours() -> None:
-    settings = {"optimizer": "upgd", "betas": (0.8, 0.9), "weight_decay": 0.01}
+def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
+    own = {"clip": "separate", "gradient_limit": 0.7, "gamma": 0.9, "clip_range": 0.3}
+    settings = {"optimizer": "upgd", "betas": (0.8, 0.9), "weight_decay": 0.01, **own}
     run = make_run({**settings, "actor": [4], "critic": [4]})
     model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, own_space(11))), device="cpu")
     assert type(model.policy.optimizer) is torch.optim.Adam
     assert model.policy.optimizer.defaults["betas"] == (0.8, 0.9)
     assert model.policy.optimizer.defaults["weight_decay"] == 0  # Adam's would not be UPGD's
-
-
-def test_a_zip_of_a_run_that_clips_apart_has_its_limit_for_both_together() -> None:
-    run = make_run({"clip": "separate", "gradient_limit": 0.7, "actor": [4], "critic": [4]})
-    model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, own_space(11))), device="cpu")
-    assert model.max_grad_norm == 0.7
+    assert (model.max_grad_norm, model.gamma, model.clip_range(1.0)) == (0.7, 0.9, 0.3)  # type: ignore[operator]
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
@@ -146,22 +141,6 @@ def test_the_zip_plays_its_environment_as_the_policy_does(env_id: str) -> None:
             observation, _ = env.reset()
 
 
-def test_the_zip_goes_on_training_with_the_hyperparameters_of_the_run() -> None:
-    settings = {"gamma": 0.9, "betas": (0.8, 0.7), "horizon": 64, "clip_range": 0.3, "epochs": 2}
-    run = make_run({**settings, "minibatch": 32, "gradient_limit": "none"})
-    env = gymnasium.make("pneuma/Pneuma-v0")
-    policy = random_policy(run, FEATURES)
-    model = PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run))), env=env, device="cpu")
-    assert (model.gamma, model.n_steps, model.n_epochs, model.batch_size) == (0.9, 64, 2, 32)
-    assert model.clip_range(1.0) == 0.3  # type: ignore[operator]
-    assert model.max_grad_norm == float("inf")
-    (group,) = model.policy.optimizer.param_groups
-    assert (group["betas"], group["eps"], group["lr"]) == ((0.8, 0.7), 1e-5, 3e-4)
-    before = sb3_outputs(model, random_observations(3, FEATURES))[0]
-    model.learn(64)
-    assert not np.array_equal(before, sb3_outputs(model, random_observations(3, FEATURES))[0])
-
-
 WITHOUT_PNEUMA = """
 import sys
 sys.modules["pneuma"] = None  # importing it now fails
@@ -184,10 +163,6 @@ def test_the_zip_needs_nothing_of_pneuma(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert [int(action) for action in done.stdout.split()] == policy.best(observations).tolist()
     assert "Could not deserialize" not in done.stderr
-
-
-def test_torch_has_the_slope_of_the_thesis() -> None:
-    assert torch.nn.LeakyReLU().negative_slope == LEAKY_SLOPE == 0.01
 
 
 # --- What an environment may be made of ------------------------------------------------------------
@@ -225,18 +200,6 @@ def test_a_stored_reward_is_never_imported(
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_policy_of_another_environment_is_refused() -> None:
-    run = make_run({})
-    with pytest.raises(UserError, match=f"12 features, its environment has {FEATURES}"):
-        observation_space(random_policy(run, 12), run)
-
-
-def test_a_policy_of_another_shape_than_its_run_is_refused() -> None:
-    policy = random_policy(make_run({"actor": [64]}), FEATURES)
-    with pytest.raises(UserError, match="not of the shape"):
-        to_sb3(policy, make_run({}), own_space(FEATURES))
-
-
 # --- ONNX ------------------------------------------------------------------------------------------
 
 
@@ -266,24 +229,13 @@ def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
     assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
 
 
-def test_onnx_of_a_table_has_the_mailmans_actions() -> None:
-    onnx = pytest.importorskip("onnx")
-    table = Policy("tanh", ((np.eye(3, 2, dtype=np.float32), np.zeros(2, np.float32)),), (), 0.1)
-    model = onnx.load_from_string(to_onnx(table, {"env": MAILMAN}))
-    assert {each.key: each.value for each in model.metadata_props}["actions"] == '["go on", "go home"]'
-
-
 def test_without_the_extra_onnx_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(UserError, match=r"pip install '.\[onnx\]'"):
         to_onnx(random_policy(make_run({}), FEATURES), {})
 
 
-# --- A stranger's policy ---------------------------------------------------------------------------
-
-
-def _swapped(policy: Policy, **parts: Any) -> bytes:
-    return replace(policy, **parts).to_bytes()
+# --- What is refused -------------------------------------------------------------------------------
 
 
 def test_what_is_no_policy_is_refused() -> None:
@@ -292,17 +244,28 @@ def test_what_is_no_policy_is_refused() -> None:
     (hidden, head), (_, critic_head) = policy.actor, policy.critic
     for data in (
         b"",
-        b"\x80\x04pickle",
         policy.to_bytes()[:-1],
-        _swapped(policy, activation="exec"),
-        _swapped(policy, actor=()),
-        _swapped(policy, actor=(head, hidden)),
-        _swapped(policy, actor=((hidden[0], hidden[1][:-1]), head)),
-        _swapped(policy, critic=policy.actor),
-        _swapped(policy, critic=(critic_head,)),
+        *(
+            replace(policy, **parts).to_bytes()
+            for parts in (
+                {"activation": "exec"},
+                {"actor": (head, hidden)},
+                {"actor": ((hidden[0], hidden[1][:-1]), head)},
+                {"critic": policy.actor},
+                {"critic": (critic_head,)},
+            )
+        ),
     ):
         with pytest.raises(UserError, match="no policy of Pneuma's"):
             read_sound_policy(data)
+
+
+def test_a_policy_that_does_not_fit_its_run_is_refused() -> None:
+    run = make_run({})
+    with pytest.raises(UserError, match=f"12 features, its environment has {FEATURES}"):
+        observation_space(random_policy(run, 12), run)
+    with pytest.raises(UserError, match="not of the shape"):
+        to_sb3(random_policy(make_run({"actor": [64]}), FEATURES), run, own_space(FEATURES))
 
 
 def test_a_network_of_action_values_is_one_output_of_onnx() -> None:

@@ -110,11 +110,3 @@ def test_a_fork_writes_down_its_own_part_alone() -> None:
     assert diary.restored == [7 * HORIZON]
     assert whole.records.metrics[0] == {"step": 8 * HORIZON, "before": 7 * HORIZON}
     assert train_run(fork, Diary(), until()[1], taken[0]).records == whole.records
-
-
-def test_nothing_is_left_to_do_after_the_last_update() -> None:
-    taken, on_update = until()
-    train_run(run_of(), Diary(), on_update)
-    diary = Diary()
-    result = train_run(run_of(), diary, until()[1], taken[-1])
-    assert (result.status, result.step) == ("done", UPDATES * HORIZON) and not diary.judged
