@@ -199,15 +199,8 @@ def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(
     settings: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where more updates follow, the next one shows it in its losses."""
-    own = {
-        "horizon": 64,
-        "minibatch": 32,
-        "epochs": 1,
-        "activation": "leaky-relu",
-        "episode_steps": 40,
-        **settings,
-    }
-    run = make_run({**own, "steps": 128 * (2 if settings else 1)})
+    small = {**SMALL, "horizon": 64, "epochs": 1, "activation": "leaky-relu"}
+    run = make_run({**small, **settings, "steps": 256 if settings else 128})
     trainer, records = BatchedTrainer(run), Records()
     for learner in trainer.learners:
         monkeypatch.setattr(learner, "learn_from", _with_huge_weights(learner))

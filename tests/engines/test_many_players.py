@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from pneuma.engines import sb3
 from pneuma.engines.base import Result, load_engine
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.batched.rollout import Collector, Rollout
-from pneuma.engines.batched.training import BatchedTrainer, mean_metrics
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy, flat
 from pneuma.engines.records import EPISODE_COLUMNS, LEARNER_COLUMNS, METRIC_COLUMNS
@@ -118,21 +116,6 @@ def test_metrics_are_the_means_of_the_learners(independent: Result) -> None:
     for name in METRIC_COLUMNS[1:]:
         assert rows[0][name] == pytest.approx(np.mean([row[name] for row in learners]), nan_ok=True)
     assert len({row["value_loss"] for row in learners}) == 3
-
-
-def test_learners_with_magic_have_a_share_of_every_action() -> None:
-    """Whether or not anyone cast a spell: means are over the same names."""
-    settings = {"players": 2, "learners": "independent", "magic": True, "horizon": 64, "slots": 1}
-    training = BatchedTrainer(make_run({**SMALL, **settings, "minibatch": 32, "steps": 512}))
-    first, second = training.learners
-    rollout = training.collector.collect([first.networks["actor"], second.networks["actor"]])
-    casts_none = rollout.of_player(0, 2)
-    told = [
-        first.learn_from(replace(casts_none, actions=np.zeros_like(casts_none.actions))),
-        second.learn_from(rollout.of_player(1, 2)),
-    ]
-    shares = [mean_metrics(told)[f"action_{i}"] for i in range(7)]
-    assert sum(shares) == pytest.approx(1) and shares[0] > 0.5 and told[0]["action_6"] == 0
 
 
 def test_a_learner_learns_from_its_player_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,24 +10,17 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.utils import obs_as_tensor
 
-from pneuma.config import ACTIVATIONS, BASES, OPTIMIZER_FIELDS, Run, make_run
+from pneuma.config import BASES, OPTIMIZER_FIELDS, Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.records import EPISODE_COLUMNS
 
 from .trained import train
 
 SMALL = {
-    "actor": [16],
-    "critic": [24],
-    "horizon": 64,
-    "minibatch": 32,
-    "epochs": 2,
-    "steps": 256,
-    "evaluation_episodes": 2,
-    "episode_steps": 40,
-}
+    "actor": [16], "critic": [24], "horizon": 64, "minibatch": 32, "epochs": 2,
+    "steps": 256, "evaluation_episodes": 2, "episode_steps": 40,
+}  # fmt: skip
 
 
 def small_run(**settings: object) -> Run:
@@ -52,34 +45,6 @@ def test_gradient_norms_are_those_that_the_clipping_saw(monkeypatch: pytest.Monk
     for row in result.records.metrics:
         parts = np.hypot(row["grad_norm_actor"], row["grad_norm_critic"])
         assert parts <= row["grad_norm"] * 1.0001  # equal for one gradient, below for means of several
-
-
-@pytest.mark.parametrize(("clip", "limit"), [("joint", 0.5), ("separate", 0.5), ("joint", None)])
-def test_gradients_are_clipped_as_the_run_says(clip: str, limit: float | None) -> None:
-    run = small_run(clip=clip, gradient_limit="none" if limit is None else limit)
-    model = sb3.make_model(run, sb3.make_env(run))
-    sb3.GradientNorms(model, run)
-    norms: list[tuple[float, float]] = []
-
-    def after_clipping(*_: Any) -> None:
-        parts = {"policy": 0.0, "value": 0.0}
-        for name, parameter in model.policy.named_parameters():
-            part = "policy" if "policy" in name or "action" in name else "value"
-            assert parameter.grad is not None
-            parts[part] += float((parameter.grad**2).sum())
-        norms.append((parts["policy"] ** 0.5, parts["value"] ** 0.5))
-
-    model.policy.optimizer.register_step_pre_hook(after_clipping)
-    model.learn(64, log_interval=None)
-    actor, critic = np.array(norms).T
-    if limit is None:
-        assert np.hypot(actor, critic).max() > 1.0
-    elif clip == "joint":
-        np.testing.assert_array_less(np.hypot(actor, critic), limit + 1e-5)
-    else:
-        np.testing.assert_array_less(actor, limit + 1e-5)
-        np.testing.assert_array_less(critic, limit + 1e-5)
-        assert np.hypot(actor, critic).max() > limit  # each has a limit of its own
 
 
 @pytest.mark.parametrize("base", BASES)
@@ -119,24 +84,6 @@ def test_every_optimizer_trains_with_its_own_arguments(optimizer: str) -> None:
     assert group["weight_decay"] == 1e-3
 
 
-@pytest.mark.parametrize("activation", ACTIVATIONS)
-def test_extracted_policy_computes_what_the_learner_does(activation: str) -> None:
-    run = small_run(activation=activation, actor=[16, 8], critic=[24, 8])
-    env = sb3.make_env(run)
-    model = sb3.make_model(run, env)
-    model.learn(128, log_interval=None)
-    observations = np.concatenate([env.step(np.array([i % 5]))[0] for i in range(20)])
-    policy = sb3.extract_policy(model, run)
-    with torch.no_grad():
-        tensor = obs_as_tensor(observations, model.device)
-        distribution: Any = model.policy.get_distribution(tensor).distribution
-        values = model.policy.predict_values(tensor).numpy()[:, 0]
-    logits = policy.logits(observations)
-    ours = logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
-    np.testing.assert_allclose(ours, distribution.logits.numpy(), atol=1e-6)
-    np.testing.assert_allclose(policy.values(observations), values, atol=1e-5)
-
-
 def test_episodes_of_slots_add_up_to_the_steps_of_all() -> None:
     run = small_run(slots=2, horizon=64, steps=512)
     result, _ = train(run)
@@ -154,29 +101,6 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all() -> None:
         assert row["ending"] in ("killed", "time-limit")
         assert (row["hp"] == 0) == (row["ending"] == "killed")
     assert [row["step"] for row in result.records.evaluations] == [128, 256, 384, 512]
-
-
-def test_time_limits_are_bootstrapped_with_the_value_of_the_last_observation() -> None:
-    # Stable-Baselines3 adds gamma V(terminal observation) to the last reward of a truncated episode.
-    run = small_run(episode_steps=10, horizon=10, minibatch=10, steps=10)
-    env = sb3.make_env(run)
-    model = sb3.make_model(run, env)
-    seen: list[tuple[float, np.ndarray]] = []
-    wait = env.step_wait
-
-    def spy() -> Any:
-        observations, rewards, dones, infos = wait()
-        if dones[0]:
-            seen.append((float(rewards[0]), infos[0]["terminal_observation"]))
-        return observations, rewards, dones, infos
-
-    env.step_wait = spy  # type: ignore[method-assign]
-    _, callback = model._setup_learn(10)
-    model.collect_rollouts(env, callback, model.rollout_buffer, 10)
-    (reward, last), *rest = seen
-    assert not rest
-    value = sb3.extract_policy(model, run).values(last[None])[0]
-    assert model.rollout_buffer.rewards[9, 0] == pytest.approx(reward + 0.99 * value, abs=1e-5)
 
 
 def test_a_trained_network_is_let_go() -> None:

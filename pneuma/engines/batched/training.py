@@ -99,18 +99,18 @@ class BatchedTrainer:
 
         A fork begins anew with what it is to reset.
         """
-        if not begins_fork(self.run, checkpoint):
-            return self._restore(checkpoint, "")
-        run, worlds = self.run, self.collector.worlds
-        self._restore(checkpoint, run.fork_reset)
-        worlds.rekey([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
-        if run.fork_reset == "xp":
-            worlds.players["xp"] = 0.0
-            worlds.observe()
-        self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-        for player, learner in enumerate(self.learners):
-            learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
-        return None
+        run = self.run
+        begins = begins_fork(run, checkpoint)
+        self._restore(checkpoint, run.fork_reset if begins else "")
+        if begins:
+            worlds = self.collector.worlds
+            worlds.rekey([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
+            if run.fork_reset == "xp":
+                worlds.players["xp"] = 0.0
+                worlds.observe()
+            self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+            for player, learner in enumerate(self.learners):
+                learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
 
     def _restore(self, checkpoint: Checkpoint, reset: str) -> None:
         numbers = checkpoint.numbers
