@@ -17,10 +17,10 @@ from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3
-from pneuma.engines.batched import BatchedTrainer
 from pneuma.engines.batched.learner import Learner, initial_networks
 from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Collector, Rollout, advantages
+from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.batched.update import joined, run_numbers
 from pneuma.engines.policy import dead_share
 from pneuma.engines.records import Records
@@ -55,10 +55,20 @@ CASES: dict[str, dict[str, object]] = {
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
     "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
 }
+SLOW = (
+    "L2 with plain descent",
+    "L2 with momentum",
+    "L2 with RMSProp",
+    "RMSProp with momentum",
+    "deep",
+    "Godot's",
+)
 UPDATES = 4
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(
+    params=[pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
+)
 def run(request: pytest.FixtureRequest) -> Run:
     return make_run({**SMALL, **CASES[request.param]})
 

@@ -19,7 +19,7 @@ from .trained import train
 
 SMALL = {
     "actor": [16], "critic": [24], "horizon": 64, "minibatch": 32, "epochs": 2,
-    "steps": 256, "evaluation_episodes": 2, "episode_steps": 40,
+    "steps": 256, "evaluation_episodes": 2, "episode_steps": 40, "engine": "sb3",
 }  # fmt: skip
 
 
