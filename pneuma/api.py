@@ -27,7 +27,7 @@ from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
-    from pneuma.engines.own_agent import Act
+    from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
     from pneuma.engines.team import Team
 
@@ -187,8 +187,7 @@ def evaluate(
     Raises:
         UserError: for an environment or world that there is not, or actions that are none.
     """
-    from pneuma.engines.evaluation import Evaluation
-    from pneuma.engines.own_agent import OwnAgent
+    from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy
     from pneuma.engines.team import Team, check_fits
 

@@ -24,7 +24,14 @@ from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.loop import begins_fork, train_run
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Records, Row
-from pneuma.engines.sb3_learners import Learner, make_model, seed_streams
+from pneuma.engines.sb3_learners import (
+    Learner,
+    critic_names,
+    make_model,
+    restore_checkpoint,
+    seed_streams,
+    take_checkpoint,
+)
 from pneuma.engines.sb3_listening import (
     LOSSES,
     NAN,
@@ -39,7 +46,6 @@ from pneuma.engines.sb3_listening import (
     rollout_metrics,
     visited_metrics,
 )
-from pneuma.engines.sb3_state import critic_names, restore_checkpoint, take_checkpoint
 from pneuma.env.sb3 import PneumaVecEnv
 
 __all__ = [

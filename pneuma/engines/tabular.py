@@ -2,6 +2,9 @@
 
 Every step is learned from at once (Eq. 3.3). An update, after which a run may be stopped, is `horizon`
 steps. All that a run keeps is a few numbers, so that its checkpoints are small.
+
+There are no monsters there: the return is the primary outcome. As the whole process is known, values
+have no sampling error of their own: the true ones, and the best, are computed.
 """
 
 from __future__ import annotations
@@ -16,12 +19,12 @@ from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.loop import train_run
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import METRIC_COLUMNS, Records, Row
-from pneuma.engines.tabular_evaluation import TableEvaluation
-from pneuma.env.mailman import ACTIONS, PLACES, MailmanEnv
+from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Records, Row
+from pneuma.env.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
 
 NAN = float("nan")
 ENDING = "home"
+LONGEST_ROUTE = 2
 
 
 def train(
@@ -29,47 +32,11 @@ def train(
 ) -> Iterator[Result]:
     """Train every run, one after the other; see `pneuma.engines.base`."""
     for index, run in enumerate(runs):
-        yield train_one(run, on_update, checkpoints.get(index))
-
-
-def train_one(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
-    """Train one run; see `pneuma.engines.loop`."""
-    return train_run(run, TableTrainer(run), on_update, checkpoint)
+        yield train_run(run, TableTrainer(run), on_update, checkpoints.get(index))
 
 
 class TableTrainer:
-    """Trains the tables of one run; see `pneuma.engines.loop.Trainer`."""
-
-    def __init__(self, run: Run) -> None:
-        self._learner = TableLearner(run)
-        self._evaluation = TableEvaluation(run)
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint; runs of tables have no forks."""
-        self._learner.restore(checkpoint)
-
-    def update(self, before: int, after: int, records: Records) -> bool:
-        """Take a horizon's steps, and learn from each."""
-        told = [self._learner.step(taken) for taken in range(before, after)]
-        records.metrics.append({**_metrics(told), "step": after})
-        records.episodes.extend(self._learner.take_finished())
-        return bool(np.isfinite(self._learner.tables).all())
-
-    def evaluate(self, step: int) -> Row:
-        """Judge the tables, as played and as computed."""
-        return self._evaluation.evaluate(self._learner.tables, step)
-
-    def policy(self) -> Policy:
-        """Return the mean of the tables."""
-        return self._learner.policy()
-
-    def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        """Copy tables, world and random streams."""
-        return self._learner.checkpoint(step, records)
-
-
-class TableLearner:
-    """The tables of one run, its mailman and its random choices.
+    """Trains the tables of one run; see `pneuma.engines.loop.Trainer`.
 
     Attributes:
         tables: (1 or 2, places, actions) values of actions, 0 at first; two in double Q-learning.
@@ -86,8 +53,21 @@ class TableLearner:
         self._place = int(self.env.reset(seed=stream_seed(run.stream, "world"))[0])
         self._return, self._length, self._episode = 0.0, 0, 0
         self._finished: list[dict[str, Any]] = []
+        self._evaluation = TableEvaluation(run)
 
-    def step(self, taken: int) -> tuple[int, float]:
+    def update(self, before: int, after: int, records: Records) -> bool:
+        """Take a horizon's steps, and learn from each."""
+        told = [self._step(taken) for taken in range(before, after)]
+        records.metrics.append({**_metrics(told), "step": after})
+        records.episodes.extend(self._finished)
+        self._finished.clear()
+        return bool(np.isfinite(self.tables).all())
+
+    def evaluate(self, step: int) -> Row:
+        """Judge the tables, as played and as computed."""
+        return self._evaluation.evaluate(self.tables, step)
+
+    def _step(self, taken: int) -> tuple[int, float]:
         """Take one step, after `taken` others, and learn from it; return the action and its error."""
         action = self._choose(taken)
         there, reward, ended, _, _ = self.env.step(np.int64(action))
@@ -123,11 +103,6 @@ class TableLearner:
         )
         self._return, self._length, self._episode = 0.0, 0, self._episode + 1
         self._place = int(self.env.reset()[0])
-
-    def take_finished(self) -> list[dict[str, Any]]:
-        """Take the episodes that ended since the last call."""
-        finished, self._finished = self._finished, []
-        return finished
 
     def policy(self) -> Policy:
         """Return the mean of the tables as a network without hidden layers, of a place's one-hot code."""
@@ -199,3 +174,95 @@ def _metrics(told: Sequence[tuple[int, float]]) -> dict[str, float]:
         "value_loss": float((errors**2).mean()),
         **{f"action_{i}": float(share) for i, share in enumerate(shares)},
     }
+
+
+# --- Evaluation -----------------------------------------------------------------------------------
+
+
+class TableEvaluation:
+    """Judges the tables of one run; made once, asked at every evaluation point."""
+
+    def __init__(self, run: Run) -> None:
+        assert run.action_slip is not None and run.reward_noise is not None
+        self.run = run
+        self.env = MailmanEnv(run.action_slip, run.reward_noise)
+        self.process = decision_process(run.action_slip)
+        self.best = optimal_values(self.process, run.gamma)
+
+    def evaluate(self, tables: np.ndarray, step: int) -> dict[str, Any]:
+        """Return one row: returns and lengths as played, explored as at training's end; values as computed.
+
+        `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
+        post office and letters, the latter of the greedy route's discounted value; `q_error` is the
+        greatest distance of any entry from the best route's.
+
+        Args:
+            tables: (1 or 2, places, actions).
+            step: agent steps trained.
+        """
+        mean = tables.mean(axis=0)
+        greedy = mean.argmax(axis=1)[:HOME]
+        returns, lengths = self._play(mean, step)
+        true = policy_values(self.process, greedy, self.run.gamma)
+        return {
+            **dict.fromkeys(EVALUATION_COLUMNS, float("nan")),
+            "step": step,
+            "episodes": self.run.evaluation_episodes,
+            "return": float(np.mean(returns)),
+            "length": float(np.mean(lengths)),
+            "argmax_starts": 1,
+            "argmax_return": float(policy_values(self.process, greedy, 1.0)[POST_OFFICE]),
+            "q_estimate": float(estimated_values(tables)[:HOME].mean()),
+            "q_true": float(true.mean()),
+            "q_error": float(np.abs(mean[:HOME] - self.best).max()),
+        }
+
+    def _play(self, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
+        """Return every episode's return and length."""
+        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
+        self.env.reset(seed=stream_seed(self.run.stream, "evaluation"))
+        played = [self._play_one(values, generator) for _ in range(self.run.evaluation_episodes)]
+        returns, lengths = zip(*played, strict=True)
+        return list(returns), list(lengths)
+
+    def _play_one(self, values: np.ndarray, generator: np.random.Generator) -> tuple[float, int]:
+        place, total, length, ended = self.env.reset()[0], 0.0, 0, False
+        while not ended:
+            explore = generator.random() < (self.run.exploration or 0.0)
+            action = generator.integers(values.shape[1]) if explore else values[place].argmax()
+            place, reward, ended, _, _ = self.env.step(np.int64(action))
+            total, length = total + reward, length + 1
+        return total, length
+
+
+def estimated_values(tables: np.ndarray) -> np.ndarray:
+    """Return what tables hold a place to be worth, (places,): of Q-learning the greatest entry.
+
+    Of double Q-learning, what one table says of the other's best action, the mean of both (Eq. 3.9): the
+    estimate that it learns from.
+    """
+    count = len(tables)
+    rated = [
+        np.take_along_axis(tables[count - 1 - i], tables[i].argmax(axis=1)[:, None], axis=1)[:, 0]
+        for i in range(count)
+    ]
+    return np.asarray(np.mean(rated, axis=0))
+
+
+def optimal_values(process: tuple[np.ndarray, np.ndarray], gamma: float) -> np.ndarray:
+    """Return the best route's values of actions, (post office and letters, actions)."""
+    chances, rewards = process
+    values, worth = rewards, np.zeros(HOME + 1)
+    for _ in range(LONGEST_ROUTE):
+        values = rewards + gamma * chances @ worth
+        worth[:HOME] = values.max(axis=1)
+    return values
+
+
+def policy_values(process: tuple[np.ndarray, np.ndarray], actions: np.ndarray, gamma: float) -> np.ndarray:
+    """Return what post office and letters are worth, (2,), by one action in each."""
+    chances, rewards = process
+    worth = np.zeros(HOME + 1)
+    for _ in range(LONGEST_ROUTE):
+        worth[:HOME] = (rewards + gamma * chances @ worth)[np.arange(HOME), actions]
+    return worth[:HOME]

@@ -62,10 +62,3 @@ def test_a_future_that_is_hardly_discounted_is_too_long_to_be_played() -> None:
     assert _steps_beyond(make_run({"algorithm": "dqn", "gamma": 0.999999})) is None
     assert _steps_beyond(make_run({"algorithm": "dqn", "gamma": 0.99})) == 459  # ln 0.01 / ln 0.99 = 458.2
     ActionValues(make_run({"algorithm": "dqn", "gamma": 0.999999}), 1)
-
-
-def test_without_a_discount_a_truncated_future_has_no_value() -> None:
-    told = ActionValues(make_run({"algorithm": "dqn", "gamma": 1, "episode_steps": 5}), 6).measure(
-        always(1, 1.0)
-    )
-    assert np.isnan([*told.values()]).all()

@@ -17,11 +17,10 @@ from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3
-from pneuma.engines.batched import BatchedTrainer
-from pneuma.engines.batched.learner import Learner
-from pneuma.engines.batched.networks import initial_networks
+from pneuma.engines.batched.learner import Learner, initial_networks
 from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Collector, Rollout, advantages
+from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.batched.update import joined, run_numbers
 from pneuma.engines.policy import dead_share
 from pneuma.engines.records import Records
@@ -56,10 +55,20 @@ CASES: dict[str, dict[str, object]] = {
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
     "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
 }
+SLOW = (
+    "L2 with plain descent",
+    "L2 with momentum",
+    "L2 with RMSProp",
+    "RMSProp with momentum",
+    "deep",
+    "Godot's",
+)
 UPDATES = 4
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(
+    params=[pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
+)
 def run(request: pytest.FixtureRequest) -> Run:
     return make_run({**SMALL, **CASES[request.param]})
 
@@ -160,13 +169,6 @@ def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.Mo
             assert np.allclose(array, their_array, rtol=1e-3, atol=2e-5)
 
 
-def test_the_rollouts_have_time_limits_and_deaths_in_them() -> None:
-    """What the tables of endings are read by: both kinds happen."""
-    collector, learner = collector_and_learner(make_run({**SMALL, "steps": 9600, "episode_steps": 300}))
-    ended = np.concatenate([collector.collect([learner.networks["actor"]]).ended for _ in range(40)])
-    assert set(ended["ending"].tolist()) >= {1, 3}  # killed, time limit
-
-
 def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3() -> None:
     run = make_run({"actor": (128,), "critic": (32, 256)})
     networks = initial_networks(run, 60, 5)
@@ -207,17 +209,10 @@ def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(
     settings: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where more updates follow, the next one shows it in its losses."""
-    own = {
-        "horizon": 64,
-        "minibatch": 32,
-        "epochs": 1,
-        "activation": "leaky-relu",
-        "episode_steps": 40,
-        **settings,
-    }
-    run = make_run({**own, "steps": 128 * (2 if settings else 1)})
+    small = {**SMALL, "horizon": 64, "epochs": 1, "activation": "leaky-relu"}
+    run = make_run({**small, **settings, "steps": 256 if settings else 128})
     trainer, records = BatchedTrainer(run), Records()
-    for learner in trainer._training.learners:
+    for learner in trainer.learners:
         monkeypatch.setattr(learner, "learn_from", _with_huge_weights(learner))
     half = run.steps_per_update
     assert run.updates == 2

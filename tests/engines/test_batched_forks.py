@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.engines.batched.state import begin_fork, restore_checkpoint, take_checkpoint
-from pneuma.engines.batched.training import Training
+from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.records import Records
 from pneuma.engines.team import policy_files
@@ -45,19 +43,20 @@ def forked(parent: Run, checkpoint: Checkpoint, seed: int = 0, **changes: object
     return make_run({**SMALL, **several, **own, **changes})
 
 
-def begun(run: Run, checkpoint: Checkpoint) -> Training:
-    training = Training(run)
-    begin_fork(training, checkpoint)
-    return training
+def begun(run: Run, checkpoint: Checkpoint) -> BatchedTrainer:
+    """Return what trains a run from a checkpoint on: its own, or as a fork its parent's."""
+    trainer = BatchedTrainer(run)
+    trainer.restore(checkpoint)
+    return trainer
 
 
-def arrays(training: Training) -> Mapping[str, np.ndarray]:
-    return take_checkpoint(training, 0, Records()).arrays
+def arrays(trainer: BatchedTrainer) -> dict[str, np.ndarray]:
+    return dict(trainer.checkpoint(0, Records()).arrays)
 
 
-def streams(training: Training) -> list[object]:
+def streams(trainer: BatchedTrainer) -> list[object]:
     """Return the states of the streams of actions and minibatches."""
-    numbers = take_checkpoint(training, 0, Records()).numbers
+    numbers = trainer.checkpoint(0, Records()).numbers
     return [numbers[name] for name in sorted(numbers) if name == "actions" or name.endswith("minibatches")]
 
 
@@ -71,8 +70,7 @@ def test_a_fork_begins_with_its_parents_networks_optimizer_and_worlds(
     parent: tuple[Run, Checkpoint],
 ) -> None:
     run, checkpoint = parent
-    there, at_parent = begun(forked(run, checkpoint), checkpoint), Training(run)
-    restore_checkpoint(at_parent, checkpoint)
+    there, at_parent = begun(forked(run, checkpoint), checkpoint), begun(run, checkpoint)
     own = arrays(there)
     assert set(own) == set(checkpoint.arrays)
     kept = [name for name in own if name != "worlds/worlds"]
@@ -88,10 +86,8 @@ def test_a_fork_begins_with_its_parents_networks_optimizer_and_worlds(
 
 def test_a_fork_draws_from_streams_of_its_own_and_of_its_seed(parent: tuple[Run, Checkpoint]) -> None:
     run, checkpoint = parent
-    at_parent = Training(run)
-    restore_checkpoint(at_parent, checkpoint)
     first, second = (begun(forked(run, checkpoint, seed), checkpoint) for seed in (0, 1))
-    every = (at_parent, first, second)
+    every = (begun(run, checkpoint), first, second)
     keys = [world_fields(training.collector.worlds, random=True)["key"] for training in every]
     assert len({int(key) for own in keys for key in own}) == 3 * run.slots
     assert not world_fields(first.collector.worlds, random=True)["draws"].any()
@@ -105,7 +101,7 @@ def test_only_what_is_asked_for_is_begun_anew(parent: tuple[Run, Checkpoint], re
     run, checkpoint = parent
     kept = arrays(begun(forked(run, checkpoint), checkpoint))
     own_run = forked(run, checkpoint, fork_reset=reset)
-    fresh = arrays(Training(own_run))
+    fresh = arrays(BatchedTrainer(own_run))
     own = arrays(begun(own_run, checkpoint))
 
     def is_reset(name: str) -> bool:
@@ -124,10 +120,9 @@ def test_xp_that_outlives_episodes_can_be_reset_and_is_then_not_seen(
     parent: tuple[Run, Checkpoint],
 ) -> None:
     run, checkpoint = parent
-    rich = Training(run)
-    restore_checkpoint(rich, checkpoint)
+    rich = begun(run, checkpoint)
     rich.collector.worlds.players["xp"] = 7.0
-    rich_checkpoint = take_checkpoint(rich, checkpoint.step, checkpoint.records)
+    rich_checkpoint = rich.checkpoint(checkpoint.step, checkpoint.records)
     kept, poor = (
         begun(forked(run, checkpoint, fork_reset=reset), rich_checkpoint).collector.worlds
         for reset in ("", "xp")
@@ -137,17 +132,6 @@ def test_xp_that_outlives_episodes_can_be_reset_and_is_then_not_seen(
     poor.players["xp"] = 7.0
     poor.observe()
     np.testing.assert_array_equal(kept.observations, poor.observations)  # nothing but the XP was changed
-
-
-def test_with_a_learning_rate_of_almost_nothing_the_policy_stays_the_parents(
-    parent: tuple[Run, Checkpoint],
-) -> None:
-    run, checkpoint = parent
-    result, _ = train(forked(run, checkpoint, learning_rate=1e-30), checkpoint)
-    before = Training(run)
-    restore_checkpoint(before, checkpoint)
-    assert result.policy is not None
-    assert policy_files(result.policy) == policy_files(before.policy())
 
 
 def test_forks_of_unlike_seeds_differ_and_a_fork_goes_on_after_a_kill(
@@ -168,10 +152,12 @@ def test_forks_of_unlike_seeds_differ_and_a_fork_goes_on_after_a_kill(
 
 def test_a_critic_begun_anew_has_moments_of_its_own() -> None:
     """The compiled update overwrites its arguments in place, so that no two may be one array."""
-    training = Training(make_run({**SMALL, "slots": 1}))
-    checkpoint = take_checkpoint(training, 64, Records())
-    restore_checkpoint(training, checkpoint, "critic")
-    (learner,) = training.learners
+    run = make_run({**SMALL, "slots": 1})
+    checkpoint = BatchedTrainer(run).checkpoint(64, Records())
+    (learner,) = begun(
+        make_run({**SMALL, "slots": 1, "parent": run_id(run), "fork_step": 64, "fork_reset": "critic"}),
+        checkpoint,
+    ).learners
     parts = [part["critic"] for name, part in learner.optimizer.items() if name != "steps"]
     every = [array for part in parts for layer in part for array in layer]
     assert len({id(array) for array in every}) == len(every) > 0

@@ -46,13 +46,8 @@ CASES: dict[str, dict[str, object]] = {
 }
 
 BOTH = ["sb3", "batched"]
-TRAINED = [
-    (engine, name)
-    for engine in BOTH
-    for name, own in CASES.items()
-    if engine == "batched" or "learners" not in own  # the reference trains one policy
-]
-BESIDE = [(engine, name) for engine, name in TRAINED if name in ("adam", "upgd", "players", "independent")]
+TRAINED = [("batched", name) for name in CASES] + [("sb3", name) for name in ("upgd", "rmsprop", "players")]
+BESIDE = [("sb3", "upgd"), ("batched", "upgd"), ("batched", "independent")]
 
 
 @pytest.mark.parametrize(("engine", "name"), TRAINED)
@@ -71,14 +66,8 @@ def test_a_run_ends_with_the_same_bits_whoever_is_trained_beside_it(name: str, e
     """Alone, after others, before others; one of which diverges."""
     run = make_run({**SMALL, **CASES[name], "engine": engine})
     other = make_run({**SMALL, **CASES[name], "engine": engine, "seed": 1})
-    wild = {
-        "optimizer": "sgd",
-        "learning_rate": 100,
-        "gradient_limit": None,
-        "activation": "relu",
-        "steps": 3840,
-    }
-    diverging = make_run({**SMALL, **wild, "engine": engine})
+    wild = {"optimizer": "sgd", "learning_rate": 100, "gradient_limit": None, "activation": "relu"}
+    diverging = make_run({**SMALL, **wild, "steps": 3840, "engine": engine})
     alone, _ = train(run)
     results = list(load_engine(engine).train([diverging, other, run], {}, lambda progress: True))
     assert [result.status for result in results] == ["diverged", "done", "done"]
@@ -132,26 +121,14 @@ def test_a_checkpoint_comes_back_from_its_bytes() -> None:
     assert all(np.array_equal(back.arrays[name], array) for name, array in checkpoint.arrays.items())
 
 
-def store_files(folder: Path, steps: list[int]) -> None:
-    (folder / "checkpoints").mkdir()
-    for step in steps:
-        data = encode(a_checkpoint(step), {})
-        (folder / "checkpoints" / file_name(step, data)).write_bytes(data)
-
-
-def test_the_latest_is_told_first_and_strangers_are_left_alone(tmp_path: Path) -> None:
-    store_files(tmp_path, [64, 10_000, 192])
-    (tmp_path / "checkpoints" / "other.safetensors").write_bytes(b"")
-    files = checkpoint_files(tmp_path)
-    assert [file.step for file in files] == [10_000, 192, 64]
-
-
-@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"", lambda data: data + b"\0"])
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: data + b"\0"])
 def test_a_file_that_is_not_what_its_name_says_is_not_read(tmp_path: Path, damage: object) -> None:
-    store_files(tmp_path, [64])
+    data = encode(a_checkpoint(), {})
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / file_name(64, data)).write_bytes(data)
     (file,) = checkpoint_files(tmp_path)
     assert read_checkpoint(file) is not None
-    file.path.write_bytes(damage(file.path.read_bytes()))  # type: ignore[operator]
+    file.path.write_bytes(damage(data))  # type: ignore[operator]
     assert read_checkpoint(file) is None
 
 

@@ -9,9 +9,10 @@ import pytest
 
 from pneuma.algorithms import ALGORITHM_ENGINES
 from pneuma.config import ACTIVATIONS, make_run
-from pneuma.engines.base import Progress, load_engine
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+
+from .trained import train
 
 ENGINES = ALGORITHM_ENGINES["ppo"]
 NETWORKS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
@@ -40,14 +41,8 @@ def test_one_update_of_every_network(size: str, activation: str, engine: str) ->
     run = make_run(
         {**ONE_UPDATE, "actor": actor, "critic": critic, "activation": activation, "engine": engine}
     )
-    told: list[int] = []
-
-    def go_on(progress: Progress) -> bool:
-        told.append(progress.step)
-        return True
-
-    (result,) = load_engine(engine).train([run], {}, go_on)
-    assert (result.status, result.step, told) == ("done", 64, [64])
+    result, taken = train(run)
+    assert (result.status, result.step, len(taken)) == ("done", 64, 1)
     assert isinstance(result.policy, Policy)
     for layers, hidden, outputs in ((result.policy.actor, actor, 5), (result.policy.critic, critic, 1)):
         assert [weight.shape for weight, _ in layers] == list(

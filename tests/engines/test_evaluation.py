@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines.base import evaluation_updates
-from pneuma.engines.batched.networks import initial_networks
+from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.engines.sb3 import make_env
 from pneuma.engines.team import Team
-from pneuma.env.worlds import Worlds
 
 
 def run_of(**settings: object) -> Run:
@@ -31,10 +28,6 @@ def constant_policy(logits: list[float]) -> Policy:
 @pytest.fixture(scope="module")
 def evaluation() -> Evaluation:
     return Evaluation(run_of(seed=3))
-
-
-def test_a_row_has_exactly_the_columns_of_the_contract(evaluation: Evaluation) -> None:
-    assert tuple(evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 100)) == EVALUATION_COLUMNS
 
 
 def test_held_out_levels_are_none_that_is_trained_on() -> None:
@@ -89,12 +82,6 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     assert not training & held_out
 
 
-def test_every_start_place_is_played_once_with_the_best_action(evaluation: Evaluation) -> None:
-    evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 1)
-    assert evaluation.worlds.worlds["start"][24:].tolist() == [0, 1, 2, 3, 4, 5]
-    assert evaluation.argmax_starts == 6
-
-
 def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:
     # 196 updates: after ceil(196 k / 20) = 10, 20, 30, 40, 49, … 196.
     updates = sorted(evaluation_updates(run_of(steps=50_176)))
@@ -119,45 +106,3 @@ def test_compiled_play_is_what_numpy_plays(
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
     assert evaluation.evaluate(policy, 7) == pytest.approx(compiled)
     assert compiled["length"] > 10
-
-
-class _Drowning(Policy):
-    """Goes right where its actions are drawn, into the sea, and stands its ground where it takes the best."""
-
-    def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Note the rows, and go right."""
-        ASKED.append(("sample", len(observations)))
-        return np.full(len(observations), 2)
-
-    def best(self, observations: np.ndarray) -> np.ndarray:
-        """Note the rows, and attack."""
-        ASKED.append(("best", len(observations)))
-        return np.full(len(observations), 4)
-
-
-ASKED: list[tuple[str, int]] = []
-
-
-def test_a_big_policy_is_asked_for_a_group_of_worlds_while_one_of_it_plays_and_sees_something_new(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """And always for all rows of it: a product of fewer has other last bits."""
-    monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
-    ASKED.clear()
-    evaluation = Evaluation(run_of(env="pneuma/PneumaGodot-v0", evaluation_episodes=3, episode_steps=300))
-    layer = (np.zeros((1, 5), np.float32), np.zeros(5, np.float32))
-    returns = evaluation._play_policy(_Drowning("tanh", (layer,), (layer,)), 7)
-    steps, starts = evaluation.worlds.worlds["steps"].copy(), evaluation.argmax_starts
-    longest = {"sample": steps[:3].max(), "best": steps[3:].max()}
-    assert longest["sample"] < longest["best"]
-    seen: list[bytes] = []
-
-    def act(worlds: Worlds) -> np.ndarray:
-        seen.append(worlds.observations[3:].tobytes())
-        return np.array([[2]] * 3 + [[4]] * starts)
-
-    np.testing.assert_array_equal(evaluation._play(act), returns)
-    changes = 1 + sum(before != after for before, after in pairwise(seen))
-    assert changes < longest["best"]
-    assert sorted(ASKED) == sorted([("sample", 3)] * int(longest["sample"]) + [("best", starts)] * changes)
-    np.testing.assert_array_equal(evaluation.worlds.worlds["steps"], steps)

@@ -69,12 +69,7 @@ def test_a_run_is_judged_evenly_and_at_its_end() -> None:
     assert [row["step"] for row in result.records.evaluations] == diary.judged
     assert [checkpoint.step for checkpoint in taken] == [HORIZON * k for k in range(1, UPDATES + 1)]
     assert [row["before"] for row in result.records.metrics] == [HORIZON * k for k in range(UPDATES)]
-
-
-def test_unless_it_is_not_to_be_judged() -> None:
-    diary = Diary()
-    assert not train_run(run_of(), diary, until()[1], evaluated=False).records.evaluations
-    assert not diary.judged
+    assert not train_run(run_of(), Diary(), until()[1], evaluated=False).records.evaluations
 
 
 @pytest.mark.parametrize(("at", "status"), [(3, "stopped"), (UPDATES, "done")])
@@ -110,11 +105,3 @@ def test_a_fork_writes_down_its_own_part_alone() -> None:
     assert diary.restored == [7 * HORIZON]
     assert whole.records.metrics[0] == {"step": 8 * HORIZON, "before": 7 * HORIZON}
     assert train_run(fork, Diary(), until()[1], taken[0]).records == whole.records
-
-
-def test_nothing_is_left_to_do_after_the_last_update() -> None:
-    taken, on_update = until()
-    train_run(run_of(), Diary(), on_update)
-    diary = Diary()
-    result = train_run(run_of(), diary, until()[1], taken[-1])
-    assert (result.status, result.step) == ("done", UPDATES * HORIZON) and not diary.judged

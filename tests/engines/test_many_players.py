@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pneuma.config import Run, beyond_engine, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Result, load_engine
-from pneuma.engines.batched.networks import initial_networks
+from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.batched.rollout import Collector, Rollout
-from pneuma.engines.batched.training import Training, mean_metrics
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy, flat
 from pneuma.engines.records import EPISODE_COLUMNS, LEARNER_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.team import Team, policy_files, policy_names, read_policies
-from pneuma.errors import UserError
 
 SMALL: dict[str, Any] = {
     "players": 3, "slots": 2, "horizon": 200, "minibatch": 50, "epochs": 2, "steps": 1200, "actor": (16,),
@@ -76,13 +73,6 @@ def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) 
         assert np.array_equal(rollout.last_ends, begins)
 
 
-def test_players_of_one_world_die_apart_and_idle() -> None:
-    """What the test above is about does happen: deaths in worlds that go on, whose slots then see zeros."""
-    run = make_run({**SMALL, "env": "pneuma/PneumaGodot-v0", "episode_steps": 400, "horizon": 400})
-    idle = [~rollout.observations.any(axis=2) for rollout in rollouts(run, 4)]
-    assert any(rows.any() and not rows.all(axis=0).any() for rows in idle)
-
-
 def test_the_ending_of_each_player_is_its_own() -> None:
     run = make_run({**SMALL, "env": "pneuma/PneumaGodot-v0", "episode_steps": 300, "steps": 4800})
     ours = train(run).records.episodes
@@ -94,15 +84,14 @@ def test_the_ending_of_each_player_is_its_own() -> None:
 # --- A reward of one's own -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("players", [1, 2])
 def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
-    players: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own_thesis.py").write_text(OWN_THESIS)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "own_thesis", raising=False)
     built_in, own = (
-        train(make_run({**SMALL, "players": players, "reward": reward}))
+        train(make_run({**SMALL, "players": 2, "reward": reward}))
         for reward in ("thesis", "own_thesis:thesis")
     )
     assert own.run.engine == "batched" and own.run.reward == ("own_thesis:thesis",)
@@ -126,21 +115,6 @@ def test_metrics_are_the_means_of_the_learners(independent: Result) -> None:
     for name in METRIC_COLUMNS[1:]:
         assert rows[0][name] == pytest.approx(np.mean([row[name] for row in learners]), nan_ok=True)
     assert len({row["value_loss"] for row in learners}) == 3
-
-
-def test_learners_with_magic_have_a_share_of_every_action() -> None:
-    """Whether or not anyone cast a spell: means are over the same names."""
-    settings = {"players": 2, "learners": "independent", "magic": True, "horizon": 64, "slots": 1}
-    training = Training(make_run({**SMALL, **settings, "minibatch": 32, "steps": 512}))
-    first, second = training.learners
-    rollout = training.collector.collect([first.networks["actor"], second.networks["actor"]])
-    casts_none = rollout.of_player(0, 2)
-    told = [
-        first.learn_from(replace(casts_none, actions=np.zeros_like(casts_none.actions))),
-        second.learn_from(rollout.of_player(1, 2)),
-    ]
-    shares = [mean_metrics(told)[f"action_{i}"] for i in range(7)]
-    assert sum(shares) == pytest.approx(1) and shares[0] > 0.5 and told[0]["action_6"] == 0
 
 
 def test_a_learner_learns_from_its_player_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,27 +161,3 @@ def test_a_team_is_judged_by_what_its_players_kill_together(independent: Result)
     assert evaluation.evaluate(independent.policy, 1200) == row
     kills = evaluation.worlds.players["kills"][:3]
     assert row["share_killed"] == pytest.approx(kills.sum() / (3 * 14))
-
-
-# --- What goes together ----------------------------------------------------------------------------
-
-
-def test_the_compiled_engine_trains_players_and_rewards_of_ones_own() -> None:
-    assert make_run({"players": 2}).engine == "batched"
-    assert not beyond_engine(make_run({"players": 2, "reward": "mine:reward"}))
-    assert make_run({"players": 2, "engine": "sb3"}).engine == "sb3"
-
-
-def test_stable_baselines_cannot_train_independent_learners() -> None:
-    with pytest.raises(UserError, match='learners = "independent" is not allowed: sb3 trains one policy'):
-        make_run({**INDEPENDENT, "engine": "sb3"})
-
-
-def test_one_player_alone_is_the_same_run_either_way() -> None:
-    assert make_run({"learners": "independent"}) == make_run({})
-
-
-def test_a_minibatch_must_fit_into_what_one_learner_sees() -> None:
-    assert make_run({**INDEPENDENT, "minibatch": 400}).minibatch == 400
-    with pytest.raises(UserError, match="at most horizon x slots = 400"):
-        make_run({**INDEPENDENT, "minibatch": 401})

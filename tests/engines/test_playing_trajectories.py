@@ -55,30 +55,6 @@ def test_where_the_coast_is_a_wall_nobody_drowns() -> None:
     assert found.steps.max() == 100 == len(found.places) - 1
 
 
-def test_who_stays_where_no_monster_notices_him_runs_out_of_time() -> None:
-    found = play(ATTACK, episode_steps=50)
-    assert set(found.endings) == {"time-limit"}
-    assert np.all(found.places[:, :, 0] == FIRST)
-
-
-def test_who_acts_at_random_is_killed_on_land() -> None:
-    run = make_run({"env": GODOT})
-    policy = always(ATTACK, run)
-    policy.actor[0][1][:] = 0.0
-    found = play_trajectories(run, policy, 20)
-    assert sum(ending == "killed" for ending in found.endings) > 15
-    level = Worlds(1).level
-    for episode in np.flatnonzero(np.array(found.endings) == "killed"):
-        x, y = found.places[found.steps[episode], episode, 0]
-        assert level.terrain[int((y - level.top) / level.tile), int((x - level.left) / level.tile)] != 2
-
-
-def test_the_same_policy_goes_the_same_ways() -> None:
-    first, again = play(RIGHT), play(RIGHT)
-    assert np.array_equal(first.places, again.places)
-    assert first.endings == again.endings
-
-
 @pytest.mark.parametrize("reward", ["thesis", "nowhere:reward"])
 def test_a_reward_of_ones_own_is_not_asked(reward: str) -> None:
     assert play(RIGHT, reward=[reward], **DEADLY).endings == (DROWNED, DROWNED)

@@ -73,3 +73,23 @@ def test_dead_units_are_those_constant_over_the_rollout() -> None:
     assert dead_share(tiny("tanh"), observations) == 0.5
     assert dead_share(tiny("relu"), -observations) == 0.5  # now unit 0 lives and unit 1 is dead
     assert dead_share(tiny("relu"), np.concatenate([observations, -observations])) == 0.0
+
+
+def test_entropy_of_logits_by_hand() -> None:
+    # Probabilities (1/2, 1/4, 1/4): entropy 1/2 ln 2 + 2 x 1/4 ln 4 = 1.5 ln 2.
+    layer = (np.zeros((1, 3), np.float32), np.log(np.array([2, 1, 1], np.float32)))
+    assert Policy("tanh", (layer,), (layer,)).entropy(np.zeros((4, 1))) == pytest.approx(1.5 * np.log(2))
+
+
+def test_a_policy_of_values_is_greedy_but_for_its_exploration() -> None:
+    layer = (np.zeros((1, 4), np.float32), np.array([0, 3, 1, 2], np.float32))
+    policy = Policy("relu", (layer,), (), 0.2)
+    shown = np.zeros((40_000, 1), np.float32)
+    assert set(policy.best(shown)) == {1}
+    assert policy.values(shown[:1]).tolist() == [3.0]
+    shares = np.bincount(policy.sample(shown, np.random.default_rng(0)), minlength=4) / len(shown)
+    # Four fifths greedy, and a fifth shared out over all four; one standard error is at most 0.002.
+    np.testing.assert_allclose(shares, [0.05, 0.85, 0.05, 0.05], atol=0.008)
+    again = read_policy(policy.to_bytes())
+    assert (again.exploration, again.critic) == (0.2, ())
+    assert again.to_bytes() == policy.to_bytes()

@@ -14,7 +14,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.checkpoint import Checkpoint
-from pneuma.engines.sb3_state import take_checkpoint
+from pneuma.engines.sb3_learners import take_checkpoint
 from pneuma.engines.team import policy_files
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import checkpoint_files, encode, file_name

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.batched.networks import Networks, initial_networks, to_policy
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
 from pneuma.engines.batched.update import learn, look_back, run_numbers
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import Layers, Policy
 
 Tree = Any
+Networks = dict[str, Layers]
+"""{"actor": layers giving logits, "critic": layers giving one value}."""
+
+HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
+"""Of the orthogonal initial weights, as Stable-Baselines3 has them."""
+
+
+def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
+    """Return orthogonal weights and zero biases, drawn from the run's stream of a player's weights."""
+    generator = np.random.default_rng(stream_seed(run.stream, "weights", player))
+    return {
+        "actor": _layers(generator, (features, *run.actor, actions), ACTOR_GAIN),
+        "critic": _layers(generator, (features, *run.critic, 1), CRITIC_GAIN),
+    }
 
 
 class Learner:
@@ -44,7 +58,7 @@ class Learner:
 
     def policy(self) -> Policy:
         """Return the networks as a stored policy."""
-        return to_policy(self.run, self.networks)
+        return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])
 
     def learn_from(self, rollout: Rollout) -> dict[str, float]:
         """Take all gradient steps of an update; return its metrics."""
@@ -121,3 +135,22 @@ def _explained_variance(values: np.ndarray, returns: np.ndarray) -> float:
     """Return 1 - Var(returns - values) / Var(returns); not a number where all returns are equal."""
     spread = np.var(returns)
     return float("nan") if spread == 0 else float(1 - np.var(returns - values) / spread)
+
+
+def _layers(generator: np.random.Generator, widths: Sequence[int], last_gain: float) -> Layers:
+    gains = [HIDDEN_GAIN] * (len(widths) - 2) + [last_gain]
+    return tuple(
+        (_orthogonal(generator, inputs, outputs) * np.float32(gain), np.zeros(outputs, np.float32))
+        for inputs, outputs, gain in zip(widths[:-1], widths[1:], gains, strict=True)
+    )
+
+
+def _orthogonal(generator: np.random.Generator, inputs: int, outputs: int) -> np.ndarray:
+    """Return (inputs, outputs) float32 whose shorter side is orthonormal, uniformly drawn.
+
+    Saxe, McClelland and Ganguli (2014); the signs make the draw uniform (Mezzadri 2007).
+    """
+    normal = generator.standard_normal((max(inputs, outputs), min(inputs, outputs)))
+    q, r = np.linalg.qr(normal)
+    q = q * np.sign(np.diag(r))
+    return np.ascontiguousarray(q if inputs >= outputs else q.T, np.float32)
