@@ -8,8 +8,8 @@ from pneuma.study.store import Status, Store, to_json
 from pneuma.study.tables import to_parquet
 
 EPISODES = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
-UPDATES = ("entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "explained_variance", "dead_units")
-METRICS = ("step", *UPDATES, *(f"action_{i}" for i in range(5)))
+UPDATES = ("entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "approx_kl", "explained_variance")
+METRICS = ("step", *UPDATES, "dead_units", *(f"action_{i}" for i in range(5)))
 EVALUATIONS = ("step", "episodes", "share_killed", "random_share_killed", "hunter_share_killed")
 SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
 
