@@ -181,9 +181,11 @@ def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
         told.append("Of a fork its parent's best is not known: a fall from that is not seen.")
     if common_step(data):
         told.append("Budgets are unlike: each run is looked at over its own.")
+    endless = any(data.settings(run).get("xp_scope") != "episode" for run in data.runs)
+    sunk = " or at a return below zero after one above," if endless else ""
     told.append(
         f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "
-        f"{100 * MOST_OF_ONE:g} % of actions: dashed), or twice in a row at {100 * FALLEN_TO:g} % of its "
+        f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {100 * FALLEN_TO:g} % of its "
         f"best at most and {100 * DEPTH:g} points below it."
     )
     told.append("Bars: 95 % intervals (Clopper and Pearson); hollow: recovered by the end.")
