@@ -185,8 +185,8 @@ def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
     sunk = " or at a return below zero after one above," if endless else ""
     told.append(
         f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "
-        f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {100 * FALLEN_TO:g} % of its "
-        f"best at most and {100 * DEPTH:g} points below it."
+        f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {100 * FALLEN_TO:g} % of "
+        f"its best at most and {100 * DEPTH:g} points below it."
     )
     told.append("Bars: 95 % intervals (Clopper and Pearson); hollow: recovered by the end.")
     if left_out:
