@@ -28,7 +28,6 @@ MOST_STEPS = 1_000_000
 PERCEIVE = "all, nearest:K for the K nearest, or kind:NAME,… for monsters of some kinds"
 
 
-_WORD = r"[\w-]+"
 _REWARD = rf"{'|'.join(REWARDS)}|[\w.]+:\w+"
 _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
 

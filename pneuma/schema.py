@@ -200,14 +200,25 @@ def read_toml(path: Path) -> TomlFile:
 
 
 def read_model(
-    model: type[Model], file: TomlFile, where: Where = (), usual: Mapping[str, Any] | None = None
+    model: type[Model],
+    file: TomlFile,
+    where: Where = (),
+    usual: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
 ) -> Model:
-    """Check a table of a file, the whole file by default; `usual` is what it has where it says nothing.
+    """Check a table of a file, the whole file by default.
+
+    Args:
+        model: what it must be.
+        file: the file.
+        where: the table.
+        usual: what the table has where it says nothing.
+        fixed: what it has, whatever it says.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    data = {**(usual or {}), **file.table(where)}
+    data = {**(usual or {}), **file.table(where), **(fixed or {})}
     try:
         return model.model_validate(plain(data))
     except ValidationError as error:

@@ -19,15 +19,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.verdicts import MARGINAL
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, TomlFile, Where, complaint, plain, read_toml, shown
+from pneuma.schema import Table, TomlFile, Where, read_model, read_toml, shown
 from pneuma.study.claimed import read_fixed_runs
 from pneuma.study.files import checksum
 from pneuma.study.spec import CLAIMS_FILE, Study, load_study, studies_folder
@@ -69,9 +69,10 @@ ByOutcome = Positive | dict[str, ByWorld] | None
 
 
 class ByOutcomes(Table):
-    """Numbers of a whole list, by outcome."""
+    """Numbers of a whole list, by outcome; of all incidences, by that word."""
 
-    numbers: dict[str, ByWorld]
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, ByWorld]
 
 
 class LogContrast(Table):
@@ -284,6 +285,8 @@ class ClaimList:
 
 _TABLES = ("list", "defaults", "margins", "plausible", "logs", "pilot", "claims")
 _DEFAULTS = ("seeds", "steps", "outcome", "kind")
+_BY_OUTCOME = {"margin": "margins", "plausible": "plausible"}
+"""Keys of a claim, and the tables that hold what claims have that do not say."""
 
 
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
@@ -295,55 +298,44 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     file.refuse_unknown((), file.data, _TABLES)
     file.refuse_unknown(("defaults",), file.table(("defaults",)), _DEFAULTS)
-    head = _read(ListHead, file, ("list",), file.table(("list",)))
+    head = read_model(ListHead, file, ("list",))
     logs = _read_logs(file)
-    claims = {name: _read_claim(file, name, logs, head) for name in file.table(("claims",))}
+    usual = {key: read_model(ByOutcomes, file, (own,)).model_extra or {} for key, own in _BY_OUTCOME.items()}
+    claims = {name: _read_claim(file, name, usual, logs, head) for name in file.table(("claims",))}
     if not claims:
         raise UserError(f"{file.path}: holds no claims")
     for place in head.world_weights:
         if place not in PLACES:
             raise file.mistake(("list", "world_weights"), str(unknown_name("world", place, PLACES)), place)
-    pilot = _read(Pilot, file, ("pilot",), file.table(("pilot",))) if "pilot" in file.data else None
+    pilot = read_model(Pilot, file, ("pilot",)) if "pilot" in file.data else None
     return ClaimList(file.path, checksum(file.text.encode()), claims, logs, head, pilot)
-
-
-_Model = TypeVar("_Model", bound=Table)
-
-
-def _read(model: type[_Model], file: TomlFile, where: Where, table: Mapping[str, Any]) -> _Model:
-    """Return a table as a model; what is wrong with it as a mistake in the file."""
-    try:
-        return model.model_validate(plain(table))
-    except ValidationError as error:
-        inside, key, message = complaint(error, table)
-    raise file.mistake((*where, *inside), message, key)
 
 
 # --- One claim -----------------------------------------------------------------------------------
 
 
-def _read_claim(file: TomlFile, name: str, logs: PublishedLogs, head: ListHead) -> Claim:
+def _read_claim(
+    file: TomlFile, name: str, by_outcome: Mapping[str, Any], logs: PublishedLogs, head: ListHead
+) -> Claim:
     where = ("claims", name)
     table = file.table(where)
     fixed: dict[str, Any] = {"seeds": {}, "steps": {}, "worlds": ()}
     if isinstance(table.get("study"), str):
         study = _study(file, where, table["study"])
         fixed = vars(read_fixed_runs(file, where, study))
-    usual = {key: own for key in _DEFAULTS[2:] if (own := file.table(("defaults",)).get(key)) is not None}
-    claim = _read(Claim, file, where, {**usual, **table, **fixed, "name": name})
-    claim = claim.model_copy(update={key: _usual(file, claim, key) for key in ("margin", "plausible")})
+    usual = {key: own for key, own in file.table(("defaults",)).items() if key in _DEFAULTS[2:]}
+    claim = read_model(Claim, file, where, usual, {**fixed, "name": name})
+    claim = claim.model_copy(update={key: _filled(claim, key, own) for key, own in by_outcome.items()})
     for key, message in _mistakes(claim, logs, head):
         raise file.mistake(where, message, key)
     return claim
 
 
-def _usual(file: TomlFile, claim: Claim, key: Literal["margin", "plausible"]) -> ByOutcome:
+def _filled(claim: Claim, key: str, usual: Mapping[str, Any]) -> ByOutcome:
     """Return a claim's margins, or what is plausible; of outcomes that it says nothing on, the list's."""
     own: ByOutcome = getattr(claim, key)
     if own is not None and not isinstance(own, dict):
         return own
-    table = file.table(("margins" if key == "margin" else key,))
-    usual = _read(ByOutcomes, file, (), {"numbers": table}).numbers
     names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcomes}
     return {**{name: usual[of] for name, of in names.items() if of in usual}, **(own or {})} or None
 
@@ -407,7 +399,7 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
 
 
 def _read_logs(file: TomlFile) -> PublishedLogs:
-    logs = _read(PublishedLogs, file, ("logs",), file.table(("logs",)))
+    logs = read_model(PublishedLogs, file, ("logs",))
     for pair in logs.same:
         if not {*pair} <= {*logs.runs}:
             raise file.mistake(("logs",), f"same: {shown(pair)} is no pair of names of runs", "same")

@@ -371,7 +371,4 @@ OUTCOMES: dict[str, Outcome] = {
 }
 """By name; `find_outcome` also knows steps-to:X."""
 
-PICKING = ("collapsed",)
-"""Outcomes that are 1 or 0 of every run: by these a claim can pick its runs."""
-
 PRIMARY = "final-share-killed"

@@ -172,7 +172,6 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
     return None
 
 
-_PLAN_HEAD = ("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", "")
 _PLANNED = ("outcome", "a", "b", "alpha", "spread", "detectable", "provable", "plausible", "reason")
 
 

@@ -58,12 +58,6 @@ def player_features(config: EnvConfig) -> tuple[str, ...]:
     return PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
 
 
-def feature_names(config: EnvConfig, rows: int) -> list[str]:
-    """Name every number of an observation with so many monsters, in order."""
-    seen = [f"monster_{i}_{name}" for i in range(rows) for name in MONSTER_FEATURES[config.observation]]
-    return [*player_features(config), *seen]
-
-
 def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
     """Return whether each monster is perceived, and the most rows that an observation has.
 
