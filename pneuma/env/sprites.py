@@ -193,7 +193,7 @@ def paint_ground(ground: np.ndarray) -> np.ndarray:
     """Paint a map's ground, shape (16 rows, 16 columns, 3) uint8.
 
     Args:
-        ground: (rows, columns) of indices into `GROUNDS`.
+        ground: (rows, columns) of `WATER`, `SNOW`, `GRASS`, `SAND` or `BRIDGE`.
     """
     kinds = _soften(np.where(ground == BRIDGE, WATER, ground))
     image = _texture(ground.shape, WATER)
