@@ -91,7 +91,7 @@ def _check_settings(env_id: str, settings: Settings) -> tuple[tuple[str, ...], i
         return (), 1
     config = make_env_config(settings, _world_id(env_id))
     if env_id in MO_ENVIRONMENTS:
-        refuse_reward({**settings})
+        refuse_reward(settings)
         if config.players > 1:
             raise UserError(f"players = {config.players} is not allowed: {env_id} has one player")
     try:

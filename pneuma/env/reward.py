@@ -24,14 +24,15 @@ where no monster lives.
 
 from __future__ import annotations
 
-import ast
 import importlib
+import importlib.machinery
 import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib.util import cache_from_source
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -123,8 +124,9 @@ def _forget_changed(module: str) -> None:
     known = _STAMPS.get(module)
     if not known:
         return
-    here = module_in(Path.cwd(), module)
-    moved = here is not None and here.resolve() not in {path.resolve() for path in known}
+    here = importlib.machinery.PathFinder.find_spec(module.partition(".")[0], [str(Path.cwd())])
+    source = getattr(sys.modules.get(module.partition(".")[0]), "__file__", None)
+    moved = here is not None and source is not None and here.origin != source
     if moved or _stamps(known) != known:
         del _STAMPS[module]
         own = {str(path) for path in known}
@@ -225,7 +227,7 @@ def module_files(name: str, path: Path) -> list[Path]:
     """Return the source files of a module: its own first, then those that it imports, sorted.
 
     Followed are imports, wherever they stand in a file, of modules that lie under the folder that holds
-    the module or, where it is part of a package, the whole package; not those of Pneuma.
+    the module or, where it is part of an installed package, in the package; not those of Pneuma.
 
     Args:
         name: of the module, in full.
@@ -238,51 +240,21 @@ def module_files(name: str, path: Path) -> list[Path]:
     own = root / packages[0] if packages and _is_installed(root) else root
     if _is_installed(own):
         return [path]
-    found = {path: ".".join(packages)}
-    waiting = [path]
-    while waiting:
-        file = waiting.pop()
-        for imported in (name, *_imports(file, found[file])):  # importing a module imports its packages
-            for each, package in _files_of(root, imported):
-                if each not in found and each.is_relative_to(own):
-                    found[each] = package
-                    waiting.append(each)
-    return [path, *sorted(found.keys() - {path})]
+    finder = _Imports([str(root)], excludes=["pneuma"])
+    with suppress(ImportError, SyntaxError, ValueError, RecursionError):
+        finder.import_hook(name)
+    found = {Path(module.__file__) for module in finder.modules.values() if module.__file__}
+    return [path, *sorted(file for file in found - {path} if file.is_relative_to(own))]
 
 
-def module_in(folder: Path, name: str) -> Path | None:
-    """Return the file of a module that importing its full name would find in a folder; None without one."""
-    place = folder.joinpath(*name.split("."))
-    return next((file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()), None)
+class _Imports(ModuleFinder):
+    """Reads import statements, and runs nothing."""
 
-
-def _imports(path: Path, package: str) -> Iterator[str]:
-    """Yield the full names that a file's import statements may load."""
-    try:
-        tree = ast.parse(path.read_bytes())
-    except (OSError, SyntaxError, ValueError, RecursionError):  # compiled, or not to be read
-        return
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            start = ".".join([*above, *([node.module] if node.module else [])])
-            yield start
-            yield from (f"{start}.{alias.name}" for alias in node.names)
-
-
-def _files_of(root: Path, name: str) -> Iterator[tuple[Path, str]]:
-    """Yield the files, each with its package, that importing a name loads from a folder."""
-    parts = [part for part in name.split(".") if part.isidentifier()]
-    if parts[:1] == ["pneuma"]:
-        return
-    for length in range(1, len(parts) + 1):
-        place = root.joinpath(*parts[:length])
-        if (place / "__init__.py").is_file():
-            yield place / "__init__.py", ".".join(parts[:length])
-        elif place.with_suffix(".py").is_file():
-            yield place.with_suffix(".py"), ".".join(parts[: length - 1])
+    def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
+        try:
+            return super().find_module(name, path, parent)  # type: ignore[misc]
+        except TypeError:  # it does not know folders without __init__.py
+            raise ImportError(name) from None
 
 
 def _is_installed(folder: Path) -> bool:
