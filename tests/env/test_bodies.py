@@ -13,7 +13,7 @@ import pytest
 
 from pneuma.env.rules import ATTACK, COAST, DOWN, LEFT, RIGHT, SOLID, UP
 
-from .oracle_stage import act, place_of, put, set_up, told
+from .oracle_stage import act, put, set_up, told
 
 TOUGH = "[monsters.bamboo]\nhp = 5000\n"
 STILL = f"{TOUGH}speed = 0\n"
@@ -21,48 +21,7 @@ STILL = f"{TOUGH}speed = 0\n"
 # --- In the way ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("way", "bamboo", "end"),
-    [
-        (RIGHT, (590.0, 512.0), (556.0, 512.0)),  # 590 - 35.5 + 1.5
-        (LEFT, (430.0, 512.0), (467.0, 512.0)),  # 430 + 35.5 + 1.5
-        (DOWN, (512.0, 590.0), (512.0, 541.0)),  # 590 + 2 - 49 - 2
-        (UP, (512.0, 430.0), (512.0, 479.0)),
-    ],
-)
-def test_a_player_stops_where_it_touches_a_bamboo(
-    tmp_path: Path, way: int, bamboo: tuple[float, float], end: tuple[float, float]
-) -> None:
-    pair = set_up(tmp_path, bamboo)
-    for _ in range(2):
-        act(pair, way)
-    assert (told(pair, "x"), told(pair, "y")) == ([end[0]], [end[1]])
-    act(pair, RIGHT if way in (UP, DOWN) else DOWN)  # along it
-    along = (40.0, 0.0) if way in (UP, DOWN) else (0.0, 40.0)
-    assert (told(pair, "x"), told(pair, "y")) == ([end[0] + along[0]], [end[1] + along[1]])
-
-
 # --- Chasing -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("facing", "bamboo", "end"),
-    [
-        (LEFT, (660.0, 512.0), (546.0, 512.0)),  # 510.5 + 35.5
-        (RIGHT, (362.0, 512.0), (475.0, 512.0)),
-        (UP, (512.0, 660.0), (512.0, 561.0)),  # 514 + 49 - 2
-        (DOWN, (512.0, 362.0), (512.0, 463.0)),
-        (LEFT, (660.0, 552.0), (546.0, 542.0)),  # within 30 px on y, it comes no nearer there
-    ],
-)
-def test_a_bamboo_comes_up_to_who_stands(
-    tmp_path: Path, facing: int, bamboo: tuple[float, float], end: tuple[float, float]
-) -> None:
-    pair = set_up(tmp_path, bamboo, characters="")
-    put(pair, facing=facing)  # it strikes behind its own back
-    for _ in range(7):
-        act(pair, ATTACK)
-    assert place_of(pair) == end
 
 
 # --- Flying and biting -------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from .arena import (
     GODOT,
     LEFT,
     RIGHT,
-    STAND,
     Place,
     move_monster,
     play,
@@ -135,14 +134,3 @@ def test_a_kill_earns_only_within_the_attack_circle(arena: str, x: float, paid: 
     assert (xp(worlds), player_hp(worlds)) == ((5, 57) if paid else (4, 50))
     assert worlds.players["kills"][0, 0] == 1  # it is a kill all the same
     assert reward(worlds) == (5 if paid else 0)  # set to the XP of who earns it
-
-
-def test_the_reward_of_a_chase_is_1_for_each_circle(arena: str) -> None:
-    # 1 for being noticed, 1 for the first contact, and nothing for the bites.
-    worlds = stage(arena, (-320.0, 0.0), env_id=GODOT)
-    paid = []
-    for _ in range(30):
-        play(worlds, STAND)
-        paid.append(reward(worlds))
-    assert paid.count(1.0) == 2 and paid.count(0.0) == 28 and paid[0] == 1.0
-    assert player_hp(worlds) < 100

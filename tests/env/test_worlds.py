@@ -13,16 +13,12 @@ from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.errors import UserError
 
 from .arena import (
-    ATTACK,
     RIGHT,
     STATE_ARRAYS,
     TOLD_ARRAYS,
-    UP,
     begin,
     bits,
     play,
-    player_hp,
-    stage,
 )
 
 
@@ -92,25 +88,6 @@ def test_a_chosen_start_is_taken_and_draws_no_number() -> None:
 
 
 # --- Several players -----------------------------------------------------------------------------
-
-
-def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str) -> None:
-    worlds = stage(arena, (-300.0, 0.0), players=[(-300.0, -60.0), (-80.0, 0.0)], facing=UP)
-    worlds.players["hp"][0] = [7, 7]
-    play(worlds, ATTACK)  # the first is 60 + 5 - 26 = 39 px off: bitten at once
-    assert worlds.ending(0) == "running"
-    assert (player_hp(worlds, 0), player_hp(worlds, 1)) == (0, 7)
-    assert worlds.worlds["players_left"][0] == 1
-    steps = 0
-    while worlds.ending(0) == "running":
-        play(worlds, ATTACK)
-        steps += 1
-    # The monster went for the first in tick 1, upwards only. From tick 2 on it goes for the second, whose
-    # body begins at x = -105, and bites from 40 px: after (300 - 145) / 2.5 = 62 ticks, so in tick 64, the
-    # last of the 8th step, the 7th of this loop.
-    assert steps == 7
-    assert worlds.ending(0) == "killed"
-    assert worlds.events["reward"][0].tolist() == [0, 0]
 
 
 # --- What is written by hand ----------------------------------------------------------------------
