@@ -25,13 +25,11 @@ where no monster lives.
 from __future__ import annotations
 
 import importlib
-import importlib.machinery
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout, suppress
-from importlib.util import cache_from_source
 from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
@@ -55,16 +53,11 @@ PARTS = ("xp", "hp", "xp_gained", "hp_lost", "notices", "contacts")
 RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
-def reward_code(name: str) -> int:
-    """Return the rules' number of a formula; `REWARD_CUSTOM` for module:function."""
-    return REWARD_CODES.get(name, rules.REWARD_CUSTOM)
-
-
 def load_reward(name: str) -> RewardFunction:
     """Import a reward of a user's own, looking in the current folder too.
 
-    A module that was imported for this before is imported anew where its files have changed, as between two
-    cells of a notebook, or where the current folder has another of its name.
+    What was imported for this before is read anew, with the modules of its own that it imports, where one
+    was edited, as between two cells of a notebook, or the current folder is another.
 
     Raises:
         UserError: when the module or the function does not exist.
@@ -74,18 +67,25 @@ def load_reward(name: str) -> RewardFunction:
     added = path not in sys.path
     if added:
         sys.path.insert(0, path)
-    _forget_changed(module_name)
+    if _READ.get(module_name, here := _stamp(module_name)) != here:
+        own = {str(file) for file, _ in here[1]}
+        for each in [
+            each for each, module in sys.modules.items() if getattr(module, "__file__", None) in own
+        ]:
+            del sys.modules[each]
+        importlib.invalidate_caches()
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # known by whole seconds and sizes alone
     try:
         with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
             module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is read
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:
+        sys.dont_write_bytecode = writes
         if added:  # behind all others, for what the function itself imports when it is called
             sys.path.remove(path)
             sys.path.append(path)
-    if module_name not in _STAMPS:
-        _STAMPS[module_name] = _stamps(_own_files(module_name))
+    _READ[module_name] = _stamp(module_name)
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
@@ -105,36 +105,19 @@ def reward_files(names: Sequence[str]) -> list[Path]:
     return files
 
 
-_STAMPS: dict[str, dict[Path, tuple[int, int]]] = {}
-"""Of modules that were imported for a reward: their own files, with the time and size of each."""
+_READ: dict[str, Any] = {}
+"""Of modules that were imported for a reward: what `_stamp` said then."""
+
+
+def _stamp(module: str) -> tuple[Path, list[tuple[Path, int]]]:
+    """Return the current folder, and when each of a module's own files was last written."""
+    files = [file for file in _own_files(module) if file.is_file()]
+    return Path.cwd(), [(file, file.stat().st_mtime_ns) for file in files]
 
 
 def _own_files(module: str) -> list[Path]:
     source = getattr(sys.modules.get(module), "__file__", None)
     return module_files(module, Path(source)) if source else []
-
-
-def _stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int]]:
-    told = {path: path.stat() for path in files if path.is_file()}
-    return {path: (stat.st_mtime_ns, stat.st_size) for path, stat in told.items()}
-
-
-def _forget_changed(module: str) -> None:
-    """Drop a module with those of its own that it imports, if it would be another by now."""
-    known = _STAMPS.get(module)
-    if not known:
-        return
-    here = importlib.machinery.PathFinder.find_spec(module.partition(".")[0], [str(Path.cwd())])
-    source = getattr(sys.modules.get(module.partition(".")[0]), "__file__", None)
-    moved = here is not None and source is not None and here.origin != source
-    if moved or _stamps(known) != known:
-        del _STAMPS[module]
-        own = {str(path) for path in known}
-        for name in [name for name, each in sys.modules.items() if getattr(each, "__file__", None) in own]:
-            del sys.modules[name]
-        for path in known:  # compiled code is known by whole seconds and sizes alone
-            Path(cache_from_source(path)).unlink(missing_ok=True)
-        importlib.invalidate_caches()
 
 
 def present(events: np.ndarray) -> np.ndarray:
@@ -166,7 +149,6 @@ def custom_rewards(
 
 
 def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
-    """Return the error for a reward that names where it is defined, if Python knows."""
     code = getattr(function, "__code__", None)
     where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
     return UserError(f"reward {name!r}: {where}{problem}")
