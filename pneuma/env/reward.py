@@ -69,10 +69,9 @@ def load_reward(name: str) -> RewardFunction:
         sys.path.insert(0, path)
     if _READ.get(module_name, here := _stamp(module_name)) != here:
         own = {str(file) for file, _ in here[1]}
-        for each in [
-            each for each, module in sys.modules.items() if getattr(module, "__file__", None) in own
-        ]:
-            del sys.modules[each]
+        for each, module in list(sys.modules.items()):
+            if getattr(module, "__file__", None) in own:
+                del sys.modules[each]
         importlib.invalidate_caches()
     writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # known by whole seconds and sizes alone
     try:

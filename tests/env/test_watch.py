@@ -71,18 +71,6 @@ def test_gymnasium_gets_frames_of_every_environment(name: str, arena: str) -> No
     env.close()
 
 
-def test_drawing_changes_nothing_in_the_world(arena: str) -> None:
-    drawn, plain = PneumaEnv(level=arena, render_mode="rgb_array"), PneumaEnv(level=arena)
-    drawn.reset(seed=1)
-    plain.reset(seed=1)
-    for action in [RIGHT, ATTACK, RIGHT] * 10:
-        drawn.render()
-        seen, reward, *_ = drawn.step(np.int64(action))
-        other, same, *_ = plain.step(np.int64(action))
-        assert np.array_equal(seen, other) and reward == same
-    assert plain.render() is None
-
-
 def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena: str) -> None:
     env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array", camera="follow")
     env.reset(seed=0)
