@@ -22,8 +22,8 @@ from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
-WEST, EAST, NORTH, SOUTH = -551.0, 554.0, -554.0, 550.0
-"""Where a player's body is flush with the coast: -576 + 25, 576 - 22, -576 + 22 and 576 - 26."""
+EAST = 576.0 - 22
+"""Where a player's body is flush with the coast."""
 TILES = 20
 HEADER = 'title = "Arena"\ntile = 64\norigin = [10, 10]\ncoast = [0]\n'
 START, BAMBOO, SPIRIT, RACCOON, SQUID = 400, 390, 391, 392, 393

@@ -11,17 +11,7 @@ import pytest
 from pneuma.config import OBSERVATIONS, ORDERS, SCALES
 from pneuma.env.worlds import Worlds
 
-from .arena import (
-    GODOT,
-    RIGHT,
-    STAND,
-    THESIS,
-    UP,
-    Place,
-    begin,
-    play,
-    stage,
-)
+from .arena import GODOT, RIGHT, STAND, THESIS, UP, Place, begin, play, stage
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 

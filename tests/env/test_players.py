@@ -11,11 +11,7 @@ from pneuma.config import make_env_config
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 
-from .arena import (
-    ARENA,
-    GODOT,
-    THESIS,
-)
+from .arena import ARENA, GODOT, THESIS
 
 
 def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
