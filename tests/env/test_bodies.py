@@ -18,14 +18,6 @@ from .oracle_stage import act, put, set_up, told
 TOUGH = "[monsters.bamboo]\nhp = 5000\n"
 STILL = f"{TOUGH}speed = 0\n"
 
-# --- In the way ------------------------------------------------------------------------------------
-
-
-# --- Chasing -----------------------------------------------------------------------------------------
-
-
-# --- Flying and biting -------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize(("knocked", "hp"), [(False, [100, 100, 100, 93]), (True, [93, 93, 93, 93])])
 def test_what_flies_bites_when_it_has_landed(tmp_path: Path, knocked: bool, hp: list[float]) -> None:
@@ -114,9 +106,6 @@ def test_the_attack_circle_is_5_px_below_a_bamboo(
     pair = set_up(tmp_path, bamboo)
     act(pair, ATTACK)
     assert told(pair, "contacts") == [bitten]
-
-
-# --- What stops whom ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

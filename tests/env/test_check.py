@@ -19,9 +19,6 @@ def problems(env_id: str, **settings: object) -> dict[str, str]:
     return {verdict.check: verdict.problem for verdict in check_environment(env_id, settings)}
 
 
-# --- Saving --------------------------------------------------------------------------------------
-
-
 def test_a_sound_world_can_be_put_back() -> None:
     check_restore(THESIS, {"players": 2, "magic": True, "episode_steps": 25})
 
@@ -39,9 +36,6 @@ def test_whatever_saving_forgets_is_found(array: str, field: str, monkeypatch: p
     monkeypatch.setattr(Worlds, "save", forgetful)
     with pytest.raises(UserError, match="put back into another slot"):
         check_restore(THESIS, {})
-
-
-# --- All together --------------------------------------------------------------------------------
 
 
 def test_several_players_are_checked_by_the_faces_for_several() -> None:

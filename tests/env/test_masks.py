@@ -19,9 +19,6 @@ def test_walking_on_into_a_wall_already_faced_is_masked(arena: str) -> None:
         assert worlds.masks[0, 0].tolist() == [1] * 5  # it would turn
 
 
-# --- Any state: what is masked does nothing, what is not does something --------------------------
-
-
 def wander(worlds: Worlds, generator: np.random.Generator, stride: np.ndarray) -> np.ndarray:
     """Return new actions: mostly the same again, so that walls are met."""
     anew = generator.random(stride.shape) < 0.2

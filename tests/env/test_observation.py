@@ -33,9 +33,6 @@ def rows(worlds: Worlds) -> np.ndarray:
     return seen(worlds)[head:].reshape(-1, width)
 
 
-# --- The layout of the Godot version -------------------------------------------------------------
-
-
 def test_godot_sees_raw_pixels_and_points_in_fixed_order(arena: str) -> None:
     worlds = stage(arena, (180.0, -240.0), (-300.0, 0.0), still=True, settings={"observation": "godot"})
     worlds.players["hp"], worlds.players["xp"], worlds.monsters["hp"][0, 0] = 43, 3, 20
@@ -59,9 +56,6 @@ def test_the_godot_environment_begins_with_74_published_numbers() -> None:
     assert rows(worlds)[13, :3].tolist() == [560, -141, 40]
 
 
-# --- The layout of the PyGame version ------------------------------------------------------------
-
-
 def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None:
     worlds = stage(zoo, (-300.0, 400.0), still=True, settings={"observation": "pygame", "magic": True})
     worlds.players["hp"], worlds.players["energy"] = 43, 15
@@ -72,9 +66,6 @@ def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None
     assert seen(worlds)[:6] == pytest.approx([0.5, 0.5, 1, 0, 0.43, 0.25])
     # The bamboo is 500 px away along (-0.6, 0.8); the dearest, the raccoon, is worth 25 XP.
     assert rows(worlds)[0] == pytest.approx([500 / 1280, -0.6, 0.8, 1, 1 / 25])
-
-
-# --- Scales --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -96,9 +87,6 @@ def test_a_scale_holds_for_every_number(
     assert rows(worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
 
 
-# --- Which monsters, and in which order ----------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("perceive", "distances"),
     [
@@ -114,9 +102,6 @@ def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: l
     worlds = look(zoo, *places, perceive=perceive, scale="raw", order="fixed")
     assert rows(worlds)[:, 0].tolist() == pytest.approx(sorted(distances))  # they stand in this order
     assert worlds.space.contains(seen(worlds))
-
-
-# --- Bounds --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("env_id", [THESIS, GODOT])

@@ -20,18 +20,12 @@ def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
         worlds.step(player.act(worlds))
 
 
-# --- The random player ---------------------------------------------------------------------------
-
-
 def test_the_random_player_kills_fewer_than_three_on_average() -> None:
     worlds = Worlds(120)
     worlds.seed(range(120))
     worlds.reset(starts=np.arange(120) % 6)
     play_out(worlds, RandomPlayer(np.random.default_rng(0)))
     assert worlds.players["kills"].mean() < 3
-
-
-# --- The hunter ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

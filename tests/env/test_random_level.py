@@ -44,9 +44,6 @@ def tile_of(level: Level, x: float, y: float) -> Tile:
     return int((y - level.top) // 64), int((x - level.left) // 64)
 
 
-# --- The same from the number alone --------------------------------------------------------------
-
-
 def test_a_number_gives_the_same_island_in_any_order(levels: dict[str, list[Level]]) -> None:
     for number in (7, 3, 59, 0):
         for split in ("test", "train"):
@@ -59,9 +56,6 @@ def test_the_islands_are_those_that_stored_runs_were_trained_on() -> None:
     """A change here changes what a stored run's level means: raise `RULES_VERSION` with it."""
     found = {name: digest(load_level(name, CODES))[:16] for name in ("random:train:17", "random:test:17")}
     assert found == {"random:train:17": "85aea74cd4139a19", "random:test:17": "03c2f3f8faed4a98"}
-
-
-# --- Who stands where ----------------------------------------------------------------------------
 
 
 def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[Level]]) -> None:
@@ -78,9 +72,6 @@ def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[
             spread[:, :-1] |= reached[:, 1:]
             reached = spread & (level.terrain == rules.OPEN)
         assert all(reached[tile_of(level, x, y)] for x, y in places(level))
-
-
-# --- Other kinds, and names that are none --------------------------------------------------------
 
 
 @pytest.mark.parametrize(

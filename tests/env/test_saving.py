@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
-from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits
+from .arena import GODOT, THESIS, Fighter, begin, bits, state_bits
 
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "thesis": (THESIS, {}),
@@ -42,14 +41,12 @@ def config_of(name: str) -> Any:
 
 
 def played(name: str, count: int, steps: int = 150) -> Worlds:
-    """Return worlds in the middle of their episodes: players hunt, every second one strays."""
+    """Return worlds in the middle of their episodes: players hunt, and stray."""
     env_id, settings = CONFIGS[name]
     worlds = begin(count, seed=60, env_id=env_id, **settings)
-    hunter, generator = Hunter(worlds), np.random.default_rng(1)
+    fighter = Fighter(worlds, seed=1)
     for _ in range(steps):
-        actions = hunter.act(worlds)
-        actions[::2] = generator.integers(5, size=actions[::2].shape)
-        worlds.step(actions)
+        worlds.step(fighter.act(worlds))
         worlds.reset(worlds.worlds["ending"] != 0)
     return worlds
 
@@ -68,12 +65,9 @@ def go_on(worlds: Worlds, world: int, actions: np.ndarray) -> list[bytes]:
         every = np.full(worlds.players.shape, 4, np.int64)
         every[world] = row
         worlds.step(every)
-        told += bits(*(getattr(worlds, name)[world] for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))
+        told += state_bits(worlds, world)
         worlds.reset(worlds.worlds["ending"] != 0)
     return told
-
-
-# --- One world -----------------------------------------------------------------------------------
 
 
 @each_config
@@ -115,9 +109,6 @@ def test_what_is_seen_paid_and_allowed_may_differ() -> None:
     worlds, other = played("thesis", 1), begin(1, **settings)
     other.restore(0, worlds.save(0))
     assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)
-
-
-# --- Copies ------------------------------------------------------------------------
 
 
 @both_copies

@@ -8,20 +8,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
-from pneuma.env.players import Hunter
-from pneuma.env.worlds import Worlds
-
 from .arena import (
-    ATTACK,
     BAMBOO,
     GODOT,
     RACCOON,
     SPIRIT,
     SQUID,
     THESIS,
+    Fighter,
     begin,
     bits,
     write_level,
@@ -37,23 +33,6 @@ def crowd(tmp_path_factory: pytest.TempPathFactory) -> str:
     rocks = [(8, 6), (13, 9), (9, 13), (11, 6)]
     folder = tmp_path_factory.mktemp("crowd")
     return write_level(folder, starts, places, rocks, codes)
-
-
-class Fighter:
-    """Hunts for a while, then does the same random thing for a while, and so on."""
-
-    def __init__(self, worlds: Worlds, seed: int) -> None:
-        self.hunter = Hunter(worlds)
-        self.generator = np.random.default_rng(seed)
-        self.action = np.full(worlds.players.shape, ATTACK)
-        self.hunts = np.ones(worlds.players.shape, np.bool_)
-
-    def act(self, worlds: Worlds) -> np.ndarray:
-        anew = self.generator.random(self.action.shape) < 0.15
-        drawn = self.generator.integers(int(worlds.action_space.n), size=self.action.shape)
-        self.action = np.where(anew, drawn, self.action)
-        self.hunts = np.where(anew, self.generator.random(self.action.shape) < 0.5, self.hunts)
-        return np.where(self.hunts, self.hunter.act(worlds), self.action)
 
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {

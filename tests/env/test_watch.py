@@ -55,9 +55,6 @@ def expected(level: str, seed: int, *actions: int) -> np.ndarray:
     return Renderer(worlds, "map").frame()
 
 
-# --- Frames of the faces -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [*ENVIRONMENTS, *MO_ENVIRONMENTS])
 def test_gymnasium_gets_frames_of_every_environment(name: str, arena: str) -> None:
     env = gymnasium.make(name, render_mode="rgb_array", level=arena, camera="follow")
@@ -78,9 +75,6 @@ def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena:
     painter = Renderer(env.state, "follow")
     for slot, frame in enumerate(env.render()):
         assert np.array_equal(frame, painter.frame(slot // 2, slot % 2))
-
-
-# --- The window ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -126,9 +120,6 @@ def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPa
         Window((64, 64), "none")
 
 
-# --- Episodes ------------------------------------------------------------------------------------
-
-
 def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None:
     watched, played = (begin(1, seed=3, episode_steps=60) for _ in range(2))
     frames = sum(1 for _ in watch.episode_frames(watched, Hunter(watched).act, Renderer(watched)))
@@ -149,9 +140,6 @@ def test_an_episode_that_goes_on_is_shown_for_two_seconds_after_the_last_kill(ar
     frames = sum(1 for _ in watch.episode_frames(worlds, Hunter(worlds).act, Renderer(worlds)))
     assert frames == 1 + 2 * 30 and worlds.ending(0) == "running"
     assert watch.agent_steps(worlds) == 15
-
-
-# --- Playing -------------------------------------------------------------------------------------
 
 
 @pytest.fixture
