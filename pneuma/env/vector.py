@@ -63,7 +63,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
         self._every = np.ones(num_envs, np.bool_)
-        self._over = np.zeros(len(self.state), np.bool_)
+        self._note_over(np.zeros(len(self.state), np.bool_))
 
     def reset(
         self,
@@ -92,7 +92,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.state.seed(seeds, mask)
             self._keyed = True
         self.state.reset(mask, starts)
-        self._over &= ~mask
+        self._note_over(self._over & ~mask)
         self._show()
         return self.slots.observations, self._infos()
 
@@ -114,7 +114,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.state.restore(world, snapshot)
         self._keyed = True
         self._over[world] = self.state.worlds["ending"][world] != rules.RUNNING
-        self._reset_at_once()
+        self._note_over(self._over)
         self.state.observe()
         self._show()
         return self.slots.observations, self._infos()
@@ -145,25 +145,26 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         actions = self.slots.checked(actions)
         if not self._keyed:
             raise ResetNeeded("no episode has begun: call reset first")
-        if self.autoreset_mode == AutoresetMode.DISABLED and self._over.any():
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._waiting:
             raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
         slots = self.slots
         ended = slots.step(actions)
-        if self._over.any():  # NEXT_STEP: this step resets what the last one ended
+        if self._waiting:  # NEXT_STEP: this step resets what the last one ended
             self.state.reset(self._over)
         rewards = self._rewards()
         infos = self._final(slots.terminated | slots.truncated) if ended else {}
-        self._over = slots.world_over.copy()
-        self._reset_at_once()
+        if ended or self._waiting:
+            self._note_over(slots.world_over.copy())
         self._show()
         seen = slots.observations
         return seen, rewards, slots.terminated.copy(), slots.truncated.copy(), self._infos(infos)
 
-    def _reset_at_once(self) -> None:
-        """Where the step that ends resets too: begin anew in the worlds that are over."""
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any():
-            self.state.reset(self._over)
-            self._over[:] = False
+    def _note_over(self, over: np.ndarray) -> None:
+        """Note which worlds are over; where the step that ends resets too, begin anew in them."""
+        self._over, self._waiting = over, bool(over.any())
+        if self._waiting and self.autoreset_mode == AutoresetMode.SAME_STEP:
+            self.state.reset(over)
+            over[:] = self._waiting = False
 
     def _rewards(self) -> np.ndarray:
         return self.slots.rewards.copy()
