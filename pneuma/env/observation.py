@@ -130,11 +130,10 @@ def observation_space(
         "facing_y": (-1.0, 1.0),
         **dict.fromkeys(FACING_FEATURES, (0.0, 1.0)),
     }
-    nobody = {"initial": 0.0}
     seen = bounds | {
-        "distance": (0.0, diagonal * monsters["distance_scale"].max(**nobody)),
-        "hp": (0.0, (monsters["hp"] * monsters["hp_scale"]).max(**nobody)),
-        "xp": (0.0, (monsters["xp"] * monsters["xp_scale"]).max(**nobody)),
+        "distance": (0.0, diagonal * monsters["distance_scale"].max(initial=0.0)),
+        "hp": (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0)),
+        "xp": (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0)),
         "direction_x": (-1.0, 1.0),
         "direction_y": (-1.0, 1.0),
     }

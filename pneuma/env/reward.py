@@ -224,7 +224,8 @@ def module_files(name: str, path: Path) -> list[Path]:
     finder = _Imports([str(root)], excludes=["pneuma"])
     with suppress(ImportError, SyntaxError, ValueError, RecursionError):
         finder.import_hook(name)
-    found = {Path(module.__file__) for module in finder.modules.values() if module.__file__}
+    sources = (getattr(module, "__file__", None) for module in finder.modules.values())
+    found = {Path(source) for source in sources if source}
     return [path, *sorted(file for file in found - {path} if file.is_relative_to(own))]
 
 
@@ -233,7 +234,7 @@ class _Imports(ModuleFinder):
 
     def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
         try:
-            return super().find_module(name, path, parent)  # type: ignore[misc]
+            return super().find_module(name, path, parent)
         except TypeError:  # it does not know folders without __init__.py
             raise ImportError(name) from None
 

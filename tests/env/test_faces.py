@@ -104,7 +104,7 @@ def parallel_story(settings: dict[str, Any], seed: int, moves: np.ndarray) -> It
     env.reset(seed=seed)
     for chosen in moves:
         told = step(env, chosen)
-        yield {int(name[-1]): tuple(part[name] for part in told[:4]) for name in told[0]}  # type: ignore[misc]
+        yield {int(name[-1]): tuple(part[name] for part in told[:4]) for name in told[0]}
         if not env.agents:
             env.reset()
 

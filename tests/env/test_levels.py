@@ -241,7 +241,7 @@ ORIGIN = (0.0, 0.0)
 )  # fmt: skip
 def test_bodies_that_begin_in_what_stops_them_are_refused(
     tmp_path: Path, starts: list[Place], monsters: list[Place], obstacles: list[tuple[int, int]], told: str,
-    allowed: dict[str, str],
+    allowed: dict[str, Any],
 ) -> None:  # fmt: skip
     """A pixel less and they touch: 34 px to the right of a player, 24 x 50 px for two bamboos, 47 x 48."""
     settings: dict[str, Any] = {"level": write_level(tmp_path / "in", starts, monsters, obstacles)}

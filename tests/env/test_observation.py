@@ -107,8 +107,8 @@ def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: l
 @pytest.mark.parametrize("env_id", [THESIS, GODOT])
 @pytest.mark.parametrize(("layout", "scale", "order"), list(itertools.product(OBSERVATIONS, SCALES, ORDERS)))
 def test_no_observation_ever_leaves_its_space(env_id: str, layout: str, scale: str, order: str) -> None:
-    seen_as = {"observation": layout, "scale": scale, "order": order}
-    two = {"players": 2, "classes": ["base", "tank"], "start": "random", "episode_steps": 150}
+    seen_as: dict[str, Any] = {"observation": layout, "scale": scale, "order": order}
+    two: dict[str, Any] = {"players": 2, "classes": ["base", "tank"], "start": "random", "episode_steps": 150}
     worlds = begin(6, env_id=env_id, magic=True, **seen_as, **two)
     for space in worlds.spaces:
         assert space.dtype == np.float32 and np.isfinite(space.low).all() and np.isfinite(space.high).all()
