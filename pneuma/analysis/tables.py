@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -188,13 +188,7 @@ class StudyData:
         for name in wanted:
             if name not in self.conditions:
                 raise unknown_name(f"condition of study {self.study}", name, self.conditions)
-        return self._of([run for run in self.record["runs"] if run["condition"] in wanted])
-
-    def of_runs(self, run_ids: Collection[str]) -> StudyData:
-        """Return the study with some of its runs alone, as `of_conditions` does."""
-        return self._of([run for run in self.record["runs"] if run["run_id"] in run_ids])
-
-    def _of(self, runs: Sequence[Mapping[str, Any]]) -> StudyData:
+        runs = [run for run in self.record["runs"] if run["condition"] in wanted]
         names = {run["condition"] for run in runs}
         same = [[name for name in group if name in names] for group in self.same]
         same = [group for group in same if len(group) > 1]
