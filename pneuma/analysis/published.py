@@ -224,7 +224,7 @@ def _record(head: Mapping[str, Any], table: pa.Table) -> dict[str, Any]:
     names = ("condition", "seed", "run_id", "settings")
     rows = zip(*(table[name].to_pylist() for name in names), strict=True)
     runs = [{"condition": c, "seed": s, "run_id": i, "run": parse_json(run or "")} for c, s, i, run in rows]
-    kept = ("study", "title", "figure", "baseline", "same", "budget", "adaptive")
+    kept = ("study", "title", "figure", "baseline", "same", "budget")
     told = {key: head[key] for key in kept if key in head}
     return {**told, "source": "published", "path": None, "runs": runs}
 

@@ -208,7 +208,6 @@ def _head(data: StudyData, runs: Sequence[FinishedRun], rounding: bool) -> dict[
         "windows": list(runs[0].records.windows),
         "averaged_over": data.averaged_over,
         "rounded": rounding,
-        **({"adaptive": {"looks": [{"seeds": seeds} for seeds in data.looks]}} if data.looks else {}),
     }
 
 

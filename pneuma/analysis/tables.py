@@ -18,7 +18,6 @@ import pandas as pd
 
 from pneuma.analysis import LEARNERS_TABLE, RECORD_TABLES, WINDOWS
 from pneuma.analysis.records import Records
-from pneuma.analysis.sequential import looks_that_count
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import list_studies, run_command
@@ -120,11 +119,6 @@ class StudyData:
         """Return which engines trained a condition's runs, as far as it is known."""
         runs = (run["run"] for run in self.record["runs"] if run["condition"] == condition)
         return {str(run["engine"]) for run in runs if run.get("engine")}
-
-    @property
-    def looks(self) -> tuple[int, ...]:
-        """At how many seeds it was looked at to decide on more; empty where their number was fixed."""
-        return looks_that_count(self.record)
 
     @cached_property
     def budget(self) -> int:

@@ -1,4 +1,4 @@
-"""Seeds still needed, seeds in stages, and crossed factors."""
+"""Seeds still needed, and crossed factors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pneuma.analysis import pvalues
 from pneuma.analysis.factorial import factorial
 from pneuma.analysis.power import seeds_needed
 from pneuma.analysis.pvalues import relabel
-from pneuma.analysis.sequential import decide, make_stages
 
 
 def spaced(mean: float, deviation: float, runs: int = 10) -> np.ndarray:
@@ -64,34 +63,6 @@ def test_what_cannot_be_planned_is_none() -> None:
     assert seeds_needed("incidence", [1] * 10, [0] * 10, 0.1, 0.05) is not None
     with pytest.raises(ValueError, match="there are mean"):
         seeds_needed("median", [1.0], [2.0], 0.5, 0.05)
-
-
-def test_stages_double_and_spend_all_of_alpha() -> None:
-    stages = make_stages(40)
-    assert [stage.seeds for stage in stages] == [10, 20, 40]
-    assert [stage.alpha for stage in stages] == pytest.approx([0.05 / 16, 0.05 * 3 / 16, 0.05 * 12 / 16])
-    assert [stage.seeds for stage in make_stages(50)] == [10, 20, 40, 50]
-    assert [stage.seeds for stage in make_stages(7)] == [7]
-    assert sum(stage.alpha for stage in make_stages(95)) == pytest.approx(0.05)
-
-
-def test_looking_in_stages_keeps_the_error_rate_that_looking_freely_breaks() -> None:
-    generator = np.random.default_rng(3)
-    runs = generator.normal(size=(4_000, 40))
-    free, kept = np.zeros(4_000, bool), np.zeros(4_000, bool)
-    for stage in make_stages(40):
-        z = runs[:, : stage.seeds].sum(axis=1) / math.sqrt(stage.seeds)
-        p = 2 * stats.norm.sf(np.abs(z))
-        free |= p <= 0.05
-        kept |= [decide(stage, [own])[0] for own in p]
-    assert free.mean() > 0.08
-    assert 0.03 < kept.mean() < 0.055
-
-
-def test_a_stage_corrects_over_the_whole_list() -> None:
-    stage = make_stages(10)[0]
-    assert decide(stage, [0.03, 0.9]) == [False, False]
-    assert decide(stage, [0.02, 0.04]) == [True, False]  # what is found makes it no easier for the others
 
 
 def crossed(runs: int, **effects: float) -> tuple[np.ndarray, dict[str, list[str]]]:

@@ -88,5 +88,5 @@ def test_lists_of_ten_seeds_keep_their_error_rate(name: str) -> None:
 @pytest.mark.slow
 def test_the_command_prints_one_document() -> None:
     document = described("bench", "calibration", "--lists", "1", "--json")
-    assert {row["seeds"] for row in document["false_verdicts"]} >= {"3", "50", "10/20/40"}
+    assert {row["seeds"] for row in document["false_verdicts"]} >= {"3", "50"}
     assert {row["method"] for row in document["coverage"]} > {"ci", "se", "std", "BCa bootstrap"}

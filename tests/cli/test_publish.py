@@ -128,8 +128,6 @@ def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> 
         (0, "published"), (1, "published"), (2, "to-train"),
     ]  # fmt: skip
     assert {run["expected_seconds"] for run in planned if run["state"] == "published"} == {None}
-    told = call("study", "run", *rest, "--until-decided")
-    assert (told.code, "--unpublished: --until-decided trains what it judges" in told.err) == (2, True)
     table.write_bytes(table.read_bytes()[:-9])
     assert "activation.parquet: damaged" in call("study", "run", *rest).err
 
