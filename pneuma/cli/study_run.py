@@ -166,7 +166,7 @@ def train(
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
     try:
-        results, code = _train_cells(planned, store, how, retry_failed, json, quiet)
+        results, code = train_cells(planned, store, how, retry_failed, json, quiet)
     except Detached:  # as was asked
         results, code = _as_stored(planned, store), 0
     if json:
@@ -185,7 +185,7 @@ def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> l
     ]
 
 
-def _train_cells(
+def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> tuple[list[execute.CellResult], int]:
     """Train what a plan lacks and tell how it went; return the cells' results and the exit code.
