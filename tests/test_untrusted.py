@@ -24,8 +24,9 @@ from pneuma.study.files import read_json, read_whole
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
-from .analysis.published_runs import RECORD, record_of, save_run
+from .analysis.published_runs import RECORD, save_run
 from .cli.calls import call
+from .hand_made import record_of
 
 RUN = "a0" * 8
 ONE = record_of({("a", 0): RUN})

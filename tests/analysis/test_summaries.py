@@ -18,7 +18,7 @@ from pneuma.analysis.summaries import resampled_improvement, summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.study.store import Store
 
-from .collapse_records import healthy, learning, one_action, save_run, study_record
+from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
 
@@ -28,8 +28,8 @@ def study(folder: Path, finals: Mapping[str, Sequence[float]]) -> StudyData:
     store = Store(folder / "results")
     cells = {(c, i): f"{c}{i}" * 8 for c, values in finals.items() for i in range(len(values))}
     for (condition, seed), run_id in cells.items():
-        save_run(store, run_id, healthy(), learning(finals[condition][seed]), returns=np.arange(100.0))
-    return open_study(store, study_record(cells))
+        save_collapse(store, run_id, healthy(), learning(finals[condition][seed]), returns=np.arange(100.0))
+    return open_study(store, collapse_record(cells))
 
 
 def value(data: StudyData, condition: str, outcome: str, statistic: str) -> dict[str, Any]:
@@ -100,9 +100,9 @@ def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData)
 def test_runs_that_collapsed_or_diverged_are_counted(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     cells = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8}
-    save_run(store, "a0" * 8, one_action(51), learning())
-    save_run(store, "a1" * 8, healthy(), learning(), end=4000)
-    data = open_study(store, study_record(cells))
+    save_collapse(store, "a0" * 8, one_action(51), learning())
+    save_collapse(store, "a1" * 8, healthy(), learning(), end=4000)
+    data = open_study(store, collapse_record(cells))
     shares = {name: value(data, "a", name, "share")["value"] for name in ("diverged", "collapsed")}
     assert shares == {"diverged": 0.5, "collapsed": 0.5}
     assert value(data, "a", "runs", "count")["value"] == 2

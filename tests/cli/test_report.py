@@ -20,7 +20,7 @@ from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
-from ..figures.hand_made import make_id
+from ..hand_made import make_id
 from .calls import described, refused
 
 Read = Callable[[bytes], Any]
