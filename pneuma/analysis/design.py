@@ -62,7 +62,7 @@ def check_design(claims: ClaimList) -> list[Plan]:
         _plan(claims, claim.in_world(world), world, outcome, a, b)
         for claim in claims.claims.values()
         for world in claim.worlds
-        for outcome in claim.outcomes
+        for outcome in claim.outcome
         for a, b in claim.pairs
     ]
 
@@ -111,8 +111,6 @@ def _reason(
     plausible: float | None,
 ) -> str:
     """Say why a contrast cannot be decided; empty where it can."""
-    if claim.untestable:
-        return claim.untestable
     few = f"cannot be decided with so many seeds ({runs} runs)"
     if claim.direction in MARGINAL:
         margin = claim.of("margin", outcome)

@@ -53,15 +53,6 @@ CLAIMS = """\
 seeds = 8
 steps = 1024
 
-[logs]
-same = [["p", "p again"], ["q", "q again"]]
-
-[logs.runs]
-p = { end = 10 }
-"p again" = { end = 12 }
-q = { end = 1000 }
-"q again" = { end = 1002 }
-
 [claims.better]
 quote = "a quote"
 section = "6"

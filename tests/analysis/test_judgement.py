@@ -82,7 +82,7 @@ def test_a_run_that_never_gets_there_counts_among_those_that_were_not_there_in_t
 def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: Path) -> None:
     """What `high` gained after `low` had ended counts nowhere."""
     claims = changed(
-        ("steps = 1024\n\n[logs]", "\n[logs]"),
+        ("steps = 1024\n\n[claims", "\n[claims"),
         ('direction = "greater"', 'direction = "greater"\nsteps = { high = 1024, low = 512 }'),
     )
     write_files(tmp_path, claims)
@@ -118,37 +118,6 @@ def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Stor
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     clone = published_alone(store, tmp_path, study)
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
-
-
-# --- Published logs --------------------------------------------------------------------------------
-
-
-def test_single_runs_are_set_against_how_far_apart_equal_ones_lie(store: Store, tmp_path: Path) -> None:
-    """Both pairs differ by 2, so the deviation is sqrt(2) and the error of a difference is 2; t(2) = 495."""
-    claims = changed(("margin = 0.04", 'margin = 0.04\nlogs = [{ a = "q", b = "p", figure = "end" }]'))
-    one = judge_one(store, tmp_path, claims, place="logs")
-    assert one.verdict == "supported"
-    assert one.decisive is not None
-    interval = one.decisive.contrast.interval
-    assert one.decisive.contrast.effect == 990
-    assert (interval.low, interval.high) == pytest.approx((990 - 4.30265 * 2, 990 + 4.30265 * 2), abs=1e-3)
-    assert one.decisive.p == pytest.approx(2 * 2 * 2.0406e-06, rel=1e-3)  # t(2), two contrasts
-
-
-@pytest.mark.parametrize(
-    ("pair", "kind", "reason"),
-    [
-        ('{ a = "p", b = "p again", figure = "end" }', "mean", "A/A"),
-        ('{ a = "q", b = "p", figure = "end" }', "spread", "one published run each"),
-    ],
-)
-def test_single_runs_cannot_say_everything(
-    pair: str, kind: str, reason: str, store: Store, tmp_path: Path
-) -> None:
-    claims = changed(("margin = 0.04", f"margin = 1.5\nlogs = [{pair}]"), ('"mean"', f'"{kind}"'))
-    one = judge_one(store, tmp_path, claims, place="logs")
-    assert one.verdict == "untestable"
-    assert reason in one.reason
 
 
 # --- What is never done ----------------------------------------------------------------------------

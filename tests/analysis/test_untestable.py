@@ -48,10 +48,6 @@ CASES: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = {
         {"high": [1 - k / 1000 for k in range(8)], "low": [1.0] * 8}, [('"greater"', '"equal"')],
         "both arms are at the ceiling",
     ),
-    "told": (
-        {"high": HIGH, "low": LOW}, [("margin = 0.04", 'margin = 0.04\nuntestable = "confounded"')],
-        "confounded",
-    ),
     "no value": ({"high": [*HIGH[:7], NAN], "low": LOW}, [], "high seed 7: "),
     "none counts": (
         {"high": HIGH}, [('b = "low"', 'value = 0.1\nonly = "collapsed"')],
