@@ -19,8 +19,7 @@ import numpy as np
 from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, measure_of
 from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
-from pneuma.analysis.design import not_admitted
-from pneuma.analysis.power import seeds_needed
+from pneuma.analysis.design import not_admitted, seeds_needed
 from pneuma.analysis.verdicts import (
     INCONCLUSIVE,
     MARGINAL,

@@ -1,9 +1,13 @@
 """Verdicts over a list of claims, so that the chance of any false one among them stays at most alpha.
 
-Each contrast enters with one p-value, the lesser of what can decide it, corrected by Bonferroni (not by Holm:
-`corrections` says why). For a claim of a direction, or of any difference, these are the two-sided p-value of
-a difference and the p-value of equivalence. Why the lesser of them bounds the chance of any false verdict,
-whatever the truth, is in docs/evidence.md.
+Each contrast enters with one p-value, the lesser of what can decide it, corrected by Bonferroni. Not by Holm,
+whose steps suppose that what was found leaves fewer hypotheses that could still be true: a contrast found
+equivalent leaves the list because its effect looked small, and those that are left look large. Most lists of
+60 true equivalences, judged in steps, can hold a false difference.
+
+For a claim of a direction, or of any difference, the two are the two-sided p-value of a difference and the
+p-value of equivalence. Why the lesser of them bounds the chance of any false verdict, whatever the truth, is
+in docs/evidence.md.
 
 A claim that there is no difference, or none downwards, is not refuted by one inside the margin, which counts
 as none: it takes a difference beyond the margin, tested two-sided there.

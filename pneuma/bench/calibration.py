@@ -227,7 +227,7 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
         generator: draws the runs.
     """
     fewer = max(1, samples // 20)
-    bands = [name for name, band in BANDS.items() if band.edges and name != "variance"]
+    bands = [name for name, band in BANDS.items() if band.edges]
     one_by_one = [
         ("BCa bootstrap", lambda runs: intervals.bootstrap_interval(runs, mean, generator), 0.0),
         ("deviation", intervals.deviation_interval, 1.0),

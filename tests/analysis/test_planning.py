@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import pvalues
+from pneuma.analysis.design import seeds_needed
 from pneuma.analysis.factorial import factorial
-from pneuma.analysis.power import seeds_needed
 from pneuma.analysis.pvalues import relabel
 
 

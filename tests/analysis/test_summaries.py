@@ -12,9 +12,10 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.export import encode_table
+from pneuma.analysis.intervals import RESAMPLES
 from pneuma.analysis.rounding import shown_with_interval
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.summaries import resampled_improvement, summary_table
+from pneuma.analysis.summaries import _improvement_interval, summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.study.store import Store
 
@@ -80,13 +81,15 @@ def test_returns_of_unlike_rewards_are_not_held_against_each_other(tmp_path: Pat
         assert "final-share-killed" in better
 
 
-def test_counting_up_to_each_run_is_comparing_every_pair_of_a_resample() -> None:
+def test_the_interval_of_improvement_is_of_comparing_every_pair_of_a_resample() -> None:
     draws = np.random.default_rng(8)
     a, b = draws.integers(0, 6, 7) / 10, draws.integers(0, 6, 5) / 10  # with ties within and between
-    first, second = draws.integers(0, 7, (50, 7)), draws.integers(0, 5, (50, 5))
+    own = _improvement_interval(a, b, np.random.default_rng(9))
+    again = np.random.default_rng(9)
+    first, second = again.integers(0, 7, (RESAMPLES, 7)), again.integers(0, 5, (RESAMPLES, 5))
     pairs = a[first][:, :, None] - b[second][:, None, :]
     expected = ((pairs > 0) + 0.5 * (pairs == 0)).mean(axis=(1, 2))
-    assert np.array_equal(resampled_improvement(a, b, first, second), expected)
+    assert [own.low, own.high] == np.quantile(expected, [(1 - 0.95) / 2, (1 + 0.95) / 2]).tolist()
 
 
 def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData) -> None:

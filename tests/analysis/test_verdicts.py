@@ -11,9 +11,8 @@ from scipy import stats
 
 from pneuma.analysis import pvalues
 from pneuma.analysis.contrasts import Contrast, compare
-from pneuma.analysis.corrections import holm
 from pneuma.analysis.intervals import no_interval
-from pneuma.analysis.pvalues import relabel
+from pneuma.analysis.pvalues import holm, relabel
 from pneuma.analysis.verdicts import DIRECTIONS, NEEDS, decide, found, smallest_p, together
 
 

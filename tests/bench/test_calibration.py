@@ -38,7 +38,7 @@ def test_between_two_numbers_of_runs_the_lesser_coverage_counts() -> None:
     assert coverage("ci", 1_000) == 0.942 and coverage("ci", 2) == 0
     assert is_trusted("ci", 20) and not is_trusted("ci", 19)
     assert {name for name, band in BANDS.items() if band.about_mean} == {*bands.LEAST_COVERAGE}
-    assert coverage("variance", 50) is None and is_trusted("minmax", 3)
+    assert coverage("std", 50) is None and is_trusted("minmax", 3)
 
 
 @pytest.mark.parametrize(
