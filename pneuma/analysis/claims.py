@@ -24,7 +24,6 @@ from pydantic import BeforeValidator, ConfigDict, Field
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.verdicts import MARGINAL
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, TomlFile, Where, read_model, read_toml
 from pneuma.study.claimed import read_fixed_runs
@@ -154,7 +153,7 @@ class Claim(Table):
     below: Finite | None = None
     only: Literal["", "collapsed"] = ""
     kind: Literal["mean", "spread", "incidence"]
-    direction: Literal["greater", "less", "different", "equal", "not-less"]
+    direction: Literal["greater", "less", "different", "equal"]
     margin: ByOutcome = None
     plausible: ByOutcome = None
     need: Literal["all", "any"] = "all"
@@ -335,7 +334,7 @@ def _mistakes(claim: Claim, head: ListHead) -> list[tuple[str, str]]:
     for world, outcome in product(claim.worlds, claim.outcome):
         margin = claim.in_world(world).of("margin", outcome)
         lacks = "the key 'margin' is missing: within it, a difference counts as none"
-        check(margin is not None or claim.direction not in MARGINAL, "margin", lacks)
+        check(margin is not None or claim.direction != "equal", "margin", lacks)
         if margin is not None:
             least_margin, most = (1, float("inf")) if kind == "spread" else (0, 1 if event else float("inf"))
             allowed = f"above {least_margin}{' and below 1' * bool(event)} for {kind}"

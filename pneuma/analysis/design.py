@@ -21,7 +21,6 @@ from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.contrasts import CONTRAST_KINDS
 from pneuma.analysis.estimates import finite
 from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
-from pneuma.analysis.verdicts import MARGINAL
 
 MOST_SEEDS = 10_000
 """More than this is answered with None: no number of seeds that anyone trains decides it."""
@@ -119,7 +118,7 @@ def _reason(
 ) -> str:
     """Say why a contrast cannot be decided; empty where it can."""
     few = f"cannot be decided with so many seeds ({runs} runs)"
-    if claim.direction in MARGINAL:
+    if claim.direction == "equal":
         margin = claim.of("margin", outcome)
         if provable is None:
             return f"no pilot has a spread of {outcome}"
@@ -234,12 +233,7 @@ def _power(
 ) -> np.ndarray:
     """Return the chance that the difference, or else equivalence, is shown with each error."""
     cut = special.stdtrit(degrees, 1 - alpha / 2)
-    if direction == "equal":
-        deciding = np.abs(effect) - margin
-    elif direction == "not-less":
-        deciding = max(effect, -effect - margin)
-    else:
-        deciding = np.abs(effect)
+    deciding = np.abs(effect) - (margin if direction == "equal" else 0.0)
     different = special.ndtr(deciding / error - cut)
     cut = special.stdtrit(degrees, 1 - alpha)
     inside = special.ndtr((margin - effect) / error - cut) + special.ndtr((margin + effect) / error - cut) - 1

@@ -22,7 +22,6 @@ from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compar
 from pneuma.analysis.design import not_admitted, seeds_needed
 from pneuma.analysis.verdicts import (
     INCONCLUSIVE,
-    MARGINAL,
     MIXED,
     REFUTED,
     SUPPORTED,
@@ -121,7 +120,7 @@ class Verdict:
             return BY_LETTER
         own = self.decisive
         margin = self.claim.of("margin", own.outcome) if own else None
-        if own and margin and self.verdict == SUPPORTED and self.claim.direction not in MARGINAL:
+        if own and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
             size = abs(math.log(own.contrast.effect)) if self.claim.kind == "spread" else own.contrast.effect
             within = math.log(margin) if self.claim.kind == "spread" else margin
             return BY_LETTER if abs(size) < within else WITH_CONTENT
@@ -233,7 +232,7 @@ def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
     if idle and measure.supposes_rise:
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
     of_play = measure.of_play and claim.event is None
-    if len(idle) == len(arms) > 1 and (of_play or claim.direction in MARGINAL):
+    if len(idle) == len(arms) > 1 and (of_play or claim.direction == "equal"):
         return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
     return _at_an_end(claim, outcome, list(arms.values()))
 

@@ -33,7 +33,6 @@ _CLAIMED = {
     "less": "less than",
     "different": "unlike",
     "equal": "the same as",
-    "not-less": "not less than",
 }
 
 
