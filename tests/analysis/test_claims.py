@@ -98,11 +98,12 @@ def test_no_shipped_claim_compares_what_is_the_same() -> None:
 
 def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> None:
     world = "arena"
-    fixed: dict[str, set[tuple[str, int]]] = {}
+    fixed: dict[tuple[str, int], set[tuple[str, int]]] = {}
     for claim in SHIPPED.claims.values():
         if world in claim.worlds:
-            cells = {(name, seed) for name, seeds in claim.seeds.items() for seed in seeds}
-            fixed[claim.study] = fixed.get(claim.study, set()) | cells
-    for study, cells in fixed.items():
-        plan = make_plan(load_study(study, world), Selection("claims"))
+            for name, seeds in claim.seeds.items():
+                key = (claim.study, claim.steps[name])
+                fixed[key] = fixed.get(key, set()) | {(name, seed) for seed in seeds}
+    for (study, steps), cells in fixed.items():
+        plan = make_plan(load_study(study, world), Selection("claims", steps=steps))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells
