@@ -183,8 +183,8 @@ class StudyData:
             if name not in self.conditions:
                 raise unknown_name(f"condition of study {self.study}", name, self.conditions)
         runs = [run for run in self.record["runs"] if run["condition"] in wanted]
-        names = {run["condition"] for run in runs}
-        same = [[name for name in group if name in names] for group in self.same]
+        held = {run["condition"] for run in runs}
+        same = [[name for name in group if name in held] for group in self.same]
         same = [group for group in same if len(group) > 1]
         record = {**self.record, "runs": runs, "same": same, "budget": self.budget}
         some = StudyData(self.index, record, self._where)

@@ -91,6 +91,7 @@ def save_runs(
     **provenance: object,
 ) -> list[str]:
     """Store a run for each share killed, as `save_run` takes it, seed by seed; return the runs' ids."""
+    (folder / "mine.toml").write_text(STUDY)
     study = load_study(str(folder / "mine.toml"), world)
     ids = []
     for condition, values in shares.items():

@@ -43,13 +43,7 @@ def test_holm_by_hand() -> None:
         ((0.998, 0.002, 0.9, 1.0, 0.02), "refuted", "supported", "supported", "refuted"),
         ((0.002, 0.998, 0.9, 0.03), "supported", "refuted", "supported", "inconclusive"),  # margin: 0.06
         ((0.4, 0.6, 0.04), "refuted", "refuted", "refuted", "supported"),
-        (
-            (0.03, 0.97, 0.9),
-            "inconclusive",
-            "inconclusive",
-            "inconclusive",
-            "inconclusive",
-        ),  # two-sided: 0.06
+        ((0.03, 0.97, 0.9), *["inconclusive"] * 4),  # two-sided: 0.06
         ((0.001, 0.999, 0.01), "supported", "refuted", "supported", "supported"),
         ((0.01, 0.99, 0.001), "refuted", "refuted", "refuted", "supported"),
     ],
