@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 
 .PHONY: help install study figures docs test storm test-all lint clean
-.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow trajectories tuning
+.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow tuning
 
 help:            ## Say what each target does
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
@@ -103,18 +103,6 @@ reproduction-collapse: install  ## Train the crossed studies: collapse and robus
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\
 $(error $@ takes $(or $(1),RESULTS) alone; DO, SEEDS, STEPS, STUDIES, UNPUBLISHED and RETRY go with the reproduction))
-
-trajectories = $(BIN)/pneuma study trajectories $(1) --preset paper --publish --quiet --results "$(RESULTS)"
-
-trajectories: install  ## Let policies of the reproduction play, and keep where they go, to be drawn
-	$(call takes_results_alone)
-	$(call trajectories,sigmoid)
-	$(call trajectories,sigmoid --world godot)
-	$(call trajectories,algorithms --condition a2c --condition a2c-no-baseline)
-	$(call trajectories,algorithms --world godot --condition ppo --condition trpo --condition a2c --condition dqn)
-	$(call trajectories,activation --world godot)
-	$(call trajectories,perception --world godot)
-	$(call trajectories,optimizer --world godot --condition stationary --condition non-stationary --condition sgd)
 
 TUNED_OPTIMIZERS = adam l2 upgd sgd momentum rmsprop
 TUNED_ALGORITHMS = ppo trpo a2c dqn double-dqn

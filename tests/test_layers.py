@@ -55,7 +55,6 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study",),
     "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
-    "pneuma.until_decided": ("pneuma.study", "pneuma.analysis"),  # joins both: design section 1
     "pneuma.cli": ("pneuma",),
 }  # fmt: skip
 

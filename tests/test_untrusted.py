@@ -12,11 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pneuma.analysis.checksums import NO_SUM, with_sum
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.published import published_path, read_published
+from pneuma.analysis.published import NO_SUM, published_path, read_published, with_sum
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
@@ -24,8 +23,9 @@ from pneuma.study.files import read_json, read_whole
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
-from .analysis.published_runs import RECORD, record_of, save_run
+from .analysis.published_runs import RECORD, save_run
 from .cli.calls import call
+from .hand_made import record_of
 
 RUN = "a0" * 8
 ONE = record_of({("a", 0): RUN})

@@ -116,7 +116,6 @@ BANDS = {
     "bootstrap": Band("95 % interval of the mean (bootstrap)", _of_points_alike(_bootstrap), about_mean=True),
     "se": Band("± 1 standard error", _around(_standard_error), about_mean=True),
     "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(variance_of(runs)))),
-    "variance": Band("± 1 variance, in the square of the axis's unit", _around(variance_of)),
     "minmax": Band("least to greatest", _of_points_alike(_extremes)),
     "iqr": Band("first to third quartile", _of_points_alike(_quartiles)),
     "runs": Band("every run as a thin line", None),

@@ -2,7 +2,6 @@
 
     [list]                      title, what was learned before, alpha, weights, the first seed
     [defaults]                  seeds and steps of a claim that has none
-    [logs.runs.small]           figures of the author's published single runs
     [margins], [plausible]      by outcome, of claims that state none; the latter for the design check
     [pilot]                     spreads between runs, for `pneuma.analysis.design`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
@@ -25,23 +24,15 @@ from pydantic import BeforeValidator, ConfigDict, Field
 
 from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.verdicts import MARGINAL
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, TomlFile, Where, read_model, read_toml, shown
+from pneuma.schema import Table, TomlFile, Where, read_model, read_toml
 from pneuma.study.claimed import read_fixed_runs
 from pneuma.study.files import checksum
 from pneuma.study.spec import CLAIMS_FILE, Study, load_study, studies_folder
 from pneuma.worlds import WORLDS
 
-LOGS = "logs"
-"""The last place where a claim is judged: the author's published logs."""
-
-PLACES = (*WORLDS, LOGS)
 MINUS = " - "
 """Between two outcomes of one run whose difference is what a claim is about."""
-
-Figure = Literal["start", "best", "end", "length", "hours", "steps_per_second"]
-"""What is known of a published run."""
 
 
 def _fraction(value: object) -> object:
@@ -75,26 +66,6 @@ class ByOutcomes(Table):
     __pydantic_extra__: dict[str, ByWorld]
 
 
-class LogContrast(Table):
-    """Two published runs, and the figure that bears on a claim."""
-
-    a: str
-    b: str
-    figure: Figure
-
-
-class PublishedLogs(Table):
-    """Figures of single runs that were once published.
-
-    Attributes:
-        runs: by name, the values of `Figure`.
-        same: pairs of names that stand for one configuration, from which runs' spread is known.
-    """
-
-    runs: dict[str, dict[Figure, Finite]] = {}
-    same: tuple[tuple[str, str], ...] = ()
-
-
 class ListHead(Table):
     """What holds for a whole list.
 
@@ -103,7 +74,7 @@ class ListHead(Table):
         learned: what the list before it taught.
         alpha: the chance of any false verdict in the whole list.
         weights: how alpha is split between groups of claims; none where all contrasts have equal parts.
-        world_weights: how each part is split between places.
+        world_weights: how each part is split between worlds.
         seeds_from: the first seed of runs that a claim fixes by their number.
     """
 
@@ -161,10 +132,8 @@ class Claim(Table):
         margin: within what a difference counts as none; see `contrasts.compare`.
         plausible: the largest effect thought possible.
         need: whether all contrasts must be as claimed, or any.
-        untestable: why no runs of ours can tell; empty where they can.
         seeds, steps: of each condition, fixed beforehand.
         worlds: those of `WORLDS` that it is about.
-        logs: what the published logs have on it.
         note: why it is tested so.
     """
 
@@ -184,21 +153,14 @@ class Claim(Table):
     below: Finite | None = None
     only: Literal["", "collapsed"] = ""
     kind: Literal["mean", "spread", "incidence"]
-    direction: Literal["greater", "less", "different", "equal", "not-less"]
+    direction: Literal["greater", "less", "different", "equal"]
     margin: ByOutcome = None
     plausible: ByOutcome = None
     need: Literal["all", "any"] = "all"
-    untestable: Text = ""
     seeds: dict[str, tuple[int, ...]]
     steps: dict[str, int]
     worlds: tuple[str, ...]
-    logs: tuple[LogContrast, ...] = ()
     note: Text = ""
-
-    @property
-    def outcomes(self) -> tuple[str, ...]:
-        """The outcomes that it is about, one or two."""
-        return self.outcome
 
     @property
     def event(self) -> Event | None:
@@ -233,11 +195,9 @@ class Claim(Table):
 
         return self.model_copy(update={"margin": here(self.margin), "plausible": here(self.plausible)})
 
-    def contrasts_in(self, place: str) -> int:
-        """Return how many contrasts it has in one of `PLACES`."""
-        if place == LOGS:
-            return len(self.logs)
-        return len(self.outcomes) * len(self.pairs) if place in self.worlds else 0
+    def contrasts_in(self, world: str) -> int:
+        """Return how many contrasts it has in one of `WORLDS`."""
+        return len(self.outcome) * len(self.pairs) if world in self.worlds else 0
 
 
 @dataclass(frozen=True)
@@ -251,39 +211,38 @@ class ClaimList:
     path: Path
     digest: str
     claims: Mapping[str, Claim]
-    logs: PublishedLogs
     head: ListHead = ListHead()
     pilot: Pilot | None = None
 
     @property
     def contrasts(self) -> int:
         """How many contrasts the list has, with and without runs."""
-        return sum(claim.contrasts_in(place) for claim in self.claims.values() for place in PLACES)
+        return sum(claim.contrasts_in(world) for claim in self.claims.values() for world in WORLDS)
 
-    def factor(self, claim: Claim, place: str) -> float:
+    def factor(self, claim: Claim, world: str) -> float:
         """Return what a contrast's p-value is multiplied by: alpha over its own part of it.
 
-        Without weights, the number of contrasts (Bonferroni). With them, each group and place has its part
+        Without weights, the number of contrasts (Bonferroni). With them, each group and world has its part
         of alpha, and its contrasts share that part equally (weighted Bonferroni: Rosenthal and Rubin 1983).
         """
         counts: Counter[tuple[str, str]] = Counter()
         for own in self.claims.values():
-            for where in PLACES:
+            for where in WORLDS:
                 counts[self._cell(own, where)] += own.contrasts_in(where)
         parts = {cell: self._weight(cell) for cell, count in counts.items() if count}
-        cell = self._cell(claim, place)
+        cell = self._cell(claim, world)
         return counts[cell] * sum(parts.values()) / parts.get(cell, 1.0)
 
-    def _cell(self, claim: Claim, place: str) -> tuple[str, str]:
+    def _cell(self, claim: Claim, world: str) -> tuple[str, str]:
         group = (claim.group or claim.section) if self.head.weights else ""
-        return group, place if self.head.world_weights else ""
+        return group, world if self.head.world_weights else ""
 
     def _weight(self, cell: tuple[str, str]) -> float:
-        group, place = cell
-        return self.head.weights.get(group, 1.0) * self.head.world_weights.get(place, 1.0)
+        group, world = cell
+        return self.head.weights.get(group, 1.0) * self.head.world_weights.get(world, 1.0)
 
 
-_TABLES = ("list", "defaults", "margins", "plausible", "logs", "pilot", "claims")
+_TABLES = ("list", "defaults", "margins", "plausible", "pilot", "claims")
 _DEFAULTS = ("seeds", "steps", "outcome", "kind")
 _BY_OUTCOME = {"margin": "margins", "plausible": "plausible"}
 """Keys of a claim, and the tables that hold what claims have that do not say."""
@@ -299,24 +258,21 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     file.refuse_unknown((), file.data, _TABLES)
     file.refuse_unknown(("defaults",), file.table(("defaults",)), _DEFAULTS)
     head = read_model(ListHead, file, ("list",))
-    logs = _read_logs(file)
     usual = {key: read_model(ByOutcomes, file, (own,)).model_extra or {} for key, own in _BY_OUTCOME.items()}
-    claims = {name: _read_claim(file, name, usual, logs, head) for name in file.table(("claims",))}
+    claims = {name: _read_claim(file, name, usual, head) for name in file.table(("claims",))}
     if not claims:
         raise UserError(f"{file.path}: holds no claims")
     for place in head.world_weights:
-        if place not in PLACES:
-            raise file.mistake(("list", "world_weights"), str(unknown_name("world", place, PLACES)), place)
+        if place not in WORLDS:
+            raise file.mistake(("list", "world_weights"), str(unknown_name("world", place, WORLDS)), place)
     pilot = read_model(Pilot, file, ("pilot",)) if "pilot" in file.data else None
-    return ClaimList(file.path, checksum(file.text.encode()), claims, logs, head, pilot)
+    return ClaimList(file.path, checksum(file.text.encode()), claims, head, pilot)
 
 
 # --- One claim -----------------------------------------------------------------------------------
 
 
-def _read_claim(
-    file: TomlFile, name: str, by_outcome: Mapping[str, Any], logs: PublishedLogs, head: ListHead
-) -> Claim:
+def _read_claim(file: TomlFile, name: str, by_outcome: Mapping[str, Any], head: ListHead) -> Claim:
     where = ("claims", name)
     table = file.table(where)
     fixed: dict[str, Any] = {"seeds": {}, "steps": {}, "worlds": ()}
@@ -326,7 +282,7 @@ def _read_claim(
     usual = {key: own for key, own in file.table(("defaults",)).items() if key in _DEFAULTS[2:]}
     claim = read_model(Claim, file, where, usual, {**fixed, "name": name})
     claim = claim.model_copy(update={key: _filled(claim, key, own) for key, own in by_outcome.items()})
-    for key, message in _mistakes(claim, logs, head):
+    for key, message in _mistakes(claim, head):
         raise file.mistake(where, message, key)
     return claim
 
@@ -336,7 +292,7 @@ def _filled(claim: Claim, key: str, usual: Mapping[str, Any]) -> ByOutcome:
     own: ByOutcome = getattr(claim, key)
     if own is not None and not isinstance(own, dict):
         return own
-    names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcomes}
+    names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcome}
     return {**{name: usual[of] for name, of in names.items() if of in usual}, **(own or {})} or None
 
 
@@ -348,7 +304,7 @@ def _study(file: TomlFile, where: Where, name: str) -> Study:
         raise file.mistake(where, f"study: {error}", "study") from None
 
 
-def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[str, str]]:
+def _mistakes(claim: Claim, head: ListHead) -> list[tuple[str, str]]:
     """Return what is wrong with a claim whose keys are each right by themselves: the key, and what it is."""
     value, kind, event = claim.value, claim.kind, claim.event
     wrong = []
@@ -357,7 +313,7 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
         if not right:
             wrong.append((key, message))
 
-    for outcome in (part for name in claim.outcomes for part in name.split(MINUS)):
+    for outcome in (part for name in claim.outcome for part in name.split(MINUS)):
         try:
             find_outcome(outcome)
         except UserError as error:
@@ -375,10 +331,10 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
     effects = kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
     told = "a difference of two effects is of means, with another condition in each of a, b, c, d"
     check(effects or not (claim.c or claim.d), "c", told)
-    for world, outcome in product(claim.worlds, claim.outcomes):
+    for world, outcome in product(claim.worlds, claim.outcome):
         margin = claim.in_world(world).of("margin", outcome)
         lacks = "the key 'margin' is missing: within it, a difference counts as none"
-        check(margin is not None or claim.direction not in MARGINAL, "margin", lacks)
+        check(margin is not None or claim.direction != "equal", "margin", lacks)
         if margin is not None:
             least_margin, most = (1, float("inf")) if kind == "spread" else (0, 1 if event else float("inf"))
             allowed = f"above {least_margin}{' and below 1' * bool(event)} for {kind}"
@@ -389,18 +345,4 @@ def _mistakes(claim: Claim, logs: PublishedLogs, head: ListHead) -> list[tuple[s
         check(False, "group", f"group: {unknown_name('group of weights', group, head.weights)}")
     early = [seed for own in claim.seeds.values() for seed in own if seed < head.seeds_from]
     check(not early, "seeds", f"seeds: {min(early, default=0)} is below seeds_from = {head.seeds_from}")
-    for own in claim.logs:
-        for name in (own.a, own.b):
-            if name not in logs.runs:
-                check(False, "logs", f"logs: {unknown_name('published run', name, logs.runs)}")
-            elif own.figure not in logs.runs[name]:
-                check(False, "logs", f"logs: the published run {name} has no {own.figure}")
     return wrong
-
-
-def _read_logs(file: TomlFile) -> PublishedLogs:
-    logs = read_model(PublishedLogs, file, ("logs",))
-    for pair in logs.same:
-        if not {*pair} <= {*logs.runs}:
-            raise file.mistake(("logs",), f"same: {shown(pair)} is no pair of names of runs", "same")
-    return logs

@@ -21,8 +21,6 @@ LEVEL = 0.95
 LEAST_RESAMPLED = 3
 """Runs of which there is a bootstrap interval."""
 RESAMPLES = 2_000
-MOST_VALUES = 4_000_000
-"""Of samples that lie in memory at once, each with another run left out: 32 MB."""
 
 
 @dataclass(frozen=True)
@@ -195,19 +193,7 @@ def bootstrap_interval(
 
 def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]) -> float:
     """Return the skew of the statistic over the sample with each run left out once, as BCa wants it."""
-    rows = max(1, MOST_VALUES // runs.size)
-    left = np.concatenate(
-        [
-            statistic(_left_out(runs, first, min(first + rows, runs.size)))
-            for first in range(0, runs.size, rows)
-        ]
-    )
+    left = statistic(np.array([np.delete(runs, place) for place in range(runs.size)]))
     skew = left.mean() - left
     squares = (skew**2).sum()
     return float((skew**3).sum() / (6 * squares**1.5)) if squares > 0 else 0.0
-
-
-def _left_out(runs: np.ndarray, first: int, end: int) -> np.ndarray:
-    """Return the sample without its first run, …, without that before the end, (rows, runs - 1)."""
-    place = np.arange(runs.size - 1)
-    return runs[place + (place >= np.arange(first, end)[:, None])]

@@ -2,10 +2,10 @@
 
     ClaimList and Store → [Verdict]
 
-Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others: in each world, and
-by the published logs where they bear on it, side by side and never pooled. All contrasts of all claims in all
-places, also of those without runs, are one family for the correction: whatever is asked for and whatever has
-been run, the chance of any false verdict stays at most the list's alpha.
+Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others, in each world for
+itself. All contrasts of all claims in all worlds, also of those without runs, are one family for the
+correction: whatever is asked for and whatever has been run, the chance of any false verdict stays at most the
+list's alpha.
 """
 
 from __future__ import annotations
@@ -17,15 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, measure_of
-from pneuma.analysis.claims import LOGS, PLACES, Claim, ClaimList, LogContrast, PublishedLogs
+from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
-from pneuma.analysis.design import not_admitted
-from pneuma.analysis.intervals import LEVEL, around
-from pneuma.analysis.power import seeds_needed
-from pneuma.analysis.pvalues import student_tails
+from pneuma.analysis.design import not_admitted, seeds_needed
 from pneuma.analysis.verdicts import (
     INCONCLUSIVE,
-    MARGINAL,
     MIXED,
     REFUTED,
     SUPPORTED,
@@ -39,6 +35,7 @@ from pneuma.analysis.verdicts import (
 from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
@@ -74,7 +71,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on a claim in one of `PLACES`.
+    """The verdict on a claim in one of `WORLDS`.
 
     Attributes:
         verdict: of `VERDICTS`.
@@ -123,7 +120,7 @@ class Verdict:
             return BY_LETTER
         own = self.decisive
         margin = self.claim.of("margin", own.outcome) if own else None
-        if own and margin and self.verdict == SUPPORTED and self.claim.direction not in MARGINAL:
+        if own and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
             size = abs(math.log(own.contrast.effect)) if self.claim.kind == "spread" else own.contrast.effect
             within = math.log(margin) if self.claim.kind == "spread" else margin
             return BY_LETTER if abs(size) < within else WITH_CONTENT
@@ -131,7 +128,7 @@ class Verdict:
 
 
 def judge(claims: ClaimList, store: Store) -> list[Verdict]:
-    """Return the verdict on every claim of a list in every place that it can be judged in.
+    """Return the verdict on every claim of a list in every world.
 
     Args:
         claims: all of them: none can be judged without the others.
@@ -141,27 +138,22 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
         UserError: for a damaged published table.
     """
     runs, refused = ClaimRuns(store, claims), not_admitted(claims)
-    cases = [(claim.in_world(place), place) for claim in claims.claims.values() for place in PLACES]
     return [
-        _judge_one(claim, place, runs, claims, refused.get((claim.name, place), ""))
-        for claim, place in cases
-        if place != LOGS or claim.contrasts_in(place)
+        _judge_one(claim.in_world(place), place, runs, claims, refused.get((claim.name, place), ""))
+        for claim in claims.claims.values()
+        for place in WORLDS
     ]
 
 
 def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
     if refused:
         return Verdict(claim, place, UNTESTABLE, f"not admitted: {refused}")
-    if place == LOGS:
-        made = [_of_logs(claims.logs, claim, own, _level(claim, place, claims)) for own in claim.logs]
-    elif place in claim.worlds:
-        made = [
-            _compared(claim, place, runs, name, *pair, _level(claim, place, claims))
-            for name in claim.outcomes
-            for pair in claim.pairs
-        ]
-    else:
+    if place not in claim.worlds:
         return Verdict(claim, place, UNTESTABLE, runs.undefined(claim, place))
+    level = 1 - claims.head.alpha / claims.factor(claim, place)  # of intervals that hold all at once
+    made = [
+        _compared(claim, place, runs, name, *pair, level) for name in claim.outcome for pair in claim.pairs
+    ]
     decided = [_decided(own, claim, place, runs, claims) for own in made]
     by_outcome = [
         together([own.verdict for own in decided if own.outcome == name], claim.need)
@@ -176,11 +168,6 @@ def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, ref
         small = verdict == REFUTED and all(_is_as_claimed_but_small(own, claim.direction) for own in refuted)
         reason = AS_CLAIMED_BUT_SMALL if small else ""
     return Verdict(claim, place, verdict, reason, tuple(decided))
-
-
-def _level(claim: Claim, place: str, claims: ClaimList) -> float:
-    """Return the level of an interval that holds for all contrasts of the list at once."""
-    return 1 - claims.head.alpha / claims.factor(claim, place)
 
 
 def decisive_of(verdict: Verdict) -> list[Comparison]:
@@ -211,7 +198,7 @@ def _compared(
     generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", f"{a}/{told}"))
     if claim.c:
         a, told = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
-    reason = claim.untestable or runs.hindrance(claim, world, outcome, names)
+    reason = runs.hindrance(claim, world, outcome, names)
     if reason:
         return Comparison(
             a, told, outcome, undecided(claim.kind, reason), runs.known_ids(claim, world, names)
@@ -245,7 +232,7 @@ def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
     if idle and measure.supposes_rise:
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
     of_play = measure.of_play and claim.event is None
-    if len(idle) == len(arms) > 1 and (of_play or claim.direction in MARGINAL):
+    if len(idle) == len(arms) > 1 and (of_play or claim.direction == "equal"):
         return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
     return _at_an_end(claim, outcome, list(arms.values()))
 
@@ -266,45 +253,6 @@ def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
         if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
             return f"both arms are at the {end}: every run has a {outcome} within {near:.2g} of {bound:g}"
     return ""
-
-
-def run_to_run_deviation(logs: PublishedLogs, figure: str) -> tuple[float, int]:
-    """Return the standard deviation of a figure between runs of one configuration, and from how many pairs.
-
-    Some pairs of the published runs stand for one configuration by accident; their differences tell it. NaN
-    without pairs.
-    """
-    known = [(logs.runs[a], logs.runs[b]) for a, b in logs.same]
-    differences = np.array([a[figure] - b[figure] for a, b in known if figure in a and figure in b])
-    pairs = differences.size
-    return (float(np.sqrt((differences**2).mean() / 2)) if pairs else float("nan")), pairs
-
-
-def _of_logs(logs: PublishedLogs, claim: Claim, own: LogContrast, level: float) -> Comparison:
-    """Compare two published runs by Student's t with the deviation that equal pairs have.
-
-    Where those runs are in the pairs themselves, a great difference makes the deviation great as well: the
-    test errs on the strict side.
-    """
-    single = (1, 1)
-    deviation, pairs = run_to_run_deviation(logs, own.figure)
-    if (own.a, own.b) in logs.same or (own.b, own.a) in logs.same:
-        contrast = undecided(claim.kind, "A/A: both published runs stand for one configuration", single)
-    elif claim.kind != "mean":
-        contrast = undecided(
-            claim.kind, f"one published run each: they have no {claim.kind} to compare", single
-        )
-    elif not deviation > 0:
-        contrast = undecided(claim.kind, "no published runs tell how far apart equal ones lie", single)
-    else:
-        effect = logs.runs[own.a][own.figure] - logs.runs[own.b][own.figure]
-        error = deviation * np.sqrt(2)
-        first, simultaneous = (
-            around(effect, error, pairs, each, "Student, deviation of equal pairs") for each in (LEVEL, level)
-        )
-        greater, less = (float(p) for p in student_tails(np.array(effect), np.array(error), pairs))
-        contrast = Contrast(claim.kind, effect, first, greater, less, 1.0, single, simultaneous=simultaneous)
-    return Comparison(own.a, own.b, own.figure, contrast)
 
 
 # --- Verdicts ------------------------------------------------------------------------------------
@@ -330,7 +278,7 @@ def _decided(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, claims:
 
 def _seeds_needed(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, alpha: float) -> int | None:
     """Return how many seeds an open contrast needs, where that can be told."""
-    if place == LOGS or claim.value is not None or claim.only or claim.c:
+    if claim.value is not None or claim.only or claim.c:
         return None  # nobody knows beforehand how many runs will count
     a, b = (runs.arm(claim, place, own.outcome, name).values for name in (own.a, own.b))
     count = seeds_needed(claim.kind, a, b, claim.of("margin", own.outcome), alpha, claim.direction)

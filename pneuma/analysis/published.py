@@ -11,6 +11,8 @@ what machine: the clock has no place in the table.
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +24,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pneuma.analysis import UPDATE_QUANTITIES, WINDOWS
-from pneuma.analysis.checksums import is_whole
 from pneuma.analysis.records import QUANTITIES, Records, told_seconds
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import GRID_POINTS
@@ -41,6 +42,11 @@ NAMING = ("condition", "seed", "run_id", "status")
 
 EVALUATIONS = "evaluations"
 """The one record table that is kept."""
+
+NO_SUM = "sha256:" + "0" * 64
+"""Stands where the checksum goes."""
+
+_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
 PEAKS = "extreme"
 SIGNS = "signs"
@@ -217,6 +223,26 @@ def unpack_signs(text: str) -> dict[str, list[Stretch]]:
     return found
 
 
+# --- The checksum, over all other bytes of the file ------------------------------------------------
+
+
+def with_sum(data: bytes) -> bytes:
+    """Put the checksum over a file into the place that is kept for it there."""
+    if data.count(NO_SUM.encode()) != 1 or len(_SUM.findall(data)) != 1:
+        raise ValueError("the place of the checksum is not the only one of its look")
+    return data.replace(NO_SUM.encode(), f"sha256:{_digest(data)}".encode())
+
+
+def is_whole(data: bytes) -> bool:
+    """Tell whether a file is what `with_sum` returned, to the bit."""
+    sums = _SUM.findall(data)
+    return len(sums) == 1 and _digest(_SUM.sub(NO_SUM.encode(), data)) == sums[0].decode()
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
 # --- Whether it is one -----------------------------------------------------------------------------
 
 
@@ -224,7 +250,7 @@ def _record(head: Mapping[str, Any], table: pa.Table) -> dict[str, Any]:
     names = ("condition", "seed", "run_id", "settings")
     rows = zip(*(table[name].to_pylist() for name in names), strict=True)
     runs = [{"condition": c, "seed": s, "run_id": i, "run": parse_json(run or "")} for c, s, i, run in rows]
-    kept = ("study", "title", "figure", "baseline", "same", "budget", "adaptive")
+    kept = ("study", "title", "figure", "baseline", "same", "budget")
     told = {key: head[key] for key in kept if key in head}
     return {**told, "source": "published", "path": None, "runs": runs}
 

@@ -14,17 +14,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.analysis import PEAKED_QUANTITIES, UPDATE_QUANTITIES
-from pneuma.analysis.checksums import NO_SUM, with_sum
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.published import (
     EVALUATIONS,
     NAMING,
+    NO_SUM,
     OUTCOME,
     PEAKS,
     SCHEMA,
     SIGNS,
     PublishedRecords,
     PublishedTable,
+    with_sum,
 )
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.tables import FinishedRun, StudyData
@@ -208,7 +209,6 @@ def _head(data: StudyData, runs: Sequence[FinishedRun], rounding: bool) -> dict[
         "windows": list(runs[0].records.windows),
         "averaged_over": data.averaged_over,
         "rounded": rounding,
-        **({"adaptive": {"looks": [{"seeds": seeds} for seeds in data.looks]}} if data.looks else {}),
     }
 
 

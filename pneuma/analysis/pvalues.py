@@ -18,6 +18,7 @@ from math import comb
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from pneuma.analysis.estimates import welch_error
@@ -104,7 +105,7 @@ class Relabelings:
 
 def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> Relabelings:
     """Return all ways to call so many runs a and the others b, or the seen one and that many draws."""
-    if comb(size_a + size_b, size_a) <= _most_counted(draws):
+    if comb(size_a + size_b, size_a) <= (MOST_COUNTED if draws >= DRAWS else FEW_COUNTED):
         return Relabelings(_every(size_a, size_b), exact=True)
     in_a = np.zeros((1 + draws, size_a + size_b))
     in_a[0, :size_a] = 1.0
@@ -113,10 +114,6 @@ def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int
         keys = generator.random(rows.shape)
         rows[:] = keys <= np.partition(keys, size_a - 1, axis=1)[:, size_a - 1 : size_a]
     return Relabelings(in_a, exact=False)
-
-
-def _most_counted(draws: int) -> int:
-    return MOST_COUNTED if draws >= DRAWS else FEW_COUNTED
 
 
 @lru_cache(maxsize=8)  # 30 MB of ten runs against ten
@@ -130,7 +127,7 @@ def _every(size_a: int, size_b: int) -> np.ndarray:
 
 def sign_flips(runs: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
     """Return all ways to turn the signs of so many values, or drawn ones, (flips, runs); the seen first."""
-    if 2**runs <= _most_counted(draws):
+    if 2**runs <= (MOST_COUNTED if draws >= DRAWS else FEW_COUNTED):
         return 1.0 - 2.0 * (np.arange(2**runs)[:, None] >> np.arange(runs) & 1)
     drawn = generator.integers(0, 2, (draws, runs)) * 2.0 - 1.0
     return np.concatenate([np.ones((1, runs)), drawn])
@@ -186,8 +183,8 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
     """
     rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts(margin)])
     relabeled = tails(_welch(rows, labels))
-    error, freedom, difference = _error(*np.split(scaled(rows), [a.shape[1]], axis=1))
-    by_student = student_tails(difference, error, freedom)
+    arm_a, arm_b = np.split(scaled(rows), [a.shape[1]], axis=1)
+    by_student = student_tails(arm_a.mean(axis=1) - arm_b.mean(axis=1), *welch_error(arm_a, arm_b))
     p_greater, p_less = map(np.maximum, relabeled, by_student)
     return by_shift(p_greater, p_less, len(a))
 
@@ -198,10 +195,6 @@ def _welch(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
     difference, variance_a, variance_b = _moments(scaled(samples), labels)
     variance = variance_a / size_a + variance_b / (samples.shape[1] - size_a)
     return difference / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
-
-
-def _error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return *welch_error(a, b), a.mean(axis=1) - b.mean(axis=1)
 
 
 def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | float) -> OneSided:
@@ -360,3 +353,21 @@ def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: floa
     if margin is None:
         return p_values(one_sided(value))
     return p_values(one_sided(value), one_sided(value + margin), one_sided(value - margin))
+
+
+# --- Many tests at once ----------------------------------------------------------------------------
+
+
+def holm(p: ArrayLike) -> np.ndarray:
+    """Return Holm's adjusted p-values, (tests,): each is to be held against the error rate of the list.
+
+    Of each test one p-value, against one hypothesis; where it is the lesser of two, only Bonferroni's holds
+    (`pneuma.analysis.verdicts`). The least is multiplied by their number, the next by one less, and so on;
+    none is less than one before it (Holm 1979).
+    """
+    p = np.asarray(p, dtype=float)
+    order = np.argsort(p, kind="stable")
+    stepped = np.maximum.accumulate(p[order] * (p.size - np.arange(p.size)))
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(stepped, 1.0)
+    return adjusted

@@ -6,7 +6,8 @@ A run in a published table is the third kind (`pneuma.analysis.published`). All 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,8 @@ from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import record_table
 
 QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
-ROOM_BYTES = 500_000_000
-"""Of tables that are kept in memory."""
-FRAME_BYTES = 10_000
-"""What pandas takes for a small table beside its numbers."""
+TABLES_KEPT = 1_000
+"""In memory, of those that were read last."""
 
 AVERAGED = f"_mean_{TRAILING_EPISODES}"
 """Ends the names of columns that were averaged when they were logged."""
@@ -65,32 +64,6 @@ Series = tuple[np.ndarray, np.ndarray]
 """Steps and values, (points,) each, steps rising."""
 
 
-class Memory:
-    """Tables that were read, while there is room; beyond that, those of the run that is looked at.
-
-    What came first stays. Studies are gone through run by run and then again from the start, and to let the
-    oldest go would then mean to keep nothing that is asked for again.
-    """
-
-    def __init__(self, room_bytes: int = ROOM_BYTES) -> None:
-        self._room = room_bytes
-        self._kept: dict[tuple[str, str], pd.DataFrame] = {}
-        self._run_id, self._last = "", dict[str, pd.DataFrame]()
-
-    def get(self, run_id: str, name: str, read: Callable[[], pd.DataFrame]) -> pd.DataFrame:
-        """Return a table of a run, read now where it is not there."""
-        if (run_id, name) in self._kept:
-            return self._kept[run_id, name]
-        if run_id != self._run_id:
-            self._run_id, self._last = run_id, {}
-        if name not in self._last:
-            self._last[name] = table = read()
-            if (size := 8 * table.size + FRAME_BYTES) <= self._room:
-                self._room -= size
-                self._kept[run_id, name] = table
-        return self._last[name]
-
-
 class Records:
     """What is held of one run: here of one in a results folder, every episode and update of it.
 
@@ -111,11 +84,10 @@ class Records:
     windows: tuple[str, ...] = WINDOWS
     averaged_over: int | None = None
 
-    def __init__(self, store: Store, run_id: str, status: Status, memory: Memory) -> None:
+    def __init__(self, store: Store, run_id: str, status: Status) -> None:
         self.run_id = run_id
         self.status = status
         self._store = store
-        self._memory = memory
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -128,7 +100,7 @@ class Records:
         Raises:
             UserError: when its file is missing, damaged, or no such table.
         """
-        return self._memory.get(self.run_id, name, lambda: self._read(f"{name}.parquet"))
+        return _kept(self, name)
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return one of its `quantities` on the grid, (points,), NaN where it has no value.
@@ -210,6 +182,10 @@ class Records:
         order = np.argsort(step, kind="stable")
         return step[order], values[order]
 
+    def read_table(self, name: str) -> pd.DataFrame:
+        """Return a table, anew from its file."""
+        return self._read(f"{name}.parquet")
+
     def _read(self, file: str) -> pd.DataFrame:
         data = self._store.read_file(self.run_id, file)
         try:
@@ -282,9 +258,10 @@ class LoggedRecords(Records):
 
     def _scalars(self) -> pd.DataFrame:
         """Return name, step and value of every point that no restart superseded, in the order of writing."""
-        return self._memory.get(self.run_id, "scalars", self._read_scalars)
+        return _kept(self, "scalars")
 
-    def _read_scalars(self) -> pd.DataFrame:
+    def read_table(self, name: str) -> pd.DataFrame:
+        """Return the scalars, anew."""
         scalars = self._read(SCALARS_FILE)
         scalars = scalars[~scalars["superseded"].astype(bool)]
         scalars["value"] = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
@@ -293,6 +270,12 @@ class LoggedRecords(Records):
             scalars.loc[own, "value"] = scalars["value"][own].rolling(TRAILING_EPISODES, 1).mean()
         plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
         return scalars.assign(name=scalars["tag"].map(QUANTITY_OF_TAG).fillna(plain))
+
+
+@lru_cache(TABLES_KEPT)
+def _kept(records: Records, name: str) -> pd.DataFrame:
+    """Return a table of a run, read now where it is not kept."""
+    return records.read_table(name)
 
 
 def told_seconds(times: Mapping[str, Any]) -> float | None:

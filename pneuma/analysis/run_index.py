@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.published import PublishedTable, published_path, published_studies, read_published
-from pneuma.analysis.records import LoggedRecords, Memory, Records
+from pneuma.analysis.records import LoggedRecords, Records
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import SCALARS_FILE, Status, Store
@@ -35,7 +35,6 @@ class RunIndex:
         self.store = store
         self.damaged: list[str] = []
         self._stored = stored
-        self._memory = Memory()
         self._runs: dict[str, Records] = {}
         self.table = cache(self._table)
         self._others = cache(self._read_others)
@@ -46,7 +45,7 @@ class RunIndex:
             status = self.store.status(run_id) if self._stored else Status("planned")
             logged = self._stored and SCALARS_FILE in self.store.file_names(run_id)
             kind = LoggedRecords if logged else Records
-            self._runs[run_id] = kind(self.store, run_id, status, self._memory)
+            self._runs[run_id] = kind(self.store, run_id, status)
         return self._runs[run_id]
 
     def record(self, study: str) -> dict[str, Any] | None:

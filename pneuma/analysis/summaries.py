@@ -48,11 +48,8 @@ SUMMARISED = (
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
 
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
-STATISTICS = (
-    "mean", "median", "iqm", "deviation", "improvement", "reached", "share", "count",
-)  # fmt: skip
-"""IQM is the mean of the middle half; deviation that between seeds; improvement the probability that a run
-is better than one of the baseline; reached and share are of runs."""
+# Of the statistics, iqm is the mean of the middle half, deviation that between seeds, improvement the
+# probability that a run is better than one of the baseline; reached and share are of runs.
 
 Row = tuple[str, str, str, float, Interval, int]
 
@@ -140,33 +137,19 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
     """
     if min(len(a), len(b)) < LEAST_RESAMPLED:
         return no_interval()
-    first = generator.integers(0, len(a), (RESAMPLES, len(a)))  # (resamples, runs)
-    second = generator.integers(0, len(b), (RESAMPLES, len(b)))
-    drawn = resampled_improvement(a, b, first, second)
+    first, second = (_times_drawn(len(arm), generator) for arm in (a, b))
+    above = (a[:, None] > b) + 0.5 * (a[:, None] == b)  # (runs of a, runs of b)
+    drawn = (first @ above * second).sum(axis=1) / (len(a) * len(b))
     if np.ptp(drawn) == 0:
         return no_interval()
     low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Interval(float(low), float(high), LEVEL, "bootstrap percentiles")
 
 
-def resampled_improvement(a: np.ndarray, b: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the probability of improvement of every resample, (resamples,), as comparing all pairs would.
-
-    Runs of b are counted up to each of a instead, which takes as much room as the resamples themselves.
-
-    Args:
-        a: (runs of a,).
-        b: (runs of b,).
-        first: (resamples, runs of a) which runs of a were drawn.
-        second: (resamples, runs of b) which of b.
-    """
-    levels, level_of_b = np.unique(b, return_inverse=True)
-    cells = level_of_b[second] + len(levels) * np.arange(len(second))[:, None]
-    counts = np.bincount(cells.ravel(), minlength=len(levels) * len(second)).reshape(len(second), -1)
-    up_to = np.concatenate([np.zeros((len(second), 1), int), np.cumsum(counts, axis=1)], axis=1)
-    below = np.take_along_axis(up_to, np.searchsorted(levels, a, "left")[first], axis=1)
-    not_above = np.take_along_axis(up_to, np.searchsorted(levels, a, "right")[first], axis=1)
-    return (below + not_above).sum(axis=1) / 2 / (len(a) * len(b))
+def _times_drawn(runs: int, generator: np.random.Generator) -> np.ndarray:
+    """Return how often each run is drawn in every resample, (resamples, runs)."""
+    drawn = generator.integers(0, runs, (RESAMPLES, runs))
+    return np.array([np.bincount(row, minlength=runs) for row in drawn])
 
 
 def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:

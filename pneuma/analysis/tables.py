@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,6 @@ import pandas as pd
 
 from pneuma.analysis import LEARNERS_TABLE, RECORD_TABLES, WINDOWS
 from pneuma.analysis.records import Records
-from pneuma.analysis.sequential import looks_that_count
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import list_studies, run_command
@@ -121,11 +120,6 @@ class StudyData:
         runs = (run["run"] for run in self.record["runs"] if run["condition"] == condition)
         return {str(run["engine"]) for run in runs if run.get("engine")}
 
-    @property
-    def looks(self) -> tuple[int, ...]:
-        """At how many seeds it was looked at to decide on more; empty where their number was fixed."""
-        return looks_that_count(self.record)
-
     @cached_property
     def budget(self) -> int:
         """The largest budget of the runs, in agent steps; in a published table, of all that it holds."""
@@ -188,15 +182,9 @@ class StudyData:
         for name in wanted:
             if name not in self.conditions:
                 raise unknown_name(f"condition of study {self.study}", name, self.conditions)
-        return self._of([run for run in self.record["runs"] if run["condition"] in wanted])
-
-    def of_runs(self, run_ids: Collection[str]) -> StudyData:
-        """Return the study with some of its runs alone, as `of_conditions` does."""
-        return self._of([run for run in self.record["runs"] if run["run_id"] in run_ids])
-
-    def _of(self, runs: Sequence[Mapping[str, Any]]) -> StudyData:
-        names = {run["condition"] for run in runs}
-        same = [[name for name in group if name in names] for group in self.same]
+        runs = [run for run in self.record["runs"] if run["condition"] in wanted]
+        held = {run["condition"] for run in runs}
+        same = [[name for name in group if name in held] for group in self.same]
         same = [group for group in same if len(group) > 1]
         record = {**self.record, "runs": runs, "same": same, "budget": self.budget}
         some = StudyData(self.index, record, self._where)

@@ -19,8 +19,6 @@ from pneuma.analysis.bands import BANDS
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.estimates import mean
 from pneuma.analysis.pvalues import PValues
-from pneuma.analysis.sequential import decide as decide_stage
-from pneuma.analysis.sequential import make_stages
 from pneuma.analysis.verdicts import INCONCLUSIVE, decide, found
 
 LISTS = 2_000
@@ -29,8 +27,6 @@ CLAIMS = {"mean": 36, "spread": 14, "incidence": 10}
 """How many of each kind a list has."""
 MEANS = {"mean": 60}
 ONE_ARM = {"one mean": 30, "one share": 30}
-STAGED_CLAIMS = {"mean": 4}
-"""How many a list has that is judged in stages, as a study's conditions against its baseline are."""
 MARGINS = {"mean": 0.5, "spread": 1.5, "incidence": 0.2, "one mean": 0.5, "one share": 0.2}
 """Of means, in standard deviations."""
 FAR = {"mean": 2.0, "spread": 6.0, "incidence": 0.7, "one mean": 2.0, "one share": 0.7}
@@ -77,7 +73,6 @@ class Setting:
         claimed: the direction that all claim.
         sizes: how many of each kind.
         errors: the margin of means in standard errors of the difference; None: that of `MARGINS`.
-        spread: how many times as far as arm b's the runs of arm a lie apart, of means.
     """
 
     truths: tuple[str, ...]
@@ -128,22 +123,9 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
         for name, draw in DISTRIBUTIONS.items():
             for seeds in SEEDS:
                 wrong = wrong_lists(count, draw, seeds, setting, generator)
-                yield "false_verdicts", _rate(truth, name, str(seeds), wrong, count)
-    generator = np.random.default_rng([seed, len(SETTINGS)])
-    stages = "/".join(str(stage.seeds) for stage in make_stages())
-    for name, draw in DISTRIBUTIONS.items():
-        yield "false_verdicts", _rate("alike", name, stages, _wrong_staged(lists, draw, generator), lists)
-
-
-def _rate(truth: str, distribution: str, seeds: str, wrong: int, lists: int) -> dict[str, Any]:
-    return {
-        "truth": truth,
-        "distribution": distribution,
-        "seeds": seeds,
-        "lists": lists,
-        "false_rate": wrong / lists,
-        "upper_bound": intervals.incidence_interval(wrong, lists, level=0.9).high,  # one-sided, 95 %
-    }
+                row = {"truth": truth, "distribution": name, "seeds": str(seeds), "lists": count}
+                upper = intervals.incidence_interval(wrong, count, level=0.9).high  # one-sided, 95 %
+                yield "false_verdicts", {**row, "false_rate": wrong / count, "upper_bound": upper}
 
 
 # --- Lists of claims ---------------------------------------------------------------------------------
@@ -172,22 +154,6 @@ def is_false(verdict: str, contrast: Contrast, truth: str, claimed: str) -> bool
     return found(contrast) not in TRUE_FINDINGS[truth]
 
 
-def _wrong_staged(lists: int, draw: Draw, generator: np.random.Generator) -> int:
-    """Return how many lists of arms alike, judged in stages, have a difference found at any."""
-    stages, setting = make_stages(), Setting(("alike",), sizes=STAGED_CLAIMS)
-    arms = _make_arms(lists, draw, stages[-1].seeds, setting, generator)
-    undecided = np.ones((lists, STAGED_CLAIMS["mean"]), dtype=bool)
-    wrong = np.zeros(lists, dtype=bool)
-    for stage in stages:
-        contrasts = [own for *_, own in _contrasts(arms, stage.seeds, setting, generator)]
-        for row in range(lists):
-            judged = contrasts[row * undecided.shape[1] : (row + 1) * undecided.shape[1]]
-            decided = np.array(decide_stage(stage, [own.p_any for own in judged])) & undecided[row]
-            wrong[row] |= any(found(judged[i]) != "equal" for i in np.flatnonzero(decided))
-            undecided[row] &= ~decided
-    return int(wrong.sum())
-
-
 def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator) -> Arms:
     arms: Arms = {}
     for kind, size in setting.sizes.items():
@@ -210,11 +176,11 @@ def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: 
 def _contrasts(
     arms: Arms, seeds: int, setting: Setting, generator: np.random.Generator
 ) -> Iterator[tuple[str, str, int, Contrast]]:
-    """Yield kind, truth, row and contrast of every claim of every list, of the first so many seeds."""
+    """Yield kind, truth, row and contrast of every claim of every list."""
     nowhere = intervals.no_interval()
     for kind, (a, b) in arms.items():
         truths = setting.truths_of(setting.sizes[kind])
-        p = p_of_kind(kind, a[:, :seeds], b[:, :seeds], setting.margin(kind, seeds), generator)
+        p = p_of_kind(kind, a, b, setting.margin(kind, seeds), generator)
         for row, (greater, less, equal, far_greater, far_less) in enumerate(zip(*p, strict=True)):
             contrast = Contrast(
                 kind, 0.0, nowhere, greater, less, equal, (seeds, seeds),
@@ -261,7 +227,7 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
         generator: draws the runs.
     """
     fewer = max(1, samples // 20)
-    bands = [name for name, band in BANDS.items() if band.edges and name != "variance"]
+    bands = [name for name, band in BANDS.items() if band.edges]
     one_by_one = [
         ("BCa bootstrap", lambda runs: intervals.bootstrap_interval(runs, mean, generator), 0.0),
         ("deviation", intervals.deviation_interval, 1.0),

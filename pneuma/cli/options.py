@@ -78,8 +78,8 @@ NamedWorld = Annotated[
     Text, _option("--world", _WORLDS, f"One world alone (default with NAME: {TEXT}; without: all).")
 ]
 """Of commands that take all studies where none is named."""
-OnlyWorld = Annotated[Text, _option("--world", _WORLDS, "One world alone (default: all, and the logs).")]
-"""Of a command that judges all there is, the logs among it."""
+OnlyWorld = Annotated[Text, _option("--world", _WORLDS, "One world alone (default: all).")]
+"""Of a command that judges all there is."""
 
 Answer = TypeVar("Answer")
 

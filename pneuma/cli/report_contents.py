@@ -21,7 +21,6 @@ from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
 from pneuma.cli.options import selecting_words
 from pneuma.cli.plain_text import command
 from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
@@ -173,20 +172,20 @@ def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     """Add what only finished runs have: figures, numbers, and what produced them."""
     try:
         data = open_study(store, record)
-        found, notes = _trajectories(store, data)
+        notes = list(part.notes)
         if step := common_step(data):
             told = f"numbers and effects are of runs as they stood at {step:,} steps, figures of whole runs"
-            notes = [*notes, f"Budgets are unlike: {told}."]
+            notes.append(f"Budgets are unlike: {told}.")
         summary = summary_table(data)
         part = replace(
             part,
-            notes=[*part.notes, *notes],
+            notes=notes,
             numbers=numbers_table(part.record, summary),
             statistics=statistics_table(part.record, summary) if len(summary) <= MOST_ROWS else None,
             effects=_effects(data),
             origins=_origins(data),
         )
-        return replace(part, pictures=[*study_pictures(data, found)])
+        return replace(part, pictures=[*study_pictures(data)])
     except (UserError, UnicodeError) as error:  # a name in a record may be no text that can be written
         return replace(part, notes=[*part.notes, _without_folder(store, error)])
 
@@ -197,20 +196,6 @@ def _effects(data: StudyData) -> Table | None:
         return factors_table(data.study, effects_table(study_effects(data)))
     except UserError:
         return None
-
-
-def _trajectories(store: Store, data: StudyData) -> tuple[StudyTrajectories | None, list[str]]:
-    """Return the published trajectories of a study's runs, if any; else why not, where there is a reason."""
-    try:
-        found = read_trajectories(store.root, data.study)
-    except UserError as error:
-        return None, [_without_folder(store, error)]
-    own = found and found.of_runs(data.runs)
-    if own is None or not len(own.episodes):
-        return None, []
-    if not own.level:
-        return None, ["Where its policies go is published, but on several levels, which no one map shows."]
-    return own, []
 
 
 def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:

@@ -15,7 +15,6 @@ from pneuma.cli import (
     study_run,
     study_status,
     study_summary,
-    study_trajectories,
     study_verify,
 )
 from pneuma.cli.options import Json, Results, StudyName, WorldName, print_json, print_listed
@@ -42,7 +41,6 @@ app.command(short_help="Say what each condition's runs come to.")(study_summary.
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
 app.command(short_help="Say in which other settings a contrast holds.")(study_crossed.robustness)
 app.command(short_help="Test what matters where settings are crossed.")(study_crossed.effects)
-app.command(short_help="Say where trained policies go, and how that ends.")(study_trajectories.trajectories)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
 

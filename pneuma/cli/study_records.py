@@ -38,7 +38,7 @@ def study_record(
     study = spec.load_study(name, world)
     latest = recorded_selection(record) if record and "selection" in record else plan.Selection()
     planned = plan.make_plan(study, selection.over(latest))
-    return {**execute.selection_record(planned), **execute.looked_at(record)}
+    return execute.selection_record(planned)
 
 
 def is_shipped(name: str) -> bool:

@@ -142,32 +142,13 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
     ] = False,
-    until_decided: Annotated[
-        bool,
-        typer.Option(
-            "--until-decided",
-            help="Add seeds in stages until every condition is decided against the baseline.",
-        ),
-    ] = False,
-    max_seeds: Annotated[
-        str | None,
-        typer.Option("--max-seeds", metavar="N", help="With --until-decided: the most seeds (default 40)."),
-    ] = None,
     unpublished: Unpublished = False,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
-    from pneuma.cli import study_stages
-
-    selection = selection or plan.Selection()
-    most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, selection.seeds)
-    if most_seeds and place.detach:
-        raise UserError("--detach: --until-decided waits for what runs come to; leave it by Ctrl-C")
-    if most_seeds and unpublished:
-        raise UserError("--unpublished: --until-decided trains what it judges; leave one of them out")
-    planned = plan.make_plan(spec.load_study(name, world), selection)
+    planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
     supervision = Supervision(
         workers=read_workers(workers, place),
         checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
@@ -175,11 +156,9 @@ def run(
         place=place,
     )
     store = Store(results)
-    if most_seeds is None:
-        if unpublished:
-            planned = replace(planned, published=_published(store, planned))
-        return train(planned, store, supervision, retry_failed, json, quiet)
-    return study_stages.run_stages(planned, most_seeds, store, supervision, retry_failed, json, quiet)
+    if unpublished:
+        planned = replace(planned, published=_published(store, planned))
+    return train(planned, store, supervision, retry_failed, json, quiet)
 
 
 def train(
@@ -191,7 +170,8 @@ def train(
     except Detached:  # as was asked
         results, code = _as_stored(planned, store), 0
     if json:
-        print_json({"schema": 1, "study": planned.study.name, "runs": result_rows(results)})
+        rows = [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
+        print_json({"schema": 1, "study": planned.study.name, "runs": rows})
     return code
 
 
@@ -251,11 +231,6 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
                 raise
             say(f"Note: {error}; its runs are trained.", aside=True)
     return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
-
-
-def result_rows(results: list[execute.CellResult]) -> list[dict[str, Any]]:
-    """Return the runs of a JSON document."""
-    return [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:

@@ -49,8 +49,6 @@ class _Standing:
         """Print it: a line of counts, then a line a run."""
         counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in self.states).items())
         print(f"{plain(self.record['study'])}: {counts}")
-        if "adaptive" in self.record:
-            _tell_looks(self.record)
         width = max((len(plain(own.run["condition"])) for own in self.states), default=0)
         for own in self.states:
             run_id, seed = own.run["run_id"], own.run["seed"]
@@ -97,14 +95,6 @@ def status(
     for own in found:
         own.tell()
     return None
-
-
-def _tell_looks(record: Mapping[str, Any]) -> None:
-    from pneuma.analysis.sequential import looks_that_count
-
-    at = ", ".join(map(str, looks_that_count(record)))
-    if at:
-        print(f"  seeds were added by --until-decided, which looked at {at} of them")
 
 
 def _queued(store: Store) -> dict[str, Job]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 
-_HEAD = ("claim", "section", *WORLDS, "logs", "numbers of", "effect", "95 % interval", "seeds")
+_HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "95 % interval", "seeds")
 
 
 def verify(
@@ -90,13 +90,13 @@ def _document(one: Verdict) -> dict[str, Any]:
         "p": decisive.p if decisive else None,
         "quote": claim.quote,
         "study": claim.study,
-        "outcome": claim.outcomes[0],
+        "outcome": claim.outcome[0],
         "kind": claim.kind,
         "direction": claim.direction,
-        "margin": claim.of("margin", claim.outcomes[0]),
+        "margin": claim.of("margin", claim.outcome[0]),
         "need": claim.need,
         "standing": one.standing,
-        "outcomes": list(claim.outcomes),
+        "outcomes": list(claim.outcome),
         "simultaneous": _ends(contrast.simultaneous) if contrast else None,
         "context": claim.context,
         "contrasts": [_contrast(own) for own in one.comparisons],
@@ -218,15 +218,13 @@ def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
 
 
 def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
-    from pneuma.analysis.claims import LOGS
-
     some = next(iter(places.values()))
     numbers = [
         (place, *_numbers(one.decisive))
         for place, one in places.items()
         if one.decisive and not one.decisive.contrast.reason
     ]
-    verdicts = [_verdict(places.get(place)) for place in (*WORLDS, LOGS)]
+    verdicts = [_verdict(places.get(place)) for place in WORLDS]
     return (
         plain(some.claim.name),
         some.claim.section,

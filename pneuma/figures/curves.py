@@ -343,8 +343,6 @@ def _caption(data: StudyData, curves: Curves, drawing: Drawing) -> list[str]:
     step = common_step(data)
     if step is not None:
         told.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
-    if drawing.band == "variance":
-        told.append("A variance is in the square of the axis's unit: how wide the band looks means nothing.")
     if any(shows_band(curve, drawing.band) and shows_runs(curve, drawing.band) for curve in drawn):
         told.append("Intervals of few runs cover less often than they say, so the runs are drawn too.")
     if any(curve.count[-1] < len(curve.runs) for curve in drawn):

@@ -106,9 +106,6 @@ def notes_of(data: StudyData) -> list[str]:
     if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
         few = "one run" if len(parents) == 1 else f"{len(parents)} runs, several of each"
         told.append(f"Runs are forks of {few}: intervals take them for independent.")
-    if data.looks:
-        at = ", ".join(map(str, data.looks))
-        told.append(f"Seeds were added until all was decided (looked at with {at}): intervals ignore that.")
     absent = [name for name in data.conditions if not data.of_condition(name)]
     if absent:
         named = ", ".join(absent) if len(absent) <= 3 else f"{len(absent)} of {len(data.conditions)}"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from pneuma.analysis.claims import LOGS, MINUS, Claim, ClaimList, load_claims
+from pneuma.analysis.claims import MINUS, Claim, ClaimList, load_claims
 from pneuma.analysis.judgement import Comparison, Verdict, judge
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.rounding import decimals
@@ -24,10 +24,7 @@ MEANINGS = {
 }
 """Every verdict, and what it says."""
 
-PLACES = {
-    **{name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()},
-    LOGS: "Published logs",
-}
+PLACES = {name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()}
 """Where a claim is judged, each for itself."""
 
 _COMPARED = {"mean": "mean", "spread": "deviation between seeds"}
@@ -36,17 +33,7 @@ _CLAIMED = {
     "less": "less than",
     "different": "unlike",
     "equal": "the same as",
-    "not-less": "not less than",
 }
-_LOGGED = {
-    "start": "the first return",
-    "best": "the best return",
-    "end": "the final return",
-    "length": "the final episode length",
-    "hours": "hours",
-    "steps_per_second": "steps a second",
-}
-"""What the published logs have of a run."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +76,7 @@ def judged_claims(
 
 def measure(claim: Claim) -> str:
     """Say what is compared, as 'mean of final-share-killed (monsters killed, last evaluation)'."""
-    return " and ".join(_measure(claim, outcome) for outcome in claim.outcomes)
+    return " and ".join(_measure(claim, outcome) for outcome in claim.outcome)
 
 
 def _measure(claim: Claim, outcome: str) -> str:
@@ -102,7 +89,7 @@ def _measure(claim: Claim, outcome: str) -> str:
 
 def compared(claim: Claim) -> str:
     """Say what is compared without its name, as 'monsters killed, last evaluation'."""
-    words = " and ".join(map(outcome_words, claim.outcomes))
+    words = " and ".join(map(outcome_words, claim.outcome))
     if claim.event:
         return f"share of runs, {words} {claim.event.words}"
     return words if claim.kind == "mean" else f"{_COMPARED[claim.kind]} of {words}"
@@ -136,8 +123,7 @@ def effect(own: Comparison) -> str:
         _number(each, places, signed=not ratio) for each in (contrast.effect, interval.low, interval.high)
     )
     between = f" [{low}, {high}]" if interval.exists else ""
-    of = f" in {_LOGGED[own.outcome]}" if own.outcome in _LOGGED else ""
-    return f"{'ratio ' if ratio else ''}{value}{between}{of}"
+    return f"{'ratio ' if ratio else ''}{value}{between}"
 
 
 def arms(own: Comparison) -> str:

@@ -100,16 +100,9 @@ def prepare(
         how = _with_gpus(plan, supervision)
         notes.append(load_executor(how.place).check(todo, how))
     store.check_writable()
-    store.save_selection(plan.study.name, {**selection_record(plan), **looked_at(recorded)})
+    store.save_selection(plan.study.name, selection_record(plan))
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
     return Todo(todo, kept, tuple(filter(None, notes)))
-
-
-def looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return what a study's record says of looks at its runs: what was looked at once stays so."""
-    return (
-        {key: recorded[key] for key in ("adaptive", "adaptive_before") if key in recorded} if recorded else {}
-    )
 
 
 def execute(

@@ -10,12 +10,12 @@ from pneuma.analysis.judgement import Verdict, judge
 from pneuma.analysis.published import published_path, times_path
 from pneuma.analysis.publishing import encode_study, encode_times
 from pneuma.analysis.run_index import open_study
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store, to_json
-from pneuma.study.tables import to_parquet
+from pneuma.study.store import Store
+
+from .. import hand_made
 
 STEPS = 1024
 SEEDS = 8
@@ -52,15 +52,6 @@ CLAIMS = """\
 [defaults]
 seeds = 8
 steps = 1024
-
-[logs]
-same = [["p", "p again"], ["q", "q again"]]
-
-[logs.runs]
-p = { end = 10 }
-"p again" = { end = 12 }
-q = { end = 1000 }
-"q again" = { end = 1002 }
 
 [claims.better]
 quote = "a quote"
@@ -100,6 +91,7 @@ def save_runs(
     **provenance: object,
 ) -> list[str]:
     """Store a run for each share killed, as `save_run` takes it, seed by seed; return the runs' ids."""
+    (folder / "mine.toml").write_text(STUDY)
     study = load_study(str(folder / "mine.toml"), world)
     ids = []
     for condition, values in shares.items():
@@ -121,22 +113,15 @@ def save_run(
 ) -> None:
     """Store a run of one evaluation, or of several at even steps, whose score is what they kill."""
     curve = shares if isinstance(shares, Sequence) else [shares]
-    share = curve[-1]
-    own = share if returned is None else returned
-    evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "episodes": 50, "argmax_starts": 1}
     evaluations = [
-        {**evaluation, "step": steps * k // len(curve), "share_killed": own, "score": own}
+        {"step": steps * k // len(curve), "share_killed": own, "score": own}
         for k, own in enumerate(curve, start=1)
     ]
-    episode = {"slot": 0, "episode": 0, "step": steps, "length": 9, "kills": 1, "hp": 1.0, "ending": "killed"}
-    tables = {
-        "episodes": to_parquet([{**episode, "return": own}], EPISODE_COLUMNS),
-        "metrics": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 1.0), "step": steps}], METRIC_COLUMNS),
-        "evaluations": to_parquet(evaluations, EVALUATION_COLUMNS),
-    }
-    files = {f"{name}.parquet": data for name, data in tables.items()}
-    files["provenance.json"] = to_json({"wall_seconds": 1 + share, "cpu": "a", "threads": 1, **provenance})
-    store.save_run(run_id, Status("done", steps), files)
+    episode = {"step": steps, "return": curve[-1] if returned is None else returned, "length": 9}
+    about = {"wall_seconds": 1 + curve[-1], "cpu": "a", "threads": 1, **provenance}
+    hand_made.save_run(
+        store, run_id, [episode], [{"step": steps, "entropy": 1.0}], evaluations, steps, **about
+    )
 
 
 def published_alone(

@@ -15,15 +15,15 @@ from pneuma.analysis.tables import StudyData
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
-from .collapse_records import BUDGET, healthy, learning, one_action, save_run, study_record
+from ..hand_made import BUDGET, collapse_record, healthy, learning, one_action, save_collapse
 
 
 def diagnosed(
     folder: Path, updates: np.ndarray, shares: np.ndarray, at_step: float | None = None, **more: object
 ) -> Diagnosis:
     store = Store(folder / "results")
-    save_run(store, "a0" * 8, updates, shares, **more)  # type: ignore[arg-type]
-    data = open_study(store, study_record({("a", 0): "a0" * 8}))
+    save_collapse(store, "a0" * 8, updates, shares, **more)  # type: ignore[arg-type]
+    data = open_study(store, collapse_record({("a", 0): "a0" * 8}))
     return diagnose(data, data.runs[0], at_step)
 
 
@@ -119,8 +119,8 @@ def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
     tmp_path: Path, first: float, xp_scope: str
 ) -> None:
     store, drift = Store(tmp_path / "results"), first - 20.0 * np.arange(100)
-    save_run(store, "a0" * 8, healthy(), np.full(20, 0.4), returns=drift)
-    data = open_study(store, study_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": xp_scope}}))
+    save_collapse(store, "a0" * 8, healthy(), np.full(20, 0.4), returns=drift)
+    data = open_study(store, collapse_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": xp_scope}}))
     assert not diagnose(data, data.runs[0]).collapsed
 
 
@@ -149,10 +149,10 @@ def test_a_collapse_that_ends_has_recovered_and_relearned_by_its_evaluations(
 
 def test_of_a_fork_it_is_said_that_a_fall_from_what_its_parent_had_cannot_be_seen(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
-    save_run(store, "a0" * 8, healthy(), after(learning(0.1), 1, 0.1))
-    save_run(store, "b0" * 8, one_action(51, 70), after(learning(), 11, 0.05, 14))
+    save_collapse(store, "a0" * 8, healthy(), after(learning(0.1), 1, 0.1))
+    save_collapse(store, "b0" * 8, one_action(51, 70), after(learning(), 11, 0.05, 14))
     cells = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8}
-    data = open_study(store, study_record(cells, {name: {"fork_step": 100} for name in "ab"}))
+    data = open_study(store, collapse_record(cells, {name: {"fork_step": 100} for name in "ab"}))
     low, recovered = (diagnose(data, run) for run in data.runs)
     assert (low.collapsed, low.unseen) == (False, (signs.FALL,))
     assert recovered.recovered_step is not None and recovered.relearned is None
@@ -190,10 +190,10 @@ def data(tmp_path: Path) -> StudyData:
     cells = {("relu", 0): "a0" * 8, ("relu", 1): "a1" * 8, ("relu", 2): "a2" * 8}
     cells |= {("tanh", 0): "b0" * 8, ("tanh", 1): "b1" * 8}
     for run_id in cells.values():
-        save_run(store, run_id, healthy(), learning())
-    save_run(store, "a0" * 8, one_action(61), after(learning(), 13, 0.05))
-    save_run(store, "a1" * 8, one_action(31, 50), after(learning(), 7, 0.05, 10))
-    return open_study(store, study_record(cells))
+        save_collapse(store, run_id, healthy(), learning())
+    save_collapse(store, "a0" * 8, one_action(61), after(learning(), 13, 0.05))
+    save_collapse(store, "a1" * 8, one_action(31, 50), after(learning(), 7, 0.05, 10))
+    return open_study(store, collapse_record(cells))
 
 
 def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:

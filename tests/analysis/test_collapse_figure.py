@@ -12,7 +12,7 @@ from pneuma.analysis.run_index import open_study
 from pneuma.figures import collapse
 from pneuma.study.store import Store
 
-from .collapse_records import healthy, learning, one_action, save_run, study_record
+from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
 
 
 def test_bars_are_shares_of_runs_and_hollow_where_they_recovered(
@@ -31,10 +31,10 @@ def test_bars_are_shares_of_runs_and_hollow_where_they_recovered(
     }
     store, ids = Store(tmp_path / "results"), {key: f"{place:016x}" for place, key in enumerate(runs)}
     for key, (updates, shares) in runs.items():
-        save_run(store, ids[key], updates, shares)
+        save_collapse(store, ids[key], updates, shares)
     figures: list[Figure] = []
     monkeypatch.setattr(collapse, "save_figure", lambda figure, *_: figures.append(figure))
-    collapse.draw_collapse(open_study(store, study_record(ids)), tmp_path, "collapse")
+    collapse.draw_collapse(open_study(store, collapse_record(ids)), tmp_path, "collapse")
     panels = {axes.get_title(loc="left"): axes for axes in figures[0].axes}
     bars = [(bar.get_x(), bar.get_width()) for bar in panels["How often"].patches]  # type: ignore[attr-defined]
     full_tanh, hollow_tanh, full_dqn, hollow_dqn = bars

@@ -10,7 +10,7 @@ import pytest
 from pneuma.study.store import Store
 
 from ..cli.calls import described, printed, refused
-from .collapse_records import healthy, learning, one_action, save_run, study_record
+from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
 
 
 @pytest.fixture
@@ -18,9 +18,9 @@ def results(tmp_path: Path) -> Path:
     store = Store(tmp_path / "results")
     cells = {("relu", 0): "a0" * 8, ("relu", 1): "a1" * 8, ("tanh", 0): "b0" * 8, ("tanh", 1): "b1" * 8}
     for own in cells.values():
-        save_run(store, own, healthy(), learning())
-    save_run(store, "a1" * 8, one_action(61), learning())
-    store.save_selection("mine", study_record(cells))
+        save_collapse(store, own, healthy(), learning())
+    save_collapse(store, "a1" * 8, one_action(61), learning())
+    store.save_selection("mine", collapse_record(cells))
     return store.root
 
 
@@ -68,8 +68,8 @@ def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
     store, names = Store(tmp_path / "results"), ("=cmd|' /C calc'!A0", "-2+3", "-0.5", "tanh")
     cells = {(name, 0): f"{place:016x}" for place, name in enumerate(names)}
     for own in cells.values():
-        save_run(store, own, healthy(), learning())
-    store.save_selection("mine", study_record(cells))
+        save_collapse(store, own, healthy(), learning())
+    store.save_selection("mine", collapse_record(cells))
     out = tmp_path / "summary.csv"
     printed("study", "export", "mine", "--table", "summary", "--out", out, "--results", store.root)
     told = dict.fromkeys(line.split(",")[0] for line in out.read_text().splitlines()[1:])

@@ -24,7 +24,7 @@ from pneuma.figures.maps import draw_robustness
 from pneuma.study.store import Store
 
 from ..cli.calls import described, printed, refused
-from .collapse_records import healthy, learning, one_action, save_run, study_record
+from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
 
 X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
 """Effects of a 2 × 2 design coded as -1 and 1, and how far both runs of a cell lie from its mean."""
@@ -41,8 +41,8 @@ def stored(folder: Path, conditions: Conditions, unfinished: str = "") -> StudyD
         for seed, final in enumerate(finals):
             cells[name, seed] = f"{len(cells):016x}"
             if name != unfinished:
-                save_run(store, cells[name, seed], healthy(), learning(final))
-    record = study_record(cells, {name: settings for name, (settings, _) in conditions.items()})
+                save_collapse(store, cells[name, seed], healthy(), learning(final))
+    record = collapse_record(cells, {name: settings for name, (settings, _) in conditions.items()})
     store.save_selection("mine", record)
     return open_study(store, record)
 
@@ -199,7 +199,7 @@ def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> Non
     assert [cell.label for cell in part.cells] == ["holds", "holds", "holds", "open"]
     assert (part.label, part.cells[-1].contrast.reason) == ("partial", "an arm has no runs")
     assert [cell.p for cell in part.cells[:3]] == pytest.approx([4 * 2 / 924] * 3)
-    save_run(store, whole.runs[0].run_id, healthy(), learning(), end=100)  # before any evaluation
+    save_collapse(store, whole.runs[0].run_id, healthy(), learning(), end=100)  # before any evaluation
     assert mapped(open_study(store, whole.record)).cells[0].contrast.reason == "1 run without a value"
 
 
@@ -228,7 +228,7 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
 def test_collapses_are_drawn_with_the_same_bytes_every_time_and_none_too(tmp_path: Path) -> None:
     data = crossed(tmp_path, 0.1, 0.1, 0.1, 0.1, seeds=2)
     (none,) = draw_collapse(data, tmp_path, "none", ("svg",))
-    save_run(Store(tmp_path / "results"), data.runs[0].run_id, one_action(61), learning())
+    save_collapse(Store(tmp_path / "results"), data.runs[0].run_id, one_action(61), learning())
     fresh = open_study(Store(tmp_path / "results"), data.record)
     one, two = (draw_collapse(fresh, tmp_path, name, ("svg",))[0].read_bytes() for name in ("one", "two"))
     assert one == two != none.read_bytes()

@@ -60,7 +60,6 @@ def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
 
 
 def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     told = judge_one(store, tmp_path).decisive
     assert told is not None
@@ -72,7 +71,6 @@ def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
 def test_a_run_that_never_gets_there_counts_among_those_that_were_not_there_in_time(
     store: Store, tmp_path: Path
 ) -> None:
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": [[0.6, 0.7]] * 8, "low": [[0.1, 0.2]] * 8})
     changes = ('"final-share-killed"', '"steps-to:0.5"'), ('"mean"', '"incidence"\nbelow = 1000')
     judged = judge_one(store, tmp_path, changed(*changes))
@@ -82,10 +80,9 @@ def test_a_run_that_never_gets_there_counts_among_those_that_were_not_there_in_t
 def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: Path) -> None:
     """What `high` gained after `low` had ended counts nowhere."""
     claims = changed(
-        ("steps = 1024\n\n[logs]", "\n[logs]"),
+        ("steps = 1024\n\n[claims", "\n[claims"),
         ('direction = "greater"', 'direction = "greater"\nsteps = { high = 1024, low = 512 }'),
     )
-    write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": [[near, high] for near, high in zip(NEAR, HIGH, strict=True)]})
     save_runs(store, tmp_path, {"low": LOW}, steps=512)
     one = judge_one(store, tmp_path, claims)
@@ -95,7 +92,6 @@ def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: 
 
 
 def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})
     one = judge_one(store, tmp_path)
     assert one.verdict == "inconclusive"
@@ -104,7 +100,6 @@ def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path
 
 def test_the_worlds_are_judged_side_by_side(store: Store, tmp_path: Path) -> None:
     claims = changed(('worlds = ["text"]\n', ""))
-    write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, world="godot")
     verdicts = {one.place: one.verdict for one in judge_claims(store, tmp_path, claims)}
@@ -114,48 +109,15 @@ def test_the_worlds_are_judged_side_by_side(store: Store, tmp_path: Path) -> Non
 @pytest.mark.parametrize("study", ["mine", "another"])
 def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Store, tmp_path: Path) -> None:
     """Whichever study they were published in: a run is the same run in all."""
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     clone = published_alone(store, tmp_path, study)
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
-
-
-# --- Published logs --------------------------------------------------------------------------------
-
-
-def test_single_runs_are_set_against_how_far_apart_equal_ones_lie(store: Store, tmp_path: Path) -> None:
-    """Both pairs differ by 2, so the deviation is sqrt(2) and the error of a difference is 2; t(2) = 495."""
-    claims = changed(("margin = 0.04", 'margin = 0.04\nlogs = [{ a = "q", b = "p", figure = "end" }]'))
-    one = judge_one(store, tmp_path, claims, place="logs")
-    assert one.verdict == "supported"
-    assert one.decisive is not None
-    interval = one.decisive.contrast.interval
-    assert one.decisive.contrast.effect == 990
-    assert (interval.low, interval.high) == pytest.approx((990 - 4.30265 * 2, 990 + 4.30265 * 2), abs=1e-3)
-    assert one.decisive.p == pytest.approx(2 * 2 * 2.0406e-06, rel=1e-3)  # t(2), two contrasts
-
-
-@pytest.mark.parametrize(
-    ("pair", "kind", "reason"),
-    [
-        ('{ a = "p", b = "p again", figure = "end" }', "mean", "A/A"),
-        ('{ a = "q", b = "p", figure = "end" }', "spread", "one published run each"),
-    ],
-)
-def test_single_runs_cannot_say_everything(
-    pair: str, kind: str, reason: str, store: Store, tmp_path: Path
-) -> None:
-    claims = changed(("margin = 0.04", f"margin = 1.5\nlogs = [{pair}]"), ('"mean"', f'"{kind}"'))
-    one = judge_one(store, tmp_path, claims, place="logs")
-    assert one.verdict == "untestable"
-    assert reason in one.reason
 
 
 # --- What is never done ----------------------------------------------------------------------------
 
 
 def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     before = judge_one(store, tmp_path)
     save_runs(store, tmp_path, {"high": [*HIGH, *[0.0] * 20], "low": [*LOW, *[1.0] * 20]})
@@ -175,7 +137,6 @@ def _judge_among(count: int, store: Store, folder: Path) -> Verdict:
 
 def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> None:
     """Claims without runs count too: a verdict does not hang on what else has been run."""
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH[:5], "low": LOW[:5]})
     six, seven = (_judge_among(count, store, tmp_path) for count in (6, 7))
     assert (six.verdict, seven.verdict) == ("supported", "untestable")
@@ -201,7 +162,6 @@ HOW_MANY = {
 def test_a_claim_speaks_of_all_its_contrasts_or_of_any(case: str, store: Store, tmp_path: Path) -> None:
     need, middle, verdict = HOW_MANY[case]
     claims = changed(('b = "low"', f'b = ["low", "middle"]\nneed = "{need}"'))
-    write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": middle})
     assert judge_one(store, tmp_path, claims).verdict == verdict
 
@@ -223,7 +183,6 @@ def test_two_outcomes_are_judged_together(
 ) -> None:
     """Share killed is greater, but in the last case; the return is as the case has it."""
     claims = changed(('"final-share-killed"', '["final-share-killed", "final-return"]'))
-    write_files(tmp_path, claims)
     high, low, own, other = shares
     save_runs(store, tmp_path, {"high": high}, returns=own)
     save_runs(store, tmp_path, {"low": low}, returns=other)
@@ -235,7 +194,6 @@ def test_two_outcomes_are_judged_together(
 def test_a_difference_of_two_effects_is_welchs_over_four_arms(store: Store, tmp_path: Path) -> None:
     """(0.72 - 0.22) - (0.32 - 0.22) = 0.4, by the numbers of the arms alone."""
     claims = changed(('b = "low"', 'b = "low"\nc = "middle"\nd = "other"'))
-    write_files(tmp_path, claims)
     arms = {"high": HIGH, "low": LOW, "middle": [share + 0.1 for share in LOW], "other": LOW[::-1]}
     save_runs(store, tmp_path, arms)
     one = judge_one(store, tmp_path, claims)
@@ -252,7 +210,6 @@ def test_a_difference_of_two_effects_is_welchs_over_four_arms(store: Store, tmp_
 def test_a_gap_is_between_two_outcomes_of_one_run(store: Store, tmp_path: Path) -> None:
     """The best score of a run less its last: 0.1 in every run of high, none in those of low."""
     claims = changed(('"final-share-killed"', '"best-score - normalised-score"'))
-    write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": [[share + 0.1, share] for share in HIGH], "low": LOW})
     own = judge_one(store, tmp_path, claims).decisive
     assert own is not None and own.contrast.effect == pytest.approx(0.1)
@@ -287,7 +244,6 @@ def test_a_verdict_is_counted_by_what_it_says_of_size(
 ) -> None:
     """0.5 more is a difference, but no more than a margin of 0.6: only the letter supports that it is."""
     claims = changed(("margin = 0.04", f"margin = {margin}"), ('"greater"', f'"{direction}"'))
-    write_files(tmp_path, claims)
     save_runs(store, tmp_path, {"high": high, "low": LOW})
     one = judge_one(store, tmp_path, claims)
     assert one.standing == standing

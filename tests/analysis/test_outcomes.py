@@ -16,13 +16,13 @@ from pneuma.analysis.publishing import encode_study, encode_times
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
-from pneuma.study.store import Status, Store, to_json
-from pneuma.study.tables import to_parquet
+from pneuma.study.store import Store
 
-from .published_runs import record_of
+from .. import hand_made
+from ..hand_made import record_of
 
 BUDGET = 1000
 SHARES = (0.2, 0.6, 0.4, 0.5)
@@ -31,24 +31,20 @@ SHARES = (0.2, 0.6, 0.4, 0.5)
 
 def episode(k: int) -> dict[str, Any]:
     """An episode that ended at step 50 k, returned k / 3 and left its player with k HP."""
-    return {
-        "slot": 0, "episode": k, "step": 50 * k, "return": k / 3, "length": 50, "kills": k, "hp": float(k),
-        "ending": "killed",
-    }  # fmt: skip
+    return {"episode": k, "step": 50 * k, "return": k / 3, "kills": k, "hp": float(k)}
 
 
-def update(k: int, count: int) -> dict[str, Any]:
-    """Update k of a run: entropy falls and norms rise, but for one peak at the second of them."""
-    row = {**dict.fromkeys(METRIC_COLUMNS, 1 / 7), "step": BUDGET // count * k, "entropy": 1.6 - k / 10}
+def update(k: int) -> dict[str, Any]:
+    """Update k of ten: entropy falls and norms rise, but for one peak at the second of them."""
+    row = {**dict.fromkeys(METRIC_COLUMNS, 1 / 7), "step": 100 * k, "entropy": 1.6 - k / 10}
     own = {"action_0": 0.25, "approx_kl": k / 100, "explained_variance": k / 20}
     return {**row, **own, "grad_norm": 50.0 if k == 2 else float(k)}
 
 
 def evaluation(k: int, share: float) -> dict[str, Any]:
     """Evaluation k of four."""
-    row = {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "step": 250 * k, "episodes": 50, "argmax_starts": 6}
     own = {"share_killed": share, "argmax_share_killed": share / 2, "score": share * 2, "died": 0.3}
-    return {**row, **own, "hunter_share_killed": 0.9, "return": 10 * share}
+    return {**own, "step": 250 * k, "return": 10 * share}
 
 
 def save(
@@ -59,14 +55,9 @@ def save(
         {**evaluation(k, share), **{name: values[k - 1] for name, values in more.items()}}
         for k, share in enumerate(shares, start=1)
     ]
-    tables = {
-        "episodes": to_parquet([episode(k) for k in range(1, end // 50 + 1)], EPISODE_COLUMNS),
-        "metrics": to_parquet([update(k, 10) for k in range(1, end // 100 + 1)], METRIC_COLUMNS),
-        "evaluations": to_parquet(rows, tuple(dict.fromkeys((*EVALUATION_COLUMNS, *more)))),
-    }
-    files = {f"{name}.parquet": data for name, data in tables.items()}
-    files["provenance.json"] = to_json({"wall_seconds": 8.0, "processor_share": 0.5, "python": "3.11"})
-    store.save_run(run_id, Status("done" if end == BUDGET else "diverged", end), files)
+    episodes, updates = [episode(k) for k in range(1, 21)], [update(k) for k in range(1, 11)]
+    status = "done" if end >= BUDGET else "diverged"
+    hand_made.save_run(store, run_id, episodes, updates, rows, end, status, processor_share=0.5)
 
 
 CELLS = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8, ("b", 0): "b0" * 8}
@@ -172,7 +163,7 @@ def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_pa
     store = Store(tmp_path / "results")
     save(store, "a0" * 8)
     save(store, "a1" * 8, (0.3,), end=300)
-    save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), step=(500, 1000, 1500, 2000))
+    save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), end=2000, step=(500, 1000, 1500, 2000))
     unlike = record_of(CELLS)
     unlike["runs"][2] = {**unlike["runs"][2], "run": {**unlike["runs"][2]["run"], "steps": 2000}}
     data = open_study(store, unlike)

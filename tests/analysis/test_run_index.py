@@ -18,20 +18,17 @@ from pneuma.analysis.published import published_path, times_path
 from pneuma.analysis.publishing import encode_study, encode_times
 from pneuma.analysis.run_index import RunIndex, open_published, open_study
 from pneuma.analysis.tables import StudyData
+from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
-from pneuma.study.store import Status, Store, to_json
-from pneuma.study.tables import to_parquet
+from pneuma.study.store import Status, Store
 
-from .published_runs import record_of
+from .. import hand_made
+from ..hand_made import record_of
 
 BUDGET = 1000  # the grid is 5, 10, … 1,000, and 5 % are 50
 WriteEvents = Callable[[Path, Any], Path]
 B0, B1, A0, A1 = "b0" * 8, "b1" * 8, "a0" * 8, "a1" * 8
-
-EPISODES = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
-METRICS = ("step", "policy_loss", *UPDATE_QUANTITIES)
-EVALUATIONS = ("step", "episodes", "share_killed", "return", "random_share_killed", "hunter_share_killed")
 
 
 def save_run(store: Store, run_id: str, seed: int, end: int = BUDGET, status: str = "done") -> None:
@@ -39,17 +36,16 @@ def save_run(store: Store, run_id: str, seed: int, end: int = BUDGET, status: st
 
     Episode k returns k + seed in k steps and kills k, update k has the value k / 4 throughout.
     """
-    tables: dict[str, tuple[tuple[str, ...], list[Any]]] = {
-        "episodes": (EPISODES, [(0, k, 50 * k, float(k + seed), k, k, 0.5, "killed") for k in range(1, 21)]),
-        "metrics": (METRICS, [(0, 100 * k, *[k / 4] * (len(METRICS) - 1))[1:] for k in range(1, 11)]),
-        "evaluations": (EVALUATIONS, [(500 * k, 50, k / 4 + seed / 8, 1.5, 0.1, 0.9) for k in (1, 2)]),
-    }
-    files = {}
-    for name, (columns, rows) in tables.items():
-        told = [dict(zip(columns, row, strict=True)) for row in rows]
-        files[f"{name}.parquet"] = to_parquet([row for row in told if row["step"] <= end], columns)
-    about = {"started": "now", "wall_seconds": 1.5, "python": "3.11", "packages": {}}
-    store.save_run(run_id, Status(status, end), {**files, "provenance.json": to_json(about)})
+    episodes = [
+        {"episode": k, "step": 50 * k, "return": float(k + seed), "length": k, "kills": k, "hp": 0.5}
+        for k in range(1, 21)
+    ]
+    updates = [{**dict.fromkeys(METRIC_COLUMNS, k / 4), "step": 100 * k} for k in range(1, 11)]
+    evaluations = [
+        {"step": 500 * k, "share_killed": k / 4 + seed / 8, "random_share_killed": 0.1} for k in (1, 2)
+    ]
+    about = {"started": "now", "wall_seconds": 1.5, "packages": {}}
+    hand_made.save_run(store, run_id, episodes, updates, evaluations, end, status, **about)
 
 
 def trained(store: Store) -> dict[str, Any]:

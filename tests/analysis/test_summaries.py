@@ -12,13 +12,14 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.export import encode_table
+from pneuma.analysis.intervals import RESAMPLES
 from pneuma.analysis.rounding import shown_with_interval
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.summaries import resampled_improvement, summary_table
+from pneuma.analysis.summaries import _improvement_interval, summary_table
 from pneuma.analysis.tables import StudyData
 from pneuma.study.store import Store
 
-from .collapse_records import healthy, learning, one_action, save_run, study_record
+from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
 
@@ -28,8 +29,8 @@ def study(folder: Path, finals: Mapping[str, Sequence[float]]) -> StudyData:
     store = Store(folder / "results")
     cells = {(c, i): f"{c}{i}" * 8 for c, values in finals.items() for i in range(len(values))}
     for (condition, seed), run_id in cells.items():
-        save_run(store, run_id, healthy(), learning(finals[condition][seed]), returns=np.arange(100.0))
-    return open_study(store, study_record(cells))
+        save_collapse(store, run_id, healthy(), learning(finals[condition][seed]), returns=np.arange(100.0))
+    return open_study(store, collapse_record(cells))
 
 
 def value(data: StudyData, condition: str, outcome: str, statistic: str) -> dict[str, Any]:
@@ -80,13 +81,15 @@ def test_returns_of_unlike_rewards_are_not_held_against_each_other(tmp_path: Pat
         assert "final-share-killed" in better
 
 
-def test_counting_up_to_each_run_is_comparing_every_pair_of_a_resample() -> None:
+def test_the_interval_of_improvement_is_of_comparing_every_pair_of_a_resample() -> None:
     draws = np.random.default_rng(8)
     a, b = draws.integers(0, 6, 7) / 10, draws.integers(0, 6, 5) / 10  # with ties within and between
-    first, second = draws.integers(0, 7, (50, 7)), draws.integers(0, 5, (50, 5))
+    own = _improvement_interval(a, b, np.random.default_rng(9))
+    again = np.random.default_rng(9)
+    first, second = again.integers(0, 7, (RESAMPLES, 7)), again.integers(0, 5, (RESAMPLES, 5))
     pairs = a[first][:, :, None] - b[second][:, None, :]
     expected = ((pairs > 0) + 0.5 * (pairs == 0)).mean(axis=(1, 2))
-    assert np.array_equal(resampled_improvement(a, b, first, second), expected)
+    assert [own.low, own.high] == np.quantile(expected, [(1 - 0.95) / 2, (1 + 0.95) / 2]).tolist()
 
 
 def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData) -> None:
@@ -100,9 +103,9 @@ def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData)
 def test_runs_that_collapsed_or_diverged_are_counted(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     cells = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8}
-    save_run(store, "a0" * 8, one_action(51), learning())
-    save_run(store, "a1" * 8, healthy(), learning(), end=4000)
-    data = open_study(store, study_record(cells))
+    save_collapse(store, "a0" * 8, one_action(51), learning())
+    save_collapse(store, "a1" * 8, healthy(), learning(), end=4000)
+    data = open_study(store, collapse_record(cells))
     shares = {name: value(data, "a", name, "share")["value"] for name in ("diverged", "collapsed")}
     assert shares == {"diverged": 0.5, "collapsed": 0.5}
     assert value(data, "a", "runs", "count")["value"] == 2

@@ -12,7 +12,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .claim_files import HIGH, LOW, changed, judge_one, published_alone, save_runs, write_files
+from .claim_files import HIGH, LOW, changed, judge_one, published_alone, save_runs
 
 
 def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
@@ -48,10 +48,6 @@ CASES: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = {
         {"high": [1 - k / 1000 for k in range(8)], "low": [1.0] * 8}, [('"greater"', '"equal"')],
         "both arms are at the ceiling",
     ),
-    "told": (
-        {"high": HIGH, "low": LOW}, [("margin = 0.04", 'margin = 0.04\nuntestable = "confounded"')],
-        "confounded",
-    ),
     "no value": ({"high": [*HIGH[:7], NAN], "low": LOW}, [], "high seed 7: "),
     "none counts": (
         {"high": HIGH}, [('b = "low"', 'value = 0.1\nonly = "collapsed"')],
@@ -67,13 +63,11 @@ CASES: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_no_run_can_tell(case: str, store: Store, tmp_path: Path) -> None:
     runs, changes, reason = CASES[case]
-    write_files(tmp_path)
     save_runs(store, tmp_path, runs)
     assert reason in _untestable(store, tmp_path, *changes)
 
 
 def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW}, steps=512)
     study = load_study(str(tmp_path / "mine.toml"))
     plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
@@ -85,7 +79,6 @@ def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
 @pytest.mark.parametrize("direction", ["greater", "equal"])
 def test_arms_of_which_none_beats_the_random_player(direction: str, store: Store, tmp_path: Path) -> None:
     """Half of either arm's runs lie above it and half below, however many they are and far apart."""
-    write_files(tmp_path)
     around = [0.02 * (-1) ** k * (1 + k % 4) for k in range(8)]
     save_runs(store, tmp_path, {"high": around, "low": around[::-1]})
     reason = _untestable(store, tmp_path, ('"greater"', f'"{direction}"'))
@@ -97,7 +90,6 @@ def test_arms_of_which_none_beats_the_random_player(direction: str, store: Store
 
 def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: Path) -> None:
     """Those that learn go up and down; the flat ones do as the random player does."""
-    write_files(tmp_path)
     changes = ('"final-share-killed"', '"curve-roughness"'), ('"greater"', '"less"')
     rough = [[0.2, 0.6, share] for share in LOW]
     save_runs(store, tmp_path, {"high": [[0.0, 0.0, 0.0]] * 8, "low": rough})
@@ -124,7 +116,6 @@ def test_times_of_different_machines(
     store: Store, tmp_path: Path, told: dict[str, Any], published: bool
 ) -> None:
     """Of another processor, all the way or until a resume; a clone knows no less."""
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH}, **told)
     save_runs(store, tmp_path, {"low": LOW})
     if published:
@@ -138,7 +129,6 @@ def test_times_of_different_machines(
 )
 def test_times_on_a_busy_machine(store: Store, tmp_path: Path, share: float, reason: str) -> None:
     """Also where only the published times are left; runs of before it was noted are believed."""
-    write_files(tmp_path)
     save_runs(store, tmp_path, {"high": HIGH}, processor_share=share)
     save_runs(store, tmp_path, {"low": LOW})
     timed = changed(('"final-share-killed"', '"wall-seconds"'))

@@ -38,7 +38,7 @@ def test_between_two_numbers_of_runs_the_lesser_coverage_counts() -> None:
     assert coverage("ci", 1_000) == 0.942 and coverage("ci", 2) == 0
     assert is_trusted("ci", 20) and not is_trusted("ci", 19)
     assert {name for name, band in BANDS.items() if band.about_mean} == {*bands.LEAST_COVERAGE}
-    assert coverage("variance", 50) is None and is_trusted("minmax", 3)
+    assert coverage("std", 50) is None and is_trusted("minmax", 3)
 
 
 @pytest.mark.parametrize(
@@ -88,5 +88,5 @@ def test_lists_of_ten_seeds_keep_their_error_rate(name: str) -> None:
 @pytest.mark.slow
 def test_the_command_prints_one_document() -> None:
     document = described("bench", "calibration", "--lists", "1", "--json")
-    assert {row["seeds"] for row in document["false_verdicts"]} >= {"3", "50", "10/20/40"}
+    assert {row["seeds"] for row in document["false_verdicts"]} >= {"3", "50"}
     assert {row["method"] for row in document["coverage"]} > {"ci", "se", "std", "BCa bootstrap"}

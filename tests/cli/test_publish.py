@@ -109,10 +109,9 @@ def test_a_study_is_judged_and_drawn_from_its_runs_here_and_its_published_ones(
     assert (part.out, part.err) == (whole.out, note)
     assert _export(results, "curves", tmp_path / "part.csv") == curves
     assert call("study", "collapse", "activation", "--results", results).err == note
-    episodes = ("export", "--table", "episodes", "--out", tmp_path / "episodes.csv")
-    for command in (episodes, ("trajectories", "--episodes", "1")):
-        called = call("study", command[0], "activation", *command[1:], "--results", results)
-        assert called.code == 0 and called.err.startswith("Note: 1 of 4 runs of activation are not here, not")
+    episodes = ("--table", "episodes", "--out", tmp_path / "episodes.csv")
+    called = call("study", "export", "activation", *episodes, "--results", results)
+    assert called.code == 0 and called.err.startswith("Note: 1 of 4 runs of activation are not here, not")
     told = call("study", "status", "activation", "--results", results).out
     assert "3 done, 1 done as published" in told.splitlines()[0]
 
@@ -129,8 +128,6 @@ def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> 
         (0, "published"), (1, "published"), (2, "to-train"),
     ]  # fmt: skip
     assert {run["expected_seconds"] for run in planned if run["state"] == "published"} == {None}
-    told = call("study", "run", *rest, "--until-decided")
-    assert (told.code, "--unpublished: --until-decided trains what it judges" in told.err) == (2, True)
     table.write_bytes(table.read_bytes()[:-9])
     assert "activation.parquet: damaged" in call("study", "run", *rest).err
 

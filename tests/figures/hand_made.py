@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,16 @@ from matplotlib.text import Text
 
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.tables import StudyData
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import draw_study
-from pneuma.study.store import Status, Store
-from pneuma.study.tables import to_parquet
+from pneuma.study.store import Store
+
+from ..hand_made import make_id, save_run
 
 BUDGET = 1000
 
 
-def make_id(condition: str, seed: int) -> str:
-    """Return sixteen hexadecimal digits for a run."""
-    return hashlib.sha256(f"{condition} {seed}".encode()).hexdigest()[:16]
+_HALF = dict.fromkeys(METRIC_COLUMNS, 0.5)
 
 
 class HandMade:
@@ -55,18 +53,20 @@ class HandMade:
         run_id = run_id or make_id(condition, seed)
         settings = {"steps": steps, "slots": 1, "env": "pneuma/Pneuma-v0"}
         self.record["runs"].append({"condition": condition, "seed": seed, "run_id": run_id, "run": settings})
-        files = {
-            "episodes.parquet": to_parquet(
-                [_episode(k, seed, returns) for k in range(episodes)], EPISODE_COLUMNS
-            ),
-            "evaluations.parquet": to_parquet(
-                [_evaluation(k, share, hunter, random) for k, share in enumerate(evaluations)],
-                EVALUATION_COLUMNS,
-            ),
+        told = [{"episode": k, "step": 50 * (k + 1), "return": returns * (k + seed)} for k in range(episodes)]
+        updates = [  # gradient norms go through the powers of ten
+            {**_HALF, "step": 50 * (k + 1), "grad_norm": 10.0 ** (k % 4 + seed)} for k in range(20)
+        ]
+        levels = {
+            "hunter_share_killed": hunter,
+            "random_share_killed": random,
+            "score": 0.5,
+            "argmax_share_killed": 0.5,
         }
-        files["provenance.json"] = b"{}"
-        files["metrics.parquet"] = to_parquet([_update(k, seed) for k in range(20)], METRIC_COLUMNS)
-        self.store.save_run(run_id, Status(status, steps), files)
+        evaluated = [
+            {**levels, "step": 250 * (k + 1), "share_killed": share} for k, share in enumerate(evaluations)
+        ]
+        save_run(self.store, run_id, told, updates, evaluated, steps, status)
 
     @property
     def data(self) -> StudyData:
@@ -74,29 +74,6 @@ class HandMade:
 
     def draw(self, folder: Path, **options: Any) -> list[Path]:
         return draw_study(self.data, folder, **{"formats": ("svg",), **options})
-
-
-def _update(k: int, seed: int) -> dict[str, Any]:
-    """Return an update whose gradient norm goes through the powers of ten."""
-    return {**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 50 * (k + 1), "grad_norm": 10.0 ** (k % 4 + seed)}
-
-
-def _episode(k: int, seed: int, returns: float) -> dict[str, Any]:
-    gained = returns * (k + seed)
-    row = {"slot": 0, "episode": k, "step": 50 * (k + 1), "return": gained, "length": 50}
-    return {**row, "kills": 1, "hp": 0.0, "ending": "killed"}
-
-
-def _evaluation(k: int, share: float, hunter: float, random: float) -> dict[str, Any]:
-    return {
-        **dict.fromkeys(EVALUATION_COLUMNS, 0.5),
-        "step": 250 * (k + 1),
-        "episodes": 50,
-        "argmax_starts": 6,
-        "share_killed": share,
-        "random_share_killed": random,
-        "hunter_share_killed": hunter,
-    }
 
 
 def legend(figure: Figure) -> list[str]:

@@ -34,7 +34,7 @@ def comparison(
     own = of or claim()
     interval = Interval(*ends, 0.95, "written") if ends else no_interval()
     contrast = Contrast(own.kind, effect, interval, 1.0, 1.0, 1.0, seeds)
-    return Comparison("tanh", "relu", own.outcomes[0], contrast, verdict=verdict, p=p, **more)
+    return Comparison("tanh", "relu", own.outcome[0], contrast, verdict=verdict, p=p, **more)
 
 
 def judged(own: Claim, **verdicts: tuple[str, str, tuple[Comparison, ...]]) -> JudgedClaim:

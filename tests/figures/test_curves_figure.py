@@ -21,7 +21,8 @@ from pneuma.figures.style import SIZES
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
-from .hand_made import BUDGET, HandMade, legend, make_id, words
+from ..hand_made import make_id
+from .hand_made import BUDGET, HandMade, legend, words
 
 NAN = float("nan")
 

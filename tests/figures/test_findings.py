@@ -52,7 +52,7 @@ def test_tables_have_a_row_for_each_claim_named_or_for_all() -> None:
     )
     row = (
         "| tanh greater than relu: monsters killed, last evaluation | 6.2: “improves performance” | "
-        "**supported** +0.050 [+0.012, +0.090] | not run yet | – | – |"
+        "**supported** +0.050 [+0.012, +0.090] | not run yet | – |"
     )
     assert page.count(row) == 2
     assert (

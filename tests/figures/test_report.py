@@ -35,7 +35,7 @@ def _report(name: str = "tanh") -> Report:
     steadier = claim("steadier", kind="spread", study="sizes")
     ratio = comparison("inconclusive", 1.3, (0.7, 2.4), 0.5, (3, 3), steadier, seeds_needed=33)
     claims = (
-        judged(better, text=("supported", "", (won, won)), logs=("untestable", name, ())),
+        judged(better, text=("supported", "", (won, won)), arena=("untestable", name, ())),
         judged(steadier, text=("inconclusive", "", (ratio,))),
     )
     part = Part(

@@ -1,0 +1,140 @@
+"""Small runs written by hand, and records of studies of them: the one builder of all tests that read runs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.study.store import Status, Store, to_json
+from pneuma.study.tables import to_parquet
+
+BUDGET = 10_000
+HORIZON = 100
+"""Of runs by `save_collapse`."""
+SOUND = 1.2, 0.3, 0.1
+"""Entropy, share of the most frequent action and share of dead units of a policy in health."""
+GONE = 0.001, 1.0, 0.8
+
+Rows = Iterable[Mapping[str, Any]]
+
+_USUAL: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "episodes": (
+        EPISODE_COLUMNS,
+        {"slot": 0, "episode": 0, "length": 50, "kills": 1, "hp": 0.0, "ending": "killed"},
+    ),
+    "metrics": (METRIC_COLUMNS, dict.fromkeys(METRIC_COLUMNS, 0.2)),
+    "evaluations": (
+        EVALUATION_COLUMNS,
+        {
+            **dict.fromkeys(EVALUATION_COLUMNS, 0.0),
+            **{"episodes": 50, "argmax_starts": 6, "hunter_share_killed": 0.9},
+        },
+    ),
+}
+"""Columns of each table, and what a row has in those that it does not tell."""
+
+
+def save_run(
+    store: Store,
+    run_id: str,
+    episodes: Rows,
+    updates: Rows,
+    evaluations: Rows,
+    end: int,
+    status: str = "done",
+    **provenance: object,
+) -> None:
+    """Store a run of rows, each of which tells its step and what is not usual; none after the end."""
+    files = {}
+    for (name, (columns, usual)), rows in zip(_USUAL.items(), (episodes, updates, evaluations), strict=True):
+        told = [{**usual, **row} for row in rows if row["step"] <= end]
+        every = dict.fromkeys((*columns, *(key for row in told for key in row)))
+        files[f"{name}.parquet"] = to_parquet(told, tuple(every))
+    files["provenance.json"] = to_json({"wall_seconds": 8.0, "python": "3.11", **provenance})
+    store.save_run(run_id, Status(status, end), files)
+
+
+def make_id(condition: str, seed: int) -> str:
+    """Return sixteen hexadecimal digits for a run."""
+    return hashlib.sha256(f"{condition} {seed}".encode()).hexdigest()[:16]
+
+
+def record_of(
+    cells: Mapping[tuple[str, int], str], settings: Mapping[str, Mapping[str, Any]] | None = None, **run: Any
+) -> dict[str, Any]:
+    """Return a study's record of runs by condition and seed; settings may differ by condition."""
+    usual = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000, **run}
+    runs = [
+        {"condition": c, "seed": s, "run_id": i, "run": {**usual, **(settings or {}).get(c, {})}}
+        for (c, s), i in cells.items()
+    ]
+    texts = {"study": "mine", "title": "Mine", "figure": "fig-mine", "baseline": next(iter(cells))[0]}
+    return {**texts, "same": [], "selection": {}, "runs": runs}
+
+
+# --- Runs that collapse: a hundred updates of 100 steps, an evaluation every five of them ----------
+
+
+def save_collapse(
+    store: Store,
+    run_id: str,
+    updates: np.ndarray,
+    shares: np.ndarray,
+    end: int = BUDGET,
+    returns: Sequence[float] | np.ndarray = (0.0,) * 100,
+) -> None:
+    """Store a run.
+
+    Args:
+        store: where.
+        run_id: its id.
+        updates: (100, 3) entropy, share of the most frequent action, share of dead units.
+        shares: (20,) monsters killed at the evaluations.
+        end: where it diverged.
+        returns: (100,) of the episodes, one an update.
+    """
+    steps = range(HORIZON, BUDGET + 1, HORIZON)
+    metrics = [
+        {
+            "step": step, "entropy": entropy, "dead_units": dead, "action_0": most,
+            **{f"action_{i}": (1 - most) / 4 for i in range(1, 5)},
+        }
+        for step, (entropy, most, dead) in zip(steps, updates, strict=True)
+    ]  # fmt: skip
+    evaluations = [
+        {"step": 500 * k, "share_killed": share, "random_share_killed": 0.05}
+        for k, share in enumerate(shares, start=1)
+    ]
+    episodes = [
+        {"episode": k, "step": step, "return": float(value), "length": 100}
+        for k, (step, value) in enumerate(zip(steps, returns, strict=True), start=1)
+    ]
+    save_run(store, run_id, episodes, metrics, evaluations, end, "done" if end == BUDGET else "diverged")
+
+
+def collapse_record(
+    cells: Mapping[tuple[str, int], str], settings: Mapping[str, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
+    """Return the record of a study of such runs."""
+    return record_of(cells, settings, players=1, horizon=HORIZON, steps=BUDGET)
+
+
+def learning(best: float = 0.6) -> np.ndarray:
+    """Return evaluations of a run that learns evenly, (20,)."""
+    return np.linspace(0.05, best, 20)
+
+
+def healthy() -> np.ndarray:
+    """Return the updates of a policy in health, (100, 3)."""
+    return np.tile(SOUND, (100, 1))
+
+
+def one_action(first: int, last: int = 100) -> np.ndarray:
+    """Return updates with a policy of one action from one update to another, both counted, (100, 3)."""
+    updates = healthy()
+    updates[first - 1 : last] = GONE
+    return updates
