@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from pneuma.analysis.run_index import open_study
-from pneuma.bench import engines, env, scaling
-from pneuma.bench.synthetic import store_study
+from pneuma.bench import engines, env
 from pneuma.env.worlds import Worlds
-from pneuma.study.store import Store
 
 from ..cli.calls import described, printed
 
@@ -52,21 +46,8 @@ def test_worst_case_keeps_every_monster_busy() -> None:
     assert (worlds.worlds["ending"] == 0).all() and (worlds.worlds["monsters_left"] == 14).all()
 
 
-def test_drawn_runs_are_stored_whole_and_have_what_trained_ones_have(tmp_path: Path) -> None:
-    file = tmp_path / f"{scaling.STUDY}.toml"
-    file.write_text(scaling.study_file(seeds=2, conditions=3, steps=2_560), encoding="utf-8")
-    told = store_study(file, tmp_path / "results")
-    store = Store(tmp_path / "results")
-    record = store.selection(scaling.STUDY)
-    assert record is not None and told.runs == 6
-    assert Counter(store.status(run["run_id"]).name for run in record["runs"]) == {"done": 6}
-    data = open_study(store, record)
-    rows = {name: len(data.run_table(data.runs[0], name)) for name in data.tables}
-    assert rows == {"episodes": 2_560 // 250, "metrics": 2_560 // 256, "evaluations": 20}
-
-
 @pytest.mark.slow
-def test_what_is_measured_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_what_is_measured_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     ours, theirs = engines.engine_rates(
         [engines.engine_run("small", "batched", 0, 256)], engines.engine_run("small", "sb3", 0, 256), 2
     )
@@ -77,6 +58,3 @@ def test_what_is_measured_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     assert len(one) == len(two) == 1
     seconds = env.start_seconds(rounds=1)
     assert seconds["first_step_warm_seconds"] < seconds["first_step_cold_seconds"] / 3
-    rows = list(scaling.bench_scaling(runs=8, conditions=2, steps=2_560, folder=tmp_path))
-    assert [row["case"] for row in rows] == ["store", *scaling.COMMANDS]
-    assert not list(tmp_path.iterdir())
