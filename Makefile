@@ -47,11 +47,9 @@ WORLDS = text godot arena
 WORLDS_tabular = text
 WORLDS_magic = text
 WORLDS_classes = text
-WORLDS_independent = text
 
 PRESET = paper+claims
 PRESET_perception = paper
-PRESET_independent = paper
 PRESET_collapse = paper
 PRESET_robustness = paper
 PRESET_actor-size-big = paper
@@ -90,7 +88,7 @@ reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps
 	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)
 
 reproduction-rest: install  ## Train chapters 3 to 5, and the 50 seeds of claims on spread and incidence
-	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer)
+	$(call each,tabular policy-gradient sigmoid magic classes perception activation optimizer)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)

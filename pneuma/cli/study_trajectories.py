@@ -163,17 +163,16 @@ def _played(
         UserError: for a run that left no policy, or one of a world without places.
     """
     from pneuma.config import ENVIRONMENTS, make_run
-    from pneuma.engines.team import policy_names, read_policies
+    from pneuma.engines.policy import POLICY_FILE, read_sound_policy
     from pneuma.engines.trajectories import play_trajectories
 
     for number, run in enumerate(runs, 1):
         settings = data.settings(run)
         if settings.get("env") not in ENVIRONMENTS:
             raise UserError(f"study {data.study}: {settings.get('env')} has no places to go to")
-        names = policy_names(store.file_names(run.run_id))
-        if not names:
+        if POLICY_FILE not in store.file_names(run.run_id):
             raise UserError(f"run {run.run_id} of study {data.study} left no policy in {store.root}")
-        policy = read_policies([store.read_file(run.run_id, name) for name in names])
+        policy = read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
         try:
             found = play_trajectories(make_run(settings), policy, episodes)
         except UserError as error:

@@ -16,7 +16,6 @@ from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
 from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Records, Row
-from pneuma.engines.team import Team
 
 
 class Trainer(Protocol):
@@ -42,8 +41,8 @@ class Trainer(Protocol):
         """Judge the policy as it is; return a row of evaluations."""
         ...
 
-    def policy(self) -> Policy | Team:
-        """Return the policy, or the players' own."""
+    def policy(self) -> Policy:
+        """Return the policy as it is."""
         ...
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:

@@ -23,9 +23,6 @@ METRIC_COLUMNS = (
     "dead_units",
     *(f"action_{i}" for i in range(len(ACTION_NAMES))),
 )
-LEARNER_COLUMNS = ("step", "learner", *METRIC_COLUMNS[1:])
-"""Of each update by each learner, where players learn independently; its metrics are their means."""
-
 EVALUATION_COLUMNS = (
     "step",
     "episodes",
@@ -52,18 +49,16 @@ Row = Mapping[str, Any]
 class Records:
     """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
 
-    Where players learn independently, rows of `LEARNER_COLUMNS` as well.
     Where values of actions are learned, every evaluation has some of `VALUE_COLUMNS` as well.
     """
 
     episodes: list[Row] = field(default_factory=list)
     metrics: list[Row] = field(default_factory=list)
     evaluations: list[Row] = field(default_factory=list)
-    learners: list[Row] = field(default_factory=list)
 
     def copy(self) -> Records:
         """Return records that further rows do not reach."""
-        return Records(list(self.episodes), list(self.metrics), list(self.evaluations), list(self.learners))
+        return Records(list(self.episodes), list(self.metrics), list(self.evaluations))
 
 
 def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:

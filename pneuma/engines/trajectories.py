@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneuma.config import REWARDS, Run, env_config, stream_seed
-from pneuma.engines.policy import Policy
-from pneuma.engines.team import Team, drawing
+from pneuma.engines.policy import Policy, drawing
 from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
@@ -38,7 +37,7 @@ class Trajectories:
     endings: tuple[str, ...]
 
 
-def play_trajectories(run: Run, policy: Policy | Team, episodes: int) -> Trajectories:
+def play_trajectories(run: Run, policy: Policy, episodes: int) -> Trajectories:
     """Play episodes in the worlds of the run's evaluations, begun where its training begins.
 
     Raises:

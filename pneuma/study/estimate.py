@@ -43,7 +43,7 @@ SLOW = 10.0
 BYTES_PER_STEP = 3.0
 """Room that the records of one agent step take, compressed."""
 OF_PACE = (
-    "engine", "algorithm", "env", "level", "players", "learners", "slots", "horizon", "minibatch", "epochs",
+    "engine", "algorithm", "env", "level", "players", "slots", "horizon", "minibatch", "epochs",
     "actor", "critic", "optimizer", "steps", "evaluation_episodes", "episode_steps", "observation", "reward",
     "random_levels", "magic", "classes", "buffer_size",
 )  # fmt: skip

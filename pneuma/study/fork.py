@@ -35,7 +35,7 @@ from pneuma.study.trust import own_things
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
-    "magic", "observation", "observe_facing", "perceive", "slots", "learners", "horizon", "actor",
+    "magic", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
     "critic", "buffer_size", "learning_starts", "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""

@@ -12,7 +12,6 @@ from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import load_engine
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Records
-from pneuma.engines.team import policy_files
 from pneuma.study.checkpoints import decode, encode
 
 from .trained import bits, train
@@ -46,7 +45,7 @@ def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> N
     theirs = sb3.extract_policy(alone, run)
     ours, other = (train(each)[0].policy for each in (run, run_of(case, seed=6)))
     assert ours is not None and other is not None
-    assert policy_files(ours) == policy_files(theirs) != policy_files(other)
+    assert ours.to_bytes() == theirs.to_bytes() != other.to_bytes()
 
 
 @pytest.mark.parametrize("case", CASES)
