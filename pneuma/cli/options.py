@@ -53,9 +53,7 @@ Trust = Annotated[
 ]
 _AMOUNT = "How much to run: quick for plan and run, else as last run"
 Preset = Annotated[Text, _option("--preset", "|".join(PRESETS), f"{_AMOUNT}.")]
-StudyPreset = Annotated[
-    Text, _option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}; also joined: paper+claims.")
-]
+StudyPreset = Annotated[Text, _option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
 _SEEDS = _option(
     "--seeds", "N|LIST", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
 )

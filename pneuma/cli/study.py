@@ -95,7 +95,8 @@ def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, j
         _print_amounts(preset, {"": amount, **amount.conditions})
     from pneuma.study.claimed import fixed_amounts
 
-    _print_amounts(spec.CLAIMS, fixed_amounts(study))
+    for amounts in fixed_amounts(study).values():
+        _print_amounts(spec.CLAIMS, amounts)
     return None
 
 
