@@ -20,9 +20,9 @@ from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Supervision, load_executor
+from pneuma.study.identity import own_things
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
-from pneuma.study.trust import own_things
 from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:

@@ -230,8 +230,8 @@ def _player(
     from pneuma.config import REWARDS, EnvConfig
     from pneuma.engines.policy import POLICY_FILE, drawing, read_sound_policy
     from pneuma.env.players import Hunter, RandomPlayer
+    from pneuma.study.identity import own_things
     from pneuma.study.stored_runs import stored_run
-    from pneuma.study.trust import own_things
 
     if player == "random":
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act

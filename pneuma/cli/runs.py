@@ -18,7 +18,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study import stored_runs
-from pneuma.study.origins import stored_origins, unusual_origins
+from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import ListedRun, StoredRun
 from pneuma.values import shown_value

@@ -27,8 +27,8 @@ from pneuma.cli.study_output import open_data, tell_written
 from pneuma.cli.study_summary import records
 from pneuma.env_fields import is_own_level, is_random_level
 from pneuma.errors import UserError
+from pneuma.study.identity import REWARD, own_things
 from pneuma.study.store import Store
-from pneuma.study.trust import REWARD, own_things
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,9 +14,8 @@ from importlib import import_module
 from typing import Protocol
 
 from pneuma.config import Run
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, Records
 
 EVALUATIONS = 20
 """Times that the frozen policy is evaluated over a run."""

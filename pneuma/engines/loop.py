@@ -13,9 +13,8 @@ from typing import Protocol
 
 from pneuma.config import Run
 from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records, Row
+from pneuma.engines.records import Checkpoint, Records, Row
 
 
 class Trainer(Protocol):

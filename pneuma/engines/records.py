@@ -1,10 +1,12 @@
-"""What a run writes down while it trains: rows of episodes, updates and evaluations."""
+"""What a run writes down while it trains: rows of episodes, updates and evaluations; and its checkpoints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from pneuma.config import ACTION_NAMES
 
@@ -64,3 +66,27 @@ class Records:
 def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:
     """Return the columns of a table: those of the contract, then those of `VALUE_COLUMNS` that it has."""
     return (*columns, *(name for name in VALUE_COLUMNS if rows and name in rows[0]))
+
+
+# --- Checkpoints -----------------------------------------------------------------------------------
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that an engine cannot go on from."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A run's whole state after an update: all that its engine needs to go on with the same bits.
+
+    Attributes:
+        step: agent steps trained, over all slots.
+        arrays: of the learner, its optimizer, its random generators and its worlds, by name.
+        numbers: what else there is, as JSON can hold it.
+        records: everything up to `step`.
+    """
+
+    step: int
+    arrays: Mapping[str, np.ndarray]
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    records: Records = field(default_factory=Records)

@@ -21,12 +21,12 @@ from safetensors.numpy import load, save
 
 from pneuma.config import Run
 from pneuma.engines.base import Progress, checkpoint_steps
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
     EVALUATION_COLUMNS,
     METRIC_COLUMNS,
     VALUE_COLUMNS,
+    Checkpoint,
     Records,
     Row,
     columns_of,

@@ -107,9 +107,7 @@ def prepare(
 
 def looked_at(recorded: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return what a study's record says of looks at its runs: what was looked at once stays so."""
-    return (
-        {key: recorded[key] for key in ("adaptive", "adaptive_before") if key in recorded} if recorded else {}
-    )
+    return {"adaptive": recorded["adaptive"]} if recorded and "adaptive" in recorded else {}
 
 
 def execute(

@@ -24,13 +24,12 @@ from pneuma.config import (
     read_field,
 )
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.identity import run_id
+from pneuma.study.identity import own_things, run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.provenance import differences
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import read_document, stored_settings
-from pneuma.study.trust import own_things
 
 CONTROL = "control"
 FIXED = (

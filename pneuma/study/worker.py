@@ -27,8 +27,8 @@ from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
 from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import CheckpointError
 from pneuma.engines.policy import POLICY_FILE
+from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.compiling import COMPILES, compiled_mark, leave_mark

@@ -9,8 +9,7 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.engines.batched.training import BatchedTrainer
-from pneuma.engines.checkpoint import Checkpoint
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, Records
 from pneuma.env.worlds import Worlds
 from pneuma.study.identity import run_id
 

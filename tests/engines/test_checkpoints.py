@@ -10,8 +10,7 @@ import torch
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress, checkpoint_steps, load_engine
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.study.checkpoints import (
     checkpoint_files,
     decode,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pneuma.config import Run
 from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.records import Checkpoint
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.tables import to_parquet
 

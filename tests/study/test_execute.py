@@ -181,23 +181,6 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
     assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
 
 
-@pytest.mark.slow
-def test_a_damaged_run_is_trained_again_to_the_same_bits(alone: tuple[Executed, Executed]) -> None:
-    executed = alone[0]
-    path = executed.store.run_folder(_run_id(executed, 1)) / "metrics.parquet"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
-    try:
-        (result,) = _run(executed.plan, executed.store, 1, lambda _: None)
-        assert result.trained
-        assert path.read_bytes() == whole
-    finally:
-        path.write_bytes(whole)  # other tests look at this folder too
-
-
-# --- When a worker goes ------------------------------------------------------------------------------
-
-
 def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
     """The record is kept by the file's name alone, and would show one file's runs for the other's."""
     paths = [tmp_path / folder / "mine.toml" for folder in ("a", "b")]

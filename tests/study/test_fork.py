@@ -13,7 +13,7 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3
 from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.records import Checkpoint
 from pneuma.engines.sb3_learners import take_checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import checkpoint_files, encode, file_name

@@ -15,12 +15,9 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
-from pneuma.study.execute import execute
 from pneuma.study.executors import local, slurm
 from pneuma.study.executors.base import Detached, Event, Place, Supervision
 from pneuma.study.identity import run_id
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
 submitit = pytest.importorskip("submitit")
@@ -128,20 +125,6 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     with pytest.raises(Detached, match="1 job"):
         train([{lost: runs[lost]}], store, DETACHED)
     assert len(queue.submitted) == 2
-
-
-def test_what_ended_while_nobody_watched_is_put_away_by_the_same_command(queue: Queue, store: Store) -> None:
-    """All runs lie in the store when it is given again: none is to be trained."""
-    runs = group(11)
-    with pytest.raises(Detached):
-        train([runs], store, DETACHED)
-    store.save_run(next(iter(runs)), Status("done", 500), {"run.json": b"{}"})
-    planned = make_plan(load_study("activation"), Selection(seeds=(0,), steps=256))
-    execute(planned, {}, store, DETACHED, lambda progress: None)
-    assert folders(store)  # its job is still ending
-    queue.gone = True
-    execute(planned, {}, store, DETACHED, lambda progress: None)
-    assert not folders(store)
 
 
 def test_the_queue_tells_the_jobs_of_arrays_and_single_ones_by_run(

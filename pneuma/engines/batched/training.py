@@ -12,11 +12,10 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Collector, episode_rows
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, overflows
-from pneuma.engines.records import Records, Row
+from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.env.state import LAYOUT_DIGEST
 
 _WORLDS = ("worlds", "players", "monsters")
