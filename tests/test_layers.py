@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.engines": ("pneuma.env",),
     "pneuma.study": (),
     # what runs in the worker's own process:
-    "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy"),
+    "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy", "pneuma.engines.records"),
     # what says that programs have to be compiled:
     "pneuma.study.compiling": ("pneuma.env.compiled",),
     "pneuma.study.checkpoints": (

@@ -75,12 +75,6 @@ def _named_values(factors: Any) -> Any:
     return named
 
 
-def _gpu(value: Any) -> bool | tuple[str, ...]:
-    if isinstance(value, bool) or (isinstance(value, tuple) and all(isinstance(own, str) for own in value)):
-        return value
-    raise ValueError
-
-
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
 """Of a condition or a value; matplotlib takes a name that begins with _ for one of its own."""
 Fields = Annotated[dict[str, Any], FieldsOf(Run, PLANNED)]
@@ -120,7 +114,6 @@ class StudyFile(Table):
     base: Annotated[str, OneOf(tuple(BASES))]
     baseline: str = ""
     keep_checkpoints: Annotated[int, Interval(ge=0, le=1000)] = 0
-    gpu: Annotated[bool | tuple[str, ...], Reads(_gpu, "true, false, or a list of conditions")] = False
     worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] | None = None
     run: Fields = {}
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
@@ -154,9 +147,9 @@ class _Checked:
         baseline = next(
             (name for name, own in levels.items() if said.baseline in own.values()), said.baseline
         )
-        self._refuse_unknown("baseline", [baseline] if baseline else [], conditions)
-        gpu = said.gpu if isinstance(said.gpu, tuple) else [*conditions] if said.gpu else []
-        self._refuse_unknown("gpu", gpu, conditions)
+        if baseline and baseline not in conditions:
+            unknown = unknown_name("condition", baseline, conditions)
+            raise self.file.mistake((), f"baseline: {unknown}", "baseline")
         for name, preset in said.presets.items():
             where = ("presets", name, "conditions")
             for own in preset.conditions:
@@ -176,7 +169,6 @@ class _Checked:
             conditions=conditions,
             presets={name: preset.preset() for name, preset in said.presets.items()},
             keep_checkpoints=said.keep_checkpoints,
-            gpu=frozenset(gpu),
             levels=levels,
             worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
         )
@@ -217,11 +209,6 @@ class _Checked:
                 raise self.file.mistake(("factors",), message)
             crossed[joined], levels[joined] = own, dict(zip(self._factors, names, strict=True))
         return crossed, levels
-
-    def _refuse_unknown(self, key: str, names: Any, known: Mapping[str, Any]) -> None:
-        for name in names:
-            if name not in known:
-                raise self.file.mistake((), f"{key}: {unknown_name('condition', name, known)}", key)
 
     def _refuse_faults(self, study: Study) -> None:
         """Refuse what only the whole shows: conditions that make no run, and fields that do nothing."""

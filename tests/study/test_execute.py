@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,9 @@ from pneuma.study.execute import (
     CellResult,
     OnProgress,
     execute,
-    groups,
     prepare,
     recorded_selection,
 )
-from pneuma.study.executors import local
 from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
@@ -82,23 +80,6 @@ def _rows(executed: Executed, seed: int, table: str) -> list[dict[str, Any]]:
 
 def _run_id(executed: Executed, seed: int) -> str:
     return next(cell.run_id for cell in executed.plan.cells if cell.seed == seed)
-
-
-# --- Groups ------------------------------------------------------------------------------------------
-
-
-def test_the_conditions_that_a_file_marks_get_gpus_among_themselves_and_no_other_ids(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain, path, told = tiny_plan(tmp_path), tmp_path / "marked.toml", list[Supervision]()
-    path.write_text('gpu = ["one"]\n' + TINY.replace("[conditions.other]", "[conditions.other]\ngamma = 0.9"))
-    plan = make_plan(load_study(str(path)), Selection())
-    monkeypatch.setattr(local, "run_groups", lambda groups, store, how, on_event: told.append(how))
-    _run(plan, Store(tmp_path / "results"), 1, lambda progress: None)
-    marked = {cell.run_id for cell in plan.cells if cell.condition == "one"}
-    assert told[0].on_gpu == marked == {cell.run_id for cell in plain.cells}
-    runs = {cell.run_id: replace(cell.run, engine="batched") for cell in plan.cells}
-    assert [set(group) for group in groups(runs, told[0])] == [marked, {*runs} - marked]
 
 
 # --- What a run leaves behind ------------------------------------------------------------------------

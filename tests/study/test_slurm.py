@@ -40,7 +40,7 @@ class Queue:
         self.runs_jobs = runs_jobs
         self.gone = False
 
-    def executor(self, folder: Path, name: str, how: Supervision, gpu: bool) -> Any:
+    def executor(self, folder: Path, name: str, how: Supervision) -> Any:
         self.name = name
         self.local = submitit.LocalExecutor(folder)
         return self
@@ -151,24 +151,24 @@ def test_the_queue_tells_the_jobs_of_arrays_and_single_ones_by_run(
 # --- What sbatch is asked ----------------------------------------------------------------------------
 
 
-def script(options: Mapping[str, str], gpu: bool, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def script(options: Mapping[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     (folder / "srun").touch(0o755)
     monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
     how = replace(HOW, place=Place("slurm", slurm=tuple(options.items())))
-    return slurm._executor(folder, "mine", how, gpu)._make_submission_file_text("", "").splitlines()
+    return slurm._executor(folder, "mine", how)._make_submission_file_text("", "").splitlines()
 
 
 def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = script({}, True, tmp_path, monkeypatch)
-    assert {"#SBATCH --time=60", "#SBATCH --gres=gpu:1", "#SBATCH --requeue"} <= {*usual}
+    usual = script({}, tmp_path, monkeypatch)
+    assert {"#SBATCH --time=60", "#SBATCH --requeue"} <= {*usual}
     options = {"time": "2:30:00", "gres": "gpu:a100:1", "exclusive": "true", "setup": "module load cuda"}
-    own = script(options, True, tmp_path, monkeypatch)
+    own = script(options, tmp_path, monkeypatch)
     assert {"#SBATCH --time=2:30:00", "#SBATCH --gres=gpu:a100:1", "#SBATCH --exclusive"} <= {*own}
     assert "module load cuda" in own
     with pytest.raises(UserError, match="job_name=x: is set by Pneuma"):
-        script({"job_name": "x"}, False, tmp_path, monkeypatch)
+        script({"job_name": "x"}, tmp_path, monkeypatch)
 
 
 # --- A job and its signals ---------------------------------------------------------------------------
@@ -193,7 +193,7 @@ def hit():
 
 signal.signal(signal.SIGUSR2, lambda *_: print("back into the queue"))
 threading.Thread(target=hit, daemon=True).start()
-Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, keep_checkpoints=2), False)()
+Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, keep_checkpoints=2))()
 """
 
 
