@@ -66,14 +66,6 @@ def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) 
         assert np.array_equal(rollout.last_ends, begins)
 
 
-def test_the_ending_of_each_player_is_its_own() -> None:
-    run = make_run({**SMALL, "env": "pneuma/PneumaGodot-v0", "episode_steps": 300, "steps": 4800})
-    ours = train(run).records.episodes
-    assert {row["ending"] for row in ours} == {"killed", "time-limit"}
-    assert all((row["hp"] <= 0) == (row["ending"] == "killed") for row in ours)
-    assert {row["slot"] for row in ours} == set(range(6))
-
-
 # --- A reward of one's own -------------------------------------------------------------------------
 
 
