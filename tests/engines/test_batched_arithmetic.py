@@ -16,7 +16,7 @@ import torch
 from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
-from pneuma.engines import sb3
+from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.batched.learner import Learner, initial_networks
 from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Collector, Rollout, advantages
@@ -75,7 +75,7 @@ def run(request: pytest.FixtureRequest) -> Run:
 
 def torch_model(run: Run, learner: Learner) -> PPO:
     """Return Stable-Baselines3's learner with the networks of ours."""
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
     model._setup_learn(run.steps)
     for module, (weight, bias) in linear_layers(model, learner.networks):
         module.weight.data = torch.tensor(weight.T.copy())

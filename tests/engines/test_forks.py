@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.engines import sb3
+from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study.identity import run_id
@@ -37,7 +37,7 @@ def forked(parent: Run, seed: int = 0, **changes: object) -> Run:
 def trainer_of(run: Run) -> Any:
     if run.engine == "batched":
         return BatchedTrainer(run)
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
     return sb3.Sb3Trainer(model, run, sb3.GradientNorms(model, run))
 
 
@@ -106,9 +106,9 @@ def test_only_what_is_asked_for_is_begun_anew(parent: tuple[Run, Checkpoint], re
     kept = arrays(begun(forked(run), checkpoint))
     own_run = forked(run, fork_reset=reset)
     fresh, own = arrays(trainer_of(own_run)), arrays(begun(own_run, checkpoint))
-    of_critic = ("networks/critic",)
+    of_critic: tuple[str, ...] = ("networks/critic",)
     if run.engine == "sb3":
-        of_critic = sb3.critic_names(trainer_of(run)._model)
+        of_critic = sb3_learners.critic_names(trainer_of(run)._model)
 
     def is_reset(name: str) -> bool:
         of_optimizer = name.startswith("optimizer/")

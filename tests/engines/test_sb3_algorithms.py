@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from pneuma.config import BASES, Run, make_run
-from pneuma.engines import sb3
+from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.base import load_engine
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Records
 from pneuma.study.checkpoints import decode, encode
@@ -40,7 +40,7 @@ def run_of(case: str, **settings: object) -> Run:
 def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> None:
     torch.set_num_threads(1)  # as engines do; sums over more threads round otherwise
     run = run_of(case, seed=5)
-    alone = sb3.make_model(run, sb3.make_env(run))
+    alone = sb3_learners.make_model(run, sb3.make_env(run))
     alone.learn(run.steps, log_interval=None)
     theirs = sb3.extract_policy(alone, run)
     ours, other = (train(each)[0].policy for each in (run, run_of(case, seed=6)))
@@ -102,7 +102,7 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
 
 def with_huge_weights(run: Run) -> Any:
     """Return a learner with weights of 1e20, of which two layers make what is no number."""
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
     with torch.no_grad():
         for weight in model.policy.parameters():
             weight.fill_(1e20)
@@ -124,7 +124,7 @@ def test_a_run_whose_logits_overflow_while_it_plays_diverged(case: str) -> None:
 def test_an_update_that_leaves_such_weights_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
     """They would be judged, and kept as the run's policy, if it was the last."""
     run, records = run_of("ppo", activation="leaky-relu"), Records()
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
     huge, train_on = with_huge_weights(run).policy.state_dict(), model.train
     monkeypatch.setattr(model, "train", lambda: (train_on(), model.policy.load_state_dict(huge)))
     with sb3.GradientNorms(model, run) as norms:
@@ -136,7 +136,7 @@ def test_an_update_that_leaves_such_weights_diverged(monkeypatch: pytest.MonkeyP
 def test_any_other_mistake_of_a_learner_is_told(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even where logits are no numbers, if it is because what is observed is none."""
     run = run_of("ppo")
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
 
     def fail(*_: object) -> None:
         model._last_obs[:] = np.nan
@@ -164,7 +164,7 @@ def test_any_other_mistake_of_a_learner_is_told(method: str, monkeypatch: pytest
 )
 def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.MonkeyPatch) -> None:
     run = run_of(algorithm, minibatch=2, slots=1)
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
     for network, values in ((model.q_net, [1, 3, 2, 0, 0]), (model.q_net_target, [5, 4, 9, 0, 0])):
         for parameter in network.parameters():
             parameter.data.zero_()
@@ -187,7 +187,7 @@ def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.M
 
 def test_without_a_baseline_advantages_are_the_returns() -> None:
     run = run_of("a2c-no-baseline", gamma=0.5)
-    model = sb3.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, sb3.make_env(run))
     buffer = model.rollout_buffer
     buffer.values[:] = 7.0
     buffer.rewards[:] = 1.0
