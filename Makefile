@@ -50,7 +50,6 @@ WORLDS_robustness = arena
 WORLDS_tabular = text
 WORLDS_magic = text
 WORLDS_classes = text
-WORLDS_independent = text
 WORLDS_published-logs = godot
 
 # What claims fix of chapter 6, by budget where there are several; of the other chapters the preset `paper`.
@@ -95,7 +94,7 @@ reproduction-slow: install  ## Train chapter 6's mid and big networks
 	$(call each,generalisation architecture)
 
 reproduction-rest: install  ## Train chapters 3 to 5, and the published logs again
-	$(call each,tabular policy-gradient sigmoid magic classes independent perception algorithms published-logs)
+	$(call each,tabular policy-gradient sigmoid magic classes perception algorithms published-logs)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)

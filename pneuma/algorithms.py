@@ -38,7 +38,7 @@ _DQN = (
 _TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
 
 ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
-    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs", "learners"),
+    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs"),
     "a2c": (*_ACTOR_CRITIC, *_GRADIENT),
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
     "dqn": _DQN,

@@ -20,16 +20,15 @@ from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Supervision, load_executor
+from pneuma.study.identity import own_things
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
-from pneuma.study.trust import own_things
 from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.tables import StudyData
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
-    from pneuma.engines.team import Team
 
 Where = str | os.PathLike[str]
 
@@ -125,7 +124,7 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
 
 def load_policy(
     run_id: str, results: Where | None = None, *, trust: bool = False
-) -> tuple[Policy | Team, str, dict[str, Any]]:
+) -> tuple[Policy, str, dict[str, Any]]:
     """Take up the policy that a stored run ended with.
 
     Args:
@@ -134,30 +133,29 @@ def load_policy(
         trust: whether a level, characters or a reward of the run's owner may be opened.
 
     Returns:
-        The policy, or a team of one for each player; the id of its environment; and this one's settings,
+        The policy; the id of its environment; and this one's settings,
         as `gymnasium.make(id, **settings)` takes them.
 
     Raises:
         UserError: for no such run, one without a policy, or one that is to be trusted first.
     """
-    from pneuma.engines.team import policy_names, read_policies
+    from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
     store = _store(results)
     found = find_run(store, run_id)
     run = stored_run(store, found).settings
-    names = policy_names(store.file_names(found))
-    if not names:
+    if POLICY_FILE not in store.file_names(found):
         raise UserError(f"run {found} left no policy")
     settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
     if (own := own_things(settings)) and not trust:
         raise UserError(
             f"run {found} would {' and '.join(own.values())}: pass trust=True if you trust its source"
         )
-    return read_policies([store.read_file(found, name) for name in names]), str(run.get("env")), settings
+    return read_sound_policy(store.read_file(found, POLICY_FILE)), str(run.get("env")), settings
 
 
 def evaluate(
-    agent: Policy | Team | Act,
+    agent: Policy | Act,
     env_id: str = ENVIRONMENTS[0],
     settings: Mapping[str, Any] | None = None,
     *,
@@ -188,10 +186,9 @@ def evaluate(
         UserError: for an environment or world that there is not, or actions that are none.
     """
     from pneuma.engines.evaluation import Evaluation, OwnAgent
-    from pneuma.engines.policy import Policy
-    from pneuma.engines.team import Team, check_fits
+    from pneuma.engines.policy import Policy, check_fits
 
-    own = not isinstance(agent, Policy | Team)
+    own = not isinstance(agent, Policy)
     if own and not callable(agent):
         raise UserError(
             f"agent = {type(agent).__name__} is not allowed: a stored policy, or a function from "
@@ -204,7 +201,7 @@ def evaluate(
     world = asdict(make_env_config(dict(settings or {}), env_id))
     run = make_run({**world, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
     evaluation = Evaluation(run)
-    if isinstance(agent, Policy | Team):
+    if isinstance(agent, Policy):
         check_fits(agent, evaluation.worlds)
         return evaluation.evaluate(agent, 0)
     row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)

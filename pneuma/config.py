@@ -49,7 +49,7 @@ from pneuma.values import OneOf, Reads, Share, matching
 
 __all__ = [
     "ACTIVATIONS", "ACTION_NAMES", "BASES", "CLIPPINGS", "ENGINES", "ENGINE_VERSIONS", "ENVIRONMENTS",
-    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "LEARNERS", "MAX_SLOTS", "OBSERVATIONS",
+    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "MAX_SLOTS", "OBSERVATIONS",
     "OPTIMIZER_FIELDS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
     "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_fields", "beyond_engine", "env_config",
     "evaluation_config", "make_env_config", "make_run", "read_field", "read_fields", "fields_read",
@@ -65,7 +65,6 @@ ENGINE_VERSIONS = {"batched": 3, "sb3": 2, "tabular": 1}
 ENGINES = tuple(ENGINE_VERSIONS)
 """The usual one first."""
 
-LEARNERS = ("shared", "independent")
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
@@ -123,8 +122,6 @@ class Run(EnvConfig):
     """Budget in agent steps, summed over slots."""
     slots: Annotated[int, Interval(ge=1, le=MAX_SLOTS)] = 1
     """Worlds that collect a rollout side by side."""
-    learners: Annotated[str, OneOf(LEARNERS)] = "shared"
-    """One policy for all players of a world; or each player a learner of its own (independent PPO)."""
 
     actor: Layers = (128,)
     critic: Layers = (256,)
@@ -208,11 +205,6 @@ class Run(EnvConfig):
         return self.horizon * self.slots * self.players
 
     @property
-    def policies(self) -> int:
-        """Number of policies that learn."""
-        return self.players if self.learners == "independent" else 1
-
-    @property
     def updates(self) -> int:
         """Number of updates that the budget holds."""
         return self.steps // self.steps_per_update
@@ -257,6 +249,7 @@ def make_run(given: Mapping[str, object]) -> Run:
     Raises:
         UserError: for an unknown key, a value out of range, or two values that do not go together.
     """
+    given = {key: value for key, value in given.items() if (key, value) not in _GONE.items()}
     env = str(given.get("env", ENVIRONMENTS[0]))
     read = read_fields(Run, {**ENVIRONMENT_FIELDS.get(env, {}), **given})
     values = {key: value for key, value in read.items() if value is not None or key not in _LEFT_OPEN}
@@ -301,14 +294,9 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f'algorithm = "{run.algorithm}" is not allowed in {run.env}: one of {", ".join(fitting)}'
         )
-    if run.learners == "independent" and run.engine != ENGINES[0]:
-        reason = beyond_engine(run)
-        cause = f"{reason}: only {run.engine} can train that, which" if reason else run.engine
-        raise UserError(f'learners = "independent" is not allowed: {cause} trains one policy for all players')
-    samples = run.steps_per_update // run.policies
-    if run.algorithm in ("ppo", "trpo") and run.minibatch > samples:
-        most = f"horizon x slots{' x players' if run.policies == 1 else ''} = {samples}"
-        raise UserError(f"minibatch = {run.minibatch} is not allowed: at most {most}")
+    if run.algorithm in ("ppo", "trpo") and run.minibatch > run.steps_per_update:
+        most = f"at most horizon x slots x players = {run.steps_per_update}"
+        raise UserError(f"minibatch = {run.minibatch} is not allowed: {most}")
     if run.train_every and run.horizon % run.train_every:
         raise UserError(
             f"train_every = {run.train_every} is not allowed: horizon = {run.horizon} is no multiple of it"
@@ -333,6 +321,8 @@ def _read_by(algorithm: str, optimizer: str) -> frozenset[str]:
     return frozenset((*own, *OPTIMIZER_FIELDS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
 
 
+_GONE = {"learners": "shared"}
+"""Fields of older versions, and the values at which they change nothing: a run with them is the same run."""
 _LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values() for key in own)}
 """Fields that None leaves open."""
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
@@ -346,8 +336,6 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     read = _read_by(algorithm, optimizer)
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
     values = {key: value for key, value in {**defaults, **values}.items() if key in read}
-    if values.get("players", 1) == 1:
-        values.pop("learners", None)  # one player alone learns as it does
     if values.get("momentum") == 0 and values.get("dampening") is not None:
         values["dampening"] = 0.0  # torch reads it only beside a momentum
     if values.get("gradient_limit", 0.5) is None:

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from pneuma.api import evaluate, load_policy, open_data, run_study
-from pneuma.config import as_fields, make_env_config, make_run, stream_seed
+from pneuma.config import as_fields, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
-from pneuma.engines.team import Team
-from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
@@ -108,18 +106,6 @@ def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps
     assert [len(observations) for observations in seen] == [14] * 30  # none is bitten to death that soon
     assert row["length"] == 30
     assert len({observations.tobytes() for observations in seen}) > 1  # each is as it was when it was shown
-
-
-def test_rows_are_the_players_of_a_world_side_by_side() -> None:
-    """Of every world the first player strikes and the second goes right; so does a team by its weights."""
-    biases = [np.eye(5, dtype=np.float32)[action] * 50 for action in (4, 2)]
-    features = Worlds(1, make_env_config({"players": 2})).observations.shape[2]
-    layers = [((np.zeros((features, 5), np.float32), bias),) for bias in biases]
-    team = Team(tuple(Policy("tanh", own, own) for own in layers))
-    settings = {"players": 2, "coast": "deadly", "episode_steps": 200}
-    told = evaluate(team, settings=settings, seed=3, episodes=6)
-    asked = evaluate(lambda seen: np.tile([4, 2], len(seen) // 2), settings=settings, seed=3, episodes=6)
-    assert asked == {name: value for name, value in told.items() if not name.startswith("argmax")}
 
 
 @pytest.mark.parametrize(

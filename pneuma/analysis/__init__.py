@@ -7,10 +7,7 @@ EXPORTED_BAND = "std"
 """What exported curves have beside their means unless another is asked for."""
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
-LEARNERS_TABLE = "learners"
-"""Every learner's own metrics, of runs whose players learn independently."""
-
-EXPORT_TABLES = (*RECORD_TABLES, LEARNERS_TABLE, "curves", "summary")
+EXPORT_TABLES = (*RECORD_TABLES, "curves", "summary")
 PUBLISHED_TABLES = ("evaluations", "curves", "summary")
 """Those of them that a published table gives too."""
 

@@ -18,8 +18,8 @@ from pneuma.analysis.run_view import view
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import Run, as_fields
 from pneuma.study.claimed import training_command
-from pneuma.study.origins import processors
 from pneuma.study.plan import Cell, Selection, make_plan
+from pneuma.study.provenance import processors
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 

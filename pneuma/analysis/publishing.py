@@ -30,7 +30,7 @@ from pneuma.analysis.published import (
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
-from pneuma.study.origins import other_processors
+from pneuma.study.provenance import other_processors
 from pneuma.study.store import to_json
 
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import LEARNERS_TABLE, RECORD_TABLES, WINDOWS
+from pneuma.analysis import RECORD_TABLES, WINDOWS
 from pneuma.analysis.records import Records
 from pneuma.analysis.windows import make_grid
 from pneuma.errors import UserError, unknown_name
@@ -196,7 +196,7 @@ class StudyData:
         return [run for run in self.runs if run.condition == condition]
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return one of `RECORD_TABLES`, or that of learners, of the finished runs in the selection's order.
+        """Return one of `RECORD_TABLES` of the finished runs in the selection's order.
 
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
 
@@ -204,7 +204,7 @@ class StudyData:
             UserError: where there is no such table.
         """
         frames = []
-        for run in self._runs_with(name):
+        for run in self.runs:
             frame = self.run_table(run, name)
             for place, column in enumerate(("condition", "seed", "run_id")):
                 frame.insert(place, column, getattr(run, column))
@@ -217,25 +217,12 @@ class StudyData:
         Raises:
             UserError: where there is no such table.
         """
-        if name not in (*self.tables, LEARNERS_TABLE if "metrics" in self.tables else ""):
+        if name not in self.tables:
             raise UserError(
                 f"study {self.study}: {self.what} holds no {name}; "
                 f"there are {', '.join((*self.tables, 'curves'))}"
             )
         return run.records.table(name).copy(deep=False)  # that of all who ask is not to be written on
-
-    def _runs_with(self, table: str) -> list[FinishedRun]:
-        """Return the finished runs that have a table.
-
-        Raises:
-            UserError: where none has it.
-        """
-        if table != LEARNERS_TABLE:
-            return self.runs
-        own = [run for run in self.runs if self.settings(run).get("learners") == "independent"]
-        if not own:
-            raise UserError(f'study {self.study}: no finished run has learners = "independent"')
-        return own
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,), NaN where it has no value.

@@ -228,10 +228,10 @@ def _player(
     import numpy as np
 
     from pneuma.config import REWARDS, EnvConfig
-    from pneuma.engines.team import drawing, policy_names, read_policies
+    from pneuma.engines.policy import POLICY_FILE, drawing, read_sound_policy
     from pneuma.env.players import Hunter, RandomPlayer
+    from pneuma.study.identity import own_things
     from pneuma.study.stored_runs import stored_run
-    from pneuma.study.trust import own_things
 
     if player == "random":
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
@@ -252,10 +252,9 @@ def _player(
             raise UserError(
                 f"would {' and '.join(files.values())}; if you trust where it is from, give --trust"
             )
-        names = policy_names(store.file_names(run_id))
-        if not names:
+        if POLICY_FILE not in store.file_names(run_id):
             raise UserError("the run left no policy")
-        policy = read_policies([store.read_file(run_id, each) for each in names])
+        policy = read_sound_policy(store.read_file(run_id, POLICY_FILE))
     except UserError as error:
         raise UserError(f"--player {player}: {error}") from None
     return settings, lambda worlds: drawing(policy, worlds, np.random.default_rng(seed))

@@ -18,7 +18,7 @@ from pneuma.cli.plain_text import plain
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study import stored_runs
-from pneuma.study.origins import stored_origins, unusual_origins
+from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import ListedRun, StoredRun
 from pneuma.values import shown_value
@@ -101,9 +101,6 @@ def export(
     trust: Annotated[
         bool, typer.Option("--trust", help="Open the run's own level and characters files, for its bounds.")
     ] = False,
-    player: Annotated[
-        int | None, typer.Option("--player", min=0, help="Whose, where each player has its own policy.")
-    ] = None,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -111,7 +108,7 @@ def export(
     check_file(out, EXPORTS)
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
-    data, note = _exported(store, run, out.suffix.lower(), trust, player)
+    data, note = _exported(store, run, out.suffix.lower(), trust)
     write_file(out, data)
     if json:
         return print_json(
@@ -126,15 +123,16 @@ def export(
 # --- Export ----------------------------------------------------------------------------------------
 
 
-def _exported(
-    store: Store, run: StoredRun, suffix: str, trust: bool, player: int | None
-) -> tuple[bytes, str]:
+def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
     """Return the file's contents, and what a person should know about them."""
     if not run.status.finished:
         raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
-    data = store.read_file(run.run_id, _policy_file(run, player))
     from pneuma.engines import export as exports
-    from pneuma.engines.policy import read_sound_policy
+    from pneuma.engines.policy import POLICY_FILE, read_sound_policy
+
+    if POLICY_FILE not in [file.name for file in run.files]:
+        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
+    data = store.read_file(run.run_id, POLICY_FILE)
 
     try:
         settings, policy = _resolved(run), read_sound_policy(data)
@@ -152,23 +150,6 @@ def _exported(
         "space in the file has no bounds, so load it without env=, or export again with --trust"
     )
     return exports.to_sb3(policy, settings, space), "" if bounded else note
-
-
-def _policy_file(run: StoredRun, player: int | None) -> str:
-    """Return the name of the file of the policy meant."""
-    from pneuma.engines.team import policy_names
-
-    names = policy_names([file.name for file in run.files])
-    if not names:
-        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
-    if len(names) == 1:
-        if player is not None:
-            raise UserError(f"--player {player}: all players of run {run.run_id} share one policy")
-        return names[0]
-    if player is None or player >= len(names):
-        given = "each player has its own policy" if player is None else f"there is no player {player}"
-        raise UserError(f"run {run.run_id}: {given}; choose --player 0 to {len(names) - 1}")
-    return names[player]
 
 
 def _resolved(run: StoredRun) -> Run:

@@ -282,7 +282,7 @@ def train(
 
 def _refuse_untrusted(winner: Winner, name: str) -> None:
     """Refuse what a record, or a file that it alone names, would have run or read: both may be untrusted."""
-    from pneuma.study.trust import own_things
+    from pneuma.study.identity import own_things
 
     task = winner.searched.task
     for settings in (task.search.space.fixed, winner.trial.settings):

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, TypeVar
 from pneuma.cli.options import say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
+from pneuma.study.identity import own_things
 from pneuma.study.store import FINISHED, Status, Store
-from pneuma.study.trust import own_things
 from pneuma.worlds import check_world, split_world
 
 Read = TypeVar("Read")

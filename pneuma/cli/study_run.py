@@ -60,13 +60,6 @@ def plan_(
     world: WorldName = None,
     workers: Workers = None,
     place: Place = HERE,
-    calibrate: Annotated[
-        bool,
-        typer.Option(
-            "--calibrate",
-            help="Train for a few seconds what no stored run tells the pace of (else a table does).",
-        ),
-    ] = False,
     unpublished: Unpublished = False,
     results: Results = RESULTS,
     json: Json = False,
@@ -83,8 +76,6 @@ def plan_(
     todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
     paces = estimate.stored_paces(store, statuses)
-    if calibrate:
-        estimate.calibrate(todo.values(), paces, lambda text: say(text, aside=True))
     seconds = {
         key: paces.seconds(run, run.steps - execute.kept_step(run, statuses[key]))
         for key, run in todo.items()
@@ -101,7 +92,7 @@ def plan_(
         room = sum(estimate.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
         told = duration(estimate.total_seconds(seconds.values(), at_once))
         sure = all(paces.knows(run) for run in todo.values())
-        rough = "" if sure else " (a rough estimate: --calibrate measures)"
+        rough = "" if sure else " (a rough estimate)"
         print(f"To train: about {told} with {at_once} at once{rough}, {max(room / 1e6, 1):,.0f} MB of disk.")
     return None
 

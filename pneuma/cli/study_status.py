@@ -14,7 +14,7 @@ from pneuma.cli.options import Json, NamedWorld, Results, Selected, print_json, 
 from pneuma.cli.plain_text import plain
 from pneuma.cli.study_records import RunState, each_study, known_studies, run_states, study_record
 from pneuma.errors import UserError
-from pneuma.study.origins import stored_origins, unusual_origins
+from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:

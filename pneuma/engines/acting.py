@@ -7,7 +7,6 @@ A step costs no Python, and worlds whose episode has ended cost nothing more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ kernel: Any = cached(error_model="numpy")
 
 def play_episodes(
     worlds: Worlds,
-    policies: Sequence[Policy],
+    policy: Policy,
     sampled: int,
     generator: np.random.Generator,
 ) -> np.ndarray:
@@ -37,15 +36,15 @@ def play_episodes(
 
     Args:
         worlds: reset, with rewards of the kernel's own; N of them, of P players.
-        policies: giving logits, one for all players or one for each, alike in shape and activation.
+        policy: giving logits, one for all players.
         sampled: in how many worlds, the first, actions are drawn; the others take the most probable one.
         generator: for every player of those, a number in [0, 1) is drawn from it at every step.
 
     Returns:
         (N,) the return of each, the mean over its players.
     """
-    weights, widths = np.stack([flat(own.actor) for own in policies]), sizes(policies[0].actor)
-    activation = ACTIVATION_CODES[policies[0].activation]
+    weights, widths = flat(policy.actor), sizes(policy.actor)
+    activation = ACTIVATION_CODES[policy.activation]
     returns = np.zeros(len(worlds))
     running = len(worlds)
     while running:
@@ -69,21 +68,18 @@ def _play(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, r
     for step in range(draws.shape[0]):
         if running == 0:
             break
-        for own in range(weights.shape[0]):
-            asked = 0
-            for w in range(count):
-                if s.worlds[w].ending != rules.RUNNING:
-                    continue
-                for p in range(players):
-                    if p % weights.shape[0] == own:
-                        rows[asked] = w * players + p
-                        scratch[0, asked, : widths[0]] = s.observations[w, p]
-                        asked += 1
-            logits = forward(weights[own], widths, activation, asked, scratch)
-            for k in range(asked):
-                w, p = rows[k] // players, rows[k] % players
-                place = rows[k] if weights.shape[0] == 1 else p * sampled + w  # as a `Team` draws
-                chosen[w, p] = sample(logits[k], draws[step, place]) if w < sampled else _highest(logits[k])
+        asked = 0
+        for w in range(count):
+            if s.worlds[w].ending != rules.RUNNING:
+                continue
+            for p in range(players):
+                rows[asked] = w * players + p
+                scratch[0, asked, : widths[0]] = s.observations[w, p]
+                asked += 1
+        logits = forward(weights, widths, activation, asked, scratch)
+        for k in range(asked):
+            w, p = rows[k] // players, rows[k] % players
+            chosen[w, p] = sample(logits[k], draws[step, rows[k]]) if w < sampled else _highest(logits[k])
         running -= rules.step_worlds(handle, chosen, False)
         for w in range(count):
             paid = 0.0

@@ -14,10 +14,8 @@ from importlib import import_module
 from typing import Protocol
 
 from pneuma.config import Run
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records
-from pneuma.engines.team import Team
+from pneuma.engines.records import Checkpoint, Records
 
 EVALUATIONS = 20
 """Times that the frozen policy is evaluated over a run."""
@@ -50,14 +48,14 @@ class Result:
             where `on_update` asked for it.
         step: agent steps trained, over all slots.
         records: everything up to then.
-        policy: the last policy, or the players' own; None when it is not finite.
+        policy: the last policy; None when it is not finite.
     """
 
     run: Run
     status: str
     step: int
     records: Records
-    policy: Policy | Team | None
+    policy: Policy | None
 
 
 OnUpdate = Callable[[Progress], bool]

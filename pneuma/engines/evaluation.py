@@ -19,7 +19,6 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.acting import MOST_WEIGHTS, play_episodes
 from pneuma.engines.action_values import ActionValues
 from pneuma.engines.policy import Policy
-from pneuma.engines.team import Team
 from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
@@ -90,7 +89,7 @@ class Evaluation:
         self.random_share, self.hunter_share = self._anchors()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
-    def evaluate(self, policy: Policy | Team | OwnAgent, step: int) -> dict[str, Any]:
+    def evaluate(self, policy: Policy | OwnAgent, step: int) -> dict[str, Any]:
         """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
 
         A policy of action values has `q_estimate` and `q_true` as well.
@@ -134,7 +133,7 @@ class Evaluation:
             shares.append(float(killed.mean()) / max(self.worlds.monsters.shape[1], 1))
         return shares[0], shares[1]
 
-    def _play_policy(self, policy: Policy | Team | OwnAgent, step: int) -> np.ndarray:
+    def _play_policy(self, policy: Policy | OwnAgent, step: int) -> np.ndarray:
         """Play one episode in every world, the first with drawn actions, the others with the best.
 
         Returns:
@@ -142,11 +141,10 @@ class Evaluation:
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         if not isinstance(policy, OwnAgent):
-            policies = policy.policies if isinstance(policy, Team) else (policy,)
-            asks = policies[0].exploration is not None or bool(own_rewards(self.run.reward))
-            if not asks and sum(weight.size for weight, _ in policies[0].actor) <= MOST_WEIGHTS:
+            asks = policy.exploration is not None or bool(own_rewards(self.run.reward))
+            if not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS:
                 self._begin()
-                return play_episodes(self.worlds, policies, self.episodes, generator)
+                return play_episodes(self.worlds, policy, self.episodes, generator)
 
         first_best = self.episodes * self.worlds.players.shape[1]
         actions = np.zeros(self.worlds.players.size, np.int64)

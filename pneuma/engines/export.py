@@ -18,15 +18,8 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from torch import nn
 
-from pneuma.algorithms import MAILMAN, TABULAR
-from pneuma.config import (
-    ACTION_NAMES,
-    REWARDS,
-    SPELL_NAMES,
-    Run,
-    env_config,
-    fields_read,
-)
+from pneuma.algorithms import MAILMAN
+from pneuma.config import ACTION_NAMES, REWARDS, SPELL_NAMES, Run, env_config
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
@@ -34,6 +27,9 @@ from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
+
+IN_ZIP = ("ppo", "a2c")
+"""Algorithms whose policies Stable-Baselines3 takes."""
 
 ONNX_OPSET = 17
 ONNX_IR_VERSION = 8
@@ -53,10 +49,9 @@ _ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
-    """Return what the `load` of the run's learner reads: the policy with its run's hyperparameters.
+    """Return what the `load` of Stable-Baselines3's `PPO` or `A2C` reads: policy and hyperparameters.
 
-    The learner is Stable-Baselines3's `PPO`, `A2C` or `DQN`, the last for Double DQN too, or sb3-contrib's
-    `TRPO`. The optimizer starts afresh: a stored run keeps no state of it.
+    The optimizer starts afresh: a stored run keeps no state of it.
     In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
     weights, which would be another. Where actor and critic were clipped each by itself, both are together.
 
@@ -76,29 +71,19 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps
-    if policy.exploration is not None:
-        model.exploration_rate = policy.exploration
+    nets = model.policy.mlp_extractor
     with torch.no_grad():
-        for layers, modules in _networks(policy, model):
-            linear = [module for module in modules if isinstance(module, nn.Linear)]
-            for (weight, bias), module in zip(layers, linear, strict=True):
+        for layers, hidden, head in (
+            (policy.actor, nets.policy_net, model.policy.action_net),
+            (policy.critic, nets.value_net, model.policy.value_net),
+        ):
+            linear = [module for module in hidden if isinstance(module, nn.Linear)]
+            for (weight, bias), module in zip(layers, (*linear, head), strict=True):
                 module.weight.copy_(torch.from_numpy(weight.T.copy()))  # torch keeps (outputs, inputs)
                 module.bias.copy_(torch.from_numpy(bias.copy()))
     file = io.BytesIO()
     model.save(file)
     return file.getvalue()
-
-
-def _networks(policy: Policy, model: Any) -> list[tuple[Any, list[nn.Module]]]:
-    """Return the layers of each network, with the modules of the learner that they go to."""
-    own = model.policy
-    if policy.exploration is not None:
-        return [(policy.actor, list(net.q_net.children())) for net in (own.q_net, own.q_net_target)]
-    nets = own.mlp_extractor
-    return [
-        (policy.actor, [*nets.policy_net.children(), own.action_net]),
-        (policy.critic, [*nets.value_net.children(), own.value_net]),
-    ]
 
 
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
@@ -110,8 +95,8 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
     Raises:
         UserError: when the environment observes another number of features than the policy.
     """
-    if run.algorithm in TABULAR:
-        raise UserError(".zip needs a learner of Stable-Baselines3, and a table has none: choose .onnx")
+    if run.algorithm not in IN_ZIP:
+        raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
     features = policy.actor[0][0].shape[0]
     if not (trust or reads_only_shipped_files(run)):
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
@@ -127,10 +112,8 @@ def reads_only_shipped_files(run: Run) -> bool:
 
 
 def _check_shape(policy: Policy, run: Run) -> None:
-    networks = {"actor": policy.actor, "critic": policy.critic}
-    hidden = {name: tuple(len(bias) for _, bias in own[:-1]) for name, own in networks.items() if own}
-    of_run = {name: getattr(run, name) for name in networks if name in fields_read(run)}
-    if (policy.activation, hidden) != (run.activation, of_run):
+    actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
+    if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
         raise UserError("policy.safetensors: is not of the shape that its run.json says")
 
 

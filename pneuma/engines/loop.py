@@ -13,10 +13,8 @@ from typing import Protocol
 
 from pneuma.config import Run
 from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records, Row
-from pneuma.engines.team import Team
+from pneuma.engines.records import Checkpoint, Records, Row
 
 
 class Trainer(Protocol):
@@ -42,8 +40,8 @@ class Trainer(Protocol):
         """Judge the policy as it is; return a row of evaluations."""
         ...
 
-    def policy(self) -> Policy | Team:
-        """Return the policy, or the players' own."""
+    def policy(self) -> Policy:
+        """Return the policy as it is."""
         ...
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:

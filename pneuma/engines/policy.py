@@ -6,14 +6,21 @@ Written as safetensors plus JSON, so that reading a stranger's file runs no code
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors.numpy import load, save
 
 from pneuma.config import ACTIVATIONS
 from pneuma.errors import UserError
+
+if TYPE_CHECKING:
+    from pneuma.env.worlds import Worlds
+
+POLICY_FILE = "policy.safetensors"
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
@@ -115,7 +122,7 @@ def read_sound_policy(data: bytes) -> Policy:
     except Exception:  # safetensors, JSON and shapes each fail in their own way
         sound = False
     if not sound:
-        raise UserError("policy.safetensors: is no policy of Pneuma's")
+        raise UserError(f"{POLICY_FILE}: is no policy of Pneuma's")
     return policy
 
 
@@ -134,6 +141,35 @@ def _is_sound(policy: Policy) -> bool:
         return not policy.critic and 0 <= policy.exploration <= 1
     inputs = (layers[0][0].shape[0] for layers in (policy.actor, policy.critic))
     return len({*inputs}) == 1 and policy.critic[-1][1].shape == (1,)
+
+
+def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
+    """Return what draws actions, (N, P), from a stored policy in worlds.
+
+    Raises:
+        UserError: as `check_fits` does.
+    """
+    check_fits(policy, worlds)
+
+    def act(shown: Worlds) -> np.ndarray:
+        flat = shown.observations.reshape(-1, shown.observations.shape[2])
+        return policy.sample(flat, generator).reshape(shown.players.shape)
+
+    return act
+
+
+def check_fits(policy: Policy, worlds: Worlds) -> None:
+    """Check that a stored policy can play in worlds.
+
+    Raises:
+        UserError: where it was trained on something else than these worlds are.
+    """
+    for what, trained, here in (
+        ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
+        ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
+    ):
+        if trained != here:
+            raise UserError(f"was trained on {trained} {what}; these settings make {here}")
 
 
 def flat(layers: Layers) -> np.ndarray:

@@ -1,10 +1,12 @@
-"""What a run writes down while it trains: rows of episodes, updates and evaluations."""
+"""What a run writes down while it trains: rows of episodes, updates and evaluations; and its checkpoints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from pneuma.config import ACTION_NAMES
 
@@ -23,9 +25,6 @@ METRIC_COLUMNS = (
     "dead_units",
     *(f"action_{i}" for i in range(len(ACTION_NAMES))),
 )
-LEARNER_COLUMNS = ("step", "learner", *METRIC_COLUMNS[1:])
-"""Of each update by each learner, where players learn independently; its metrics are their means."""
-
 EVALUATION_COLUMNS = (
     "step",
     "episodes",
@@ -52,20 +51,42 @@ Row = Mapping[str, Any]
 class Records:
     """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
 
-    Where players learn independently, rows of `LEARNER_COLUMNS` as well.
     Where values of actions are learned, every evaluation has some of `VALUE_COLUMNS` as well.
     """
 
     episodes: list[Row] = field(default_factory=list)
     metrics: list[Row] = field(default_factory=list)
     evaluations: list[Row] = field(default_factory=list)
-    learners: list[Row] = field(default_factory=list)
 
     def copy(self) -> Records:
         """Return records that further rows do not reach."""
-        return Records(list(self.episodes), list(self.metrics), list(self.evaluations), list(self.learners))
+        return Records(list(self.episodes), list(self.metrics), list(self.evaluations))
 
 
 def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:
     """Return the columns of a table: those of the contract, then those of `VALUE_COLUMNS` that it has."""
     return (*columns, *(name for name in VALUE_COLUMNS if rows and name in rows[0]))
+
+
+# --- Checkpoints -----------------------------------------------------------------------------------
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that an engine cannot go on from."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A run's whole state after an update: all that its engine needs to go on with the same bits.
+
+    Attributes:
+        step: agent steps trained, over all slots.
+        arrays: of the learner, its optimizer, its random generators and its worlds, by name.
+        numbers: what else there is, as JSON can hold it.
+        records: everything up to `step`.
+    """
+
+    step: int
+    arrays: Mapping[str, np.ndarray]
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    records: Records = field(default_factory=Records)

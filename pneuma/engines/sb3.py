@@ -1,8 +1,9 @@
 """The reference engine: learners of Stable-Baselines3 as they are, one run after the other.
 
-A learner collects and trains by its own methods. Pneuma sets it up from the run (`sb3_learners.py`),
-listens (`sb3_listening.py`) and evaluates between updates. An update of a learner from rollouts is one
-rollout and what is learned from it; of DQN, as many steps with the gradients between them.
+A learner collects and trains by its own methods. Pneuma sets it up from the run (`sb3_learners.py`), listens
+to its gradients and its log without touching its arithmetic, and evaluates between updates. An update of a
+learner from rollouts is one rollout and what is learned from it; of DQN, as many steps with the gradients
+between them.
 """
 
 from __future__ import annotations
@@ -13,17 +14,19 @@ from typing import Any
 
 import numpy as np
 import torch
+from sb3_contrib import TRPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
 
-from pneuma.config import Run, env_config, stream_seed
+from pneuma.algorithms import VALUE_BASED
+from pneuma.config import ACTION_NAMES, Run, env_config, stream_seed
 from pneuma.engines.base import OnUpdate, Result
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.loop import begins_fork, train_run
-from pneuma.engines.policy import Policy, overflows
-from pneuma.engines.records import Records, Row
+from pneuma.engines.policy import Policy, dead_share, overflows
+from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, Row
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
@@ -32,33 +35,40 @@ from pneuma.engines.sb3_learners import (
     seed_streams,
     take_checkpoint,
 )
-from pneuma.engines.sb3_listening import (
-    LOSSES,
-    NAN,
-    VISITED_METRICS,
-    GradientNorms,
-    Visited,
-    extract_policy,
-    finished_episodes,
-    gradient_norms,
-    is_finite,
-    logged_losses,
-    rollout_metrics,
-    visited_metrics,
-)
 from pneuma.env.sb3 import PneumaVecEnv
 
-__all__ = [
-    "GradientNorms",
-    "begin_fork",
-    "extract_policy",
-    "gradient_norms",
-    "learn_from_rollout",
-    "make_env",
-    "make_model",
-    "train",
-    "train_one",
-]
+NAN = float("nan")
+
+LOGGED: dict[str, dict[str, tuple[int, str]]] = {
+    "ppo": {
+        "policy_loss": (1, "policy_gradient_loss"),
+        "value_loss": (1, "value_loss"),
+        "entropy": (-1, "entropy_loss"),
+        "approx_kl": (1, "approx_kl"),
+        "clip_fraction": (1, "clip_fraction"),
+        "explained_variance": (1, "explained_variance"),
+    },
+    "a2c": {
+        "policy_loss": (1, "policy_loss"),
+        "value_loss": (1, "value_loss"),
+        "entropy": (-1, "entropy_loss"),
+        "explained_variance": (1, "explained_variance"),
+    },
+    "trpo": {
+        "policy_loss": (-1, "policy_objective"),
+        "value_loss": (1, "value_loss"),
+        "approx_kl": (1, "kl_divergence_loss"),
+        "explained_variance": (1, "explained_variance"),
+    },
+    "dqn": {"value_loss": (1, "loss")},
+    "double-dqn": {"value_loss": (1, "loss")},
+}
+"""Columns of the metrics that each learner logs, with sign and name there; it has no others of `LOSSES`."""
+
+LOSSES = tuple(LOGGED["ppo"])
+NORMS = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
+VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES))))
+"""Columns of the metrics that tell what a policy met and did."""
 
 
 def train(
@@ -78,7 +88,7 @@ def train_one(
     `env` stands in for the run's own environment in benchmarks; then nothing is evaluated.
     """
     model = make_model(run, env or make_env(run))
-    with gradient_norms(model, run) as norms:
+    with GradientNorms(model, run) as norms:
         return train_run(run, Sb3Trainer(model, run, norms), on_update, checkpoint, evaluated=env is None)
 
 
@@ -220,3 +230,160 @@ def make_env(run: Run) -> PneumaVecEnv:
 def world_seeds(run: Run) -> list[int]:
     """Return the seeds of the worlds of a run's slots."""
     return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]
+
+
+# --- Gradients -------------------------------------------------------------------------------------
+
+
+class GradientNorms:
+    """Measures every minibatch's gradient norms before clipping, and clips parts separately if asked.
+
+    Listens by torch's own hooks; the learner's code and arithmetic stay as they are. TRPO, whose actor
+    takes no steps of gradients, is not listened to.
+    """
+
+    def __init__(self, model: Learner, run: Run) -> None:
+        named = [(name, own) for name, own in model.policy.named_parameters() if "q_net_target" not in name]
+        self._parameters = [parameter for _, parameter in named]
+        self._is_actor = torch.tensor(["policy_net" in name or "action_net" in name for name, _ in named])
+        self._in_parts = run.algorithm not in VALUE_BASED
+        self._norms: list[torch.Tensor] = []
+        self._limit = run.gradient_limit if run.clip == "separate" else None
+        self._hooks: tuple[Any, ...] = ()
+        if isinstance(model, TRPO):
+            return
+        self._hooks = (
+            model.policy.optimizer.register_step_pre_hook(self._clip_parts),
+            torch.autograd.graph.register_multi_grad_hook(self._parameters, self._measure),
+        )
+
+    def __enter__(self) -> GradientNorms:
+        """Listen until the end of a `with` block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop listening: a hook keeps its network in memory."""
+        for hook in self._hooks:
+            hook.remove()
+
+    def _measure(self, gradients: Sequence[torch.Tensor | None]) -> None:
+        present = [g for g in gradients if g is not None]
+        self._norms.append(torch.stack(torch._foreach_norm(present)))
+
+    def _clip_parts(self, *_: Any) -> None:
+        if self._limit is None:
+            return
+        for actor in (True, False):
+            part = [p for p, own in zip(self._parameters, self._is_actor, strict=True) if own == actor]
+            nn.utils.clip_grad_norm_(part, self._limit)
+
+    def take(self) -> dict[str, float]:
+        """Return the mean norms over the minibatches since the last call, and forget them.
+
+        A network of action values has neither actor nor critic; before its first gradient there is no norm.
+        """
+        if not self._norms:
+            return dict.fromkeys(NORMS, NAN)
+        squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
+        self._norms.clear()
+        actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
+        parts = {"grad_norm": actor + critic, "grad_norm_actor": actor, "grad_norm_critic": critic}
+        told = {name: float(square.sqrt().mean()) for name, square in parts.items()}
+        return told if self._in_parts else {**dict.fromkeys(NORMS, NAN), "grad_norm": told["grad_norm"]}
+
+
+# --- Rollouts --------------------------------------------------------------------------------------
+
+
+class Visited(BaseCallback):
+    """Keeps what a learner without rollouts saw and did since someone last took it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def _on_step(self) -> bool:
+        self._seen.append((np.array(self.model._last_obs), np.array(self.locals["actions"])))
+        return True
+
+    def take(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return observations (N, features) and actions (N,), and forget them."""
+        observations, actions = zip(*self._seen, strict=True)
+        self._seen.clear()
+        return np.concatenate(observations), np.concatenate(actions)
+
+
+def logged_losses(model: Learner, run: Run) -> dict[str, float]:
+    """Return what a learner logged of its last training, NaN for what it has none of."""
+    log = model.logger.name_to_value
+    told = LOGGED[run.algorithm].items()
+    return {
+        **dict.fromkeys(LOSSES, NAN),
+        **{name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in told},
+    }
+
+
+def visited_metrics(policy: Policy, observations: np.ndarray, actions: np.ndarray) -> dict[str, float]:
+    """Measure what a policy met and did: dead units over (N, features), shares of the actions (N,)."""
+    shares = np.bincount(actions.astype(np.int64).ravel(), minlength=len(ACTION_NAMES)) / actions.size
+    return {
+        "dead_units": dead_share(policy, observations),
+        **{f"action_{i}": float(share) for i, share in enumerate(shares)},
+    }
+
+
+def rollout_metrics(model: Any, policy: Policy) -> dict[str, float]:
+    """Measure the rollout just collected: dead units of the policy that collected it, action shares.
+
+    TRPO logs no entropy; it is that of the policy that collected.
+    """
+    buffer = model.rollout_buffer
+    observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
+    told = visited_metrics(policy, observations, buffer.actions)
+    return {**told, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else told
+
+
+def finished_episodes(env: VecEnv | None) -> list[dict[str, Any]]:
+    """Take the episodes that ended since the last call."""
+    finished: list[dict[str, Any]] = getattr(env, "finished", [])
+    rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in finished]
+    finished.clear()
+    return rows
+
+
+# --- Networks --------------------------------------------------------------------------------------
+
+
+def extract_policy(model: Any, run: Run) -> Policy:
+    """Copy the learner's networks into a `Policy`; a network of action values is its actor."""
+    policy = model.policy
+    if isinstance(model, DQN):
+        return Policy(run.activation, _layers(policy.q_net.q_net), (), run.exploration)
+    nets = policy.mlp_extractor
+    return Policy(
+        run.activation,
+        _layers(nets.policy_net, policy.action_net),
+        _layers(nets.value_net, policy.value_net),
+    )
+
+
+def _layers(hidden: nn.Module, *head: nn.Module) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    linear = [layer for layer in (*hidden.children(), *head) if isinstance(layer, nn.Linear)]
+    # torch keeps (outputs, inputs)
+    return tuple((a.weight.detach().numpy().T.copy(), a.bias.detach().numpy().copy()) for a in linear)
+
+
+def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
+    """Tell whether losses, gradient norms and every parameter are finite.
+
+    The explained variance is left out: it is undefined where all returns are equal. So are losses that
+    a learner has none of, or none before its first gradient.
+    """
+    watched = ["policy_loss", "value_loss", "entropy", "grad_norm"]
+    if isinstance(model, DQN):
+        watched = ["value_loss", "grad_norm"] if model._n_updates else []
+    if isinstance(model, TRPO):
+        watched.remove("grad_norm")
+    with torch.no_grad():
+        total = sum(float(parameter.abs().sum()) for parameter in model.policy.parameters())
+    return bool(np.isfinite([*(metrics[name] for name in watched), total]).all())

@@ -22,9 +22,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.config import OPTIMIZER_FIELDS, Run, stream_seed
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.mlp import LEAKY_SLOPE
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.engines.upgd import UPGD
 from pneuma.env.sb3 import PneumaVecEnv
 

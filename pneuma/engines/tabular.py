@@ -16,10 +16,16 @@ import numpy as np
 
 from pneuma.config import ACTION_NAMES, Run, stream_seed
 from pneuma.engines.base import OnUpdate, Result
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.loop import train_run
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Records, Row
+from pneuma.engines.records import (
+    EVALUATION_COLUMNS,
+    METRIC_COLUMNS,
+    Checkpoint,
+    CheckpointError,
+    Records,
+    Row,
+)
 from pneuma.env.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
 
 NAN = float("nan")

@@ -21,13 +21,12 @@ from safetensors.numpy import load, save
 
 from pneuma.config import Run
 from pneuma.engines.base import Progress, checkpoint_steps
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
     EVALUATION_COLUMNS,
-    LEARNER_COLUMNS,
     METRIC_COLUMNS,
     VALUE_COLUMNS,
+    Checkpoint,
     Records,
     Row,
     columns_of,
@@ -45,10 +44,7 @@ TABLES = {
     "episodes": EPISODE_COLUMNS,
     "metrics": METRIC_COLUMNS,
     "evaluations": EVALUATION_COLUMNS,
-    "learners": LEARNER_COLUMNS,
 }
-OPTIONAL_TABLES = ("learners",)
-"""Those that are left out where they have no rows."""
 
 
 # --- While a run trains ----------------------------------------------------------------------------
@@ -245,12 +241,8 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 
 def table_files(records: Records) -> dict[str, bytes]:
     """Return every table of records as a Parquet file."""
-    return {
-        name: to_parquet(rows, columns_of(rows, columns))
-        for name, columns in TABLES.items()
-        for rows in [getattr(records, name)]
-        if rows or name not in OPTIONAL_TABLES
-    }
+    rows = {name: getattr(records, name) for name in TABLES}
+    return {name: to_parquet(own, columns_of(own, TABLES[name])) for name, own in rows.items()}
 
 
 def _about(data: bytes) -> dict[str, Any]:
@@ -264,11 +256,7 @@ def _about(data: bytes) -> dict[str, Any]:
 
 def _decoded(about: Mapping[str, Any], data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     arrays = load(data)
-    rows = {
-        name: _rows(arrays.pop(f"records/{name}").tobytes(), columns)
-        for name, columns in TABLES.items()
-        if f"records/{name}" in arrays or name not in OPTIONAL_TABLES
-    }
+    rows = {name: _rows(arrays.pop(f"records/{name}").tobytes(), columns) for name, columns in TABLES.items()}
     shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
     numbers, history = dict(about["numbers"]), dict(about["history"])
     return Checkpoint(about["step"], shaped, numbers, Records(**rows)), history

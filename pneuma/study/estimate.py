@@ -7,23 +7,15 @@ engine and network, times how much slower than the table this machine's other ru
 from __future__ import annotations
 
 import statistics
-import tempfile
-import time
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pneuma.config import Run, as_fields
-from pneuma.study.executors.base import Event, Supervision
-from pneuma.study.executors.local import run_groups
-from pneuma.study.identity import run_id
-from pneuma.study.origins import processors, stored_origins
-from pneuma.study.provenance import machine
+from pneuma.study.provenance import machine, processors, stored_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
 
@@ -37,13 +29,10 @@ SAMPLE = 100
 """Of how many other runs in the results folder the pace is read."""
 START_SECONDS = 4.0
 """What a worker takes to start, programs being compiled."""
-CALIBRATION_SECONDS = 4.0
-SLOW = 10.0
-"""How many times as long as most steps took one is no step's time: something was compiled."""
 BYTES_PER_STEP = 3.0
 """Room that the records of one agent step take, compressed."""
 OF_PACE = (
-    "engine", "algorithm", "env", "level", "players", "learners", "slots", "horizon", "minibatch", "epochs",
+    "engine", "algorithm", "env", "level", "players", "slots", "horizon", "minibatch", "epochs",
     "actor", "critic", "optimizer", "steps", "evaluation_episodes", "episode_steps", "observation", "reward",
     "random_levels", "magic", "classes", "buffer_size",
 )  # fmt: skip
@@ -94,41 +83,6 @@ def stored_paces(store: Store, own: Iterable[str]) -> Paces:
         except (KeyError, TypeError, ValueError, IndexError, ArithmeticError):
             continue  # a diverged, damaged or untrusted run tells nothing
     return here if here.like else elsewhere
-
-
-def calibrate(runs: Iterable[Run], paces: Paces, say: Callable[[str], None]) -> None:
-    """Add the paces of runs like which none was timed: their first seconds are trained, and thrown away."""
-    for run in runs:
-        if not paces.knows(run):
-            say(f"measuring how fast {run.engine} trains {_weights(as_fields(run)):,} weights here …")
-            if pace := _measure(run):
-                paces.add(as_fields(run), pace)
-
-
-class _EnoughError(Exception):
-    """A run was watched for long enough."""
-
-
-def _measure(run: Run) -> float | None:
-    """Return the seconds that a step of a run takes, after its first; None where that fails."""
-    moments: list[tuple[float, int]] = []
-
-    def note(event: Event) -> None:
-        if event["event"] == "step":
-            moments.append((time.monotonic(), event["step"]))
-            if len(moments) > 2 and moments[-1][0] - moments[1][0] > CALIBRATION_SECONDS:
-                raise _EnoughError
-
-    with tempfile.TemporaryDirectory() as folder, suppress(_EnoughError):
-        how = Supervision(workers=1, checkpoint_seconds=1e9)
-        run_groups([{run_id(run): run}], Store(Path(folder)), how, note)
-    parts = [
-        (then - before) / (late - early)
-        for (before, early), (then, late) in pairwise(moments[1:])
-        if late > early
-    ]
-    most = SLOW * statistics.median(parts) if parts else 0.0
-    return statistics.fmean(part for part in parts if part <= most) if parts else None
 
 
 def total_seconds(seconds: Iterable[float], workers: int) -> float:

@@ -9,7 +9,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -97,8 +97,7 @@ def prepare(
     check_environments(list(todo.values()))
     notes = _notes(plan, statuses, todo)
     if supervision and todo:
-        how = _with_gpus(plan, supervision)
-        notes.append(load_executor(how.place).check(todo, how))
+        notes.append(load_executor(supervision.place).check(todo, supervision))
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
@@ -127,9 +126,9 @@ def execute(
         for cell in cells[event["run_id"]]:
             on_progress(CellProgress(cell, *told, passing=event["event"] == "passing"))
 
-    how = _with_gpus(plan, supervision)
-    if todo or how.place.executor == SLURM:  # whose jobs may have ended, and wait to be put away
-        load_executor(how.place).run_groups(groups(todo, how), store, how, report)
+    if todo or supervision.place.executor == SLURM:  # whose jobs may have ended, and wait to be put away
+        executor = load_executor(supervision.place)
+        executor.run_groups(groups(todo, supervision.workers), store, supervision, report)
     results = [_result(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
     return [own for own in results if own.status.finished or own.cell.run_id not in plan.published]
 
@@ -142,27 +141,21 @@ def _result(cell: Cell, stored: Status, end: Event | None) -> CellResult:
     return CellResult(cell, status, bool(end["trained"]), end.get("reason", ""))
 
 
-def groups(todo: Mapping[str, Run], how: Supervision) -> list[dict[str, Run]]:
+def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
     """Share runs out to worker processes.
 
     Runs of equal shapes that the compiled engine trains go together, so that its programs are loaded or
     compiled once for them, and runs of tables, which take less time than a process does to start. But never
-    so many that a worker stands idle. Those on a GPU are among themselves.
+    so many that a worker stands idle.
     """
     alike: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():
-        shapes = (*(getattr(run, key) for key in SHAPED_BY), name in how.on_gpu)
+        shapes = tuple(getattr(run, key) for key in SHAPED_BY)
         alike.setdefault(name if run.engine == "sb3" else shapes, []).append((name, run))
-    size = min(MOST_IN_GROUP, math.ceil(len(todo) / how.workers))
+    size = min(MOST_IN_GROUP, math.ceil(len(todo) / workers))
     return [
         dict(runs[first : first + size]) for runs in alike.values() for first in range(0, len(runs), size)
     ]
-
-
-def _with_gpus(plan: Plan, supervision: Supervision) -> Supervision:
-    """Return the supervision with the runs of the conditions that the study's file marks `gpu`."""
-    marked = frozenset(cell.run_id for cell in plan.cells if cell.condition in plan.study.gpu)
-    return replace(supervision, on_gpu=marked)
 
 
 def kept_step(run: Run, status: Status) -> int:

@@ -24,18 +24,17 @@ from pneuma.config import (
     read_field,
 )
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.identity import run_id
+from pneuma.study.identity import own_things, run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.provenance import differences
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import read_document, stored_settings
-from pneuma.study.trust import own_things
 
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
-    "magic", "observation", "observe_facing", "perceive", "slots", "learners", "horizon", "actor",
+    "magic", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
     "critic", "buffer_size", "learning_starts", "seed",
 )  # fmt: skip
 """Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""

@@ -1,14 +1,17 @@
-"""What a run is called: a hash of everything that can change its outcome."""
+"""What a run is called, a hash of all that can change its outcome; and which files of its user's it names."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, read_field
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
+
+REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
 
 
 def run_id(run: Run) -> str:
@@ -51,3 +54,27 @@ def _contents(run: Run) -> str:
     for path in paths:
         digest.update(f"{path.name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
     return digest.hexdigest() if paths else ""
+
+
+def own_things(fields: Mapping[str, object]) -> dict[str, str]:
+    """Return what untrusted fields name that is not shipped, by key: what would be done with it.
+
+    Nothing is imported or opened to tell.
+
+    Raises:
+        UserError: for a value that is not allowed.
+    """
+    read = {
+        key: read_field(Run, key, fields[key])
+        for key in (REWARD, LEVEL, CHARACTERS)
+        if fields.get(key) is not None
+    }
+    custom = own_rewards(read.get(REWARD, ()))
+    found = {REWARD: f"run the reward {', '.join(custom)}"} if custom else {}
+    level = read.get(LEVEL, "")
+    if is_own_level(level):
+        found[LEVEL] = f"read the level {level}"
+    characters = read.get(CHARACTERS, "")
+    if are_own_characters(characters):
+        found[CHARACTERS] = f"read the characters {characters}"
+    return found

@@ -73,7 +73,6 @@ class Study:
         conditions: what each condition sets on top.
         presets: by name.
         keep_checkpoints: of each run, evenly spread, beside that of its first update, for `pneuma run fork`.
-        gpu: conditions whose runs are to have a GPU each, where the executor hands them out.
         levels: of each condition of a crossed study, the value's name of every factor.
         world: one of `WORLDS`.
         worlds: those of `WORLDS` that it can be run in, the usual one first.
@@ -91,7 +90,6 @@ class Study:
     conditions: Mapping[str, Mapping[str, Any]]
     presets: Mapping[str, Preset] = field(default_factory=dict)
     keep_checkpoints: int = 0
-    gpu: frozenset[str] = frozenset()
     levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     world: str = TEXT
     worlds: tuple[str, ...] = tuple(WORLDS)

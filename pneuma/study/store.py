@@ -3,8 +3,7 @@
     results/runs/ID/        run.json         the resolved configuration
                             provenance.json  what produced it, and how long that took
                             episodes.parquet, metrics.parquet, evaluations.parquet
-                            policy.safetensors; or policy-0.safetensors and so on, one a player,
-                            with learners.parquet
+                            policy.safetensors
                             error.txt        a crash's traceback
                             status.json      status, step, and the checksum of every other file
                             checkpoints/     where a run that has not ended goes on from

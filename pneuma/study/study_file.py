@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from importlib import import_module
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,7 +20,7 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 from pydantic import BeforeValidator
 
-from pneuma.config import BASES, FORK_FIELDS, Run, Steps, env_config, make_run
+from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, TomlFile, Where, read_model, read_toml, shown, wrong
 from pneuma.study.spec import (
@@ -30,7 +29,6 @@ from pneuma.study.spec import (
     Preset,
     Study,
     does_nothing,
-    is_shipped_file,
     read_seeds,
     unread_fields,
 )
@@ -40,8 +38,6 @@ from pneuma.worlds import TEXT, WORLDS
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
 """The factor that the file's own conditions are the values of, in a crossed study."""
-JUDGED_BY_THE_ENVIRONMENT = ("level", "characters", "classes", "weapons", "perceive", "reward")
-"""Fields whose values may name what only files, levels and modules can tell to be there."""
 PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromkeys(
     FORK_FIELDS, "`pneuma run fork`"
 )
@@ -77,12 +73,6 @@ def _named_values(factors: Any) -> Any:
         table = isinstance(values, Mapping)
         named[factor] = values if table else {f"{factor}={_short(own)}": {factor: own} for own in values}
     return named
-
-
-def _gpu(value: Any) -> bool | tuple[str, ...]:
-    if isinstance(value, bool) or (isinstance(value, tuple) and all(isinstance(own, str) for own in value)):
-        return value
-    raise ValueError
 
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
@@ -124,7 +114,6 @@ class StudyFile(Table):
     base: Annotated[str, OneOf(tuple(BASES))]
     baseline: str = ""
     keep_checkpoints: Annotated[int, Interval(ge=0, le=1000)] = 0
-    gpu: Annotated[bool | tuple[str, ...], Reads(_gpu, "true, false, or a list of conditions")] = False
     worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] | None = None
     run: Fields = {}
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
@@ -158,9 +147,9 @@ class _Checked:
         baseline = next(
             (name for name, own in levels.items() if said.baseline in own.values()), said.baseline
         )
-        self._refuse_unknown("baseline", [baseline] if baseline else [], conditions)
-        gpu = said.gpu if isinstance(said.gpu, tuple) else [*conditions] if said.gpu else []
-        self._refuse_unknown("gpu", gpu, conditions)
+        if baseline and baseline not in conditions:
+            unknown = unknown_name("condition", baseline, conditions)
+            raise self.file.mistake((), f"baseline: {unknown}", "baseline")
         for name, preset in said.presets.items():
             where = ("presets", name, "conditions")
             for own in preset.conditions:
@@ -180,7 +169,6 @@ class _Checked:
             conditions=conditions,
             presets={name: preset.preset() for name, preset in said.presets.items()},
             keep_checkpoints=said.keep_checkpoints,
-            gpu=frozenset(gpu),
             levels=levels,
             worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
         )
@@ -222,14 +210,9 @@ class _Checked:
             crossed[joined], levels[joined] = own, dict(zip(self._factors, names, strict=True))
         return crossed, levels
 
-    def _refuse_unknown(self, key: str, names: Any, known: Mapping[str, Any]) -> None:
-        for name in names:
-            if name not in known:
-                raise self.file.mistake((), f"{key}: {unknown_name('condition', name, known)}", key)
-
     def _refuse_faults(self, study: Study) -> None:
         """Refuse what only the whole shows: conditions that make no run, and fields that do nothing."""
-        runs, seen = [], set()
+        runs: list[Run] = []
         for name, own in study.conditions.items():
             try:
                 runs.append(make_run(study.fields(name)))
@@ -238,23 +221,8 @@ class _Checked:
                 raise self._mistake(study, name, key, str(error)) from None
             for key in unread_fields(runs[-1:], own):
                 raise self._mistake(study, name, key, does_nothing(key, runs[-1:]))
-            config = env_config(runs[-1])
-            named = {*self.said.run, *own} & {*JUDGED_BY_THE_ENVIRONMENT}
-            if named and config not in seen and not is_shipped_file(self.file.path):  # these are tested
-                seen.add(config)
-                self._refuse_environment(study, name, named)
         for key in unread_fields(runs, self.said.run):
             raise self.file.mistake(("run",), does_nothing(key, runs), key)
-
-    def _refuse_environment(self, study: Study, name: str, named: set[str]) -> None:
-        """Refuse a condition whose environment cannot be made, at the field without which it can."""
-        fields = study.fields(name)
-        if error := _environment_fault(fields):
-            for key in sorted(named):
-                if not _environment_fault({own: fields[own] for own in fields if own != key}):
-                    message = f"{key} = {shown(fields[key])}: {error}"
-                    raise self._mistake(study, name, key, message)
-            raise self._mistake(study, name, "", str(error))
 
     def _mistake(self, study: Study, name: str, key: str, message: str) -> UserError:
         """Build an error of a condition at the place that sets a key, or where the condition is."""
@@ -273,13 +241,3 @@ class _Checked:
         if factor == CONDITION:
             return ("conditions", level), message, key
         return ("factors",), message, factor
-
-
-def _environment_fault(fields: Mapping[str, Any]) -> UserError | None:
-    """Make the environment of a run once, with its user's own reward; return what hinders it."""
-    try:
-        config = replace(env_config(make_run(fields)), random_levels=1)  # their number changes nothing
-        import_module("pneuma.env.worlds").Worlds(1, config)
-    except UserError as error:
-        return error
-    return None

@@ -11,13 +11,12 @@ import pyarrow.parquet as pq
 
 from pneuma.study.files import LARGEST_BYTES
 
-_WHOLE = {"slot", "learner", "episode", "step", "length", "kills", "episodes", "argmax_starts"}
+_WHOLE = {"slot", "episode", "step", "length", "kills", "episodes", "argmax_starts"}
 _TEXT = {"ending", "tag"}
 _EVERYWHERE = {
     "episodes": ("step", "slot"),
     "metrics": ("step",),
     "evaluations": ("step",),
-    "learners": ("step", "learner"),
     "scalars": ("step", "tag", "value", "superseded"),
 }
 """Columns that a record table cannot do without, by its name."""

@@ -27,8 +27,8 @@ from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
 from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import CheckpointError
-from pneuma.engines.team import policy_files
+from pneuma.engines.policy import POLICY_FILE
+from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.compiling import COMPILES, compiled_mark, leave_mark
@@ -204,7 +204,7 @@ def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[st
     files = {"run.json": run_document(result.run, name), "provenance.json": to_json(about)}
     files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
     if result.policy is not None:
-        files |= policy_files(result.policy)
+        files[POLICY_FILE] = result.policy.to_bytes()
     return files
 
 

@@ -10,8 +10,7 @@ import torch
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress, checkpoint_steps, load_engine
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.study.checkpoints import (
     checkpoint_files,
     decode,
@@ -37,17 +36,13 @@ CASES: dict[str, dict[str, object]] = {
     "rmsprop": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
     "slots": {"slots": 3, "steps": 1152, "env": "pneuma/PneumaGodot-v0", "episode_steps": 50},
     "players": {"players": 2, "steps": 768, "episode_steps": 40, "clip": "separate"},
-    "independent": {
-        **{"players": 2, "learners": "independent", "reward": ("kills", "thesis"), "steps": 768},
-        **{"episode_steps": 40, "optimizer": "upgd"},
-    },
     "magic": {"magic": True, "classes": "mage", "episode_steps": 70},
     "islands": {"level": "random:train:0", "random_levels": 3, "episode_steps": 30},
 }
 
 BOTH = ["sb3", "batched"]
 TRAINED = [("batched", name) for name in CASES] + [("sb3", name) for name in ("upgd", "rmsprop", "players")]
-BESIDE = [("sb3", "upgd"), ("batched", "upgd"), ("batched", "independent")]
+BESIDE = [("sb3", "upgd"), ("batched", "upgd"), ("batched", "players")]
 
 
 @pytest.mark.parametrize(("engine", "name"), TRAINED)

@@ -13,7 +13,6 @@ from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3 import make_env
-from pneuma.engines.team import Team
 
 
 def run_of(**settings: object) -> Run:
@@ -92,16 +91,15 @@ def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu", "leaky-relu"])
-@pytest.mark.parametrize(("players", "learners"), [(1, 1), (2, 1), (2, 2)])
+@pytest.mark.parametrize("players", [1, 2])
 def test_compiled_play_is_what_numpy_plays(
-    activation: str, players: int, learners: int, monkeypatch: pytest.MonkeyPatch
+    activation: str, players: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = run_of(seed=5, players=players, episode_steps=200, activation=activation)
     evaluation = Evaluation(run)
-    networks = [initial_networks(run, 60, 5, player) for player in range(players)]
-    sharp = [tuple((weight * np.float32(3), bias) for weight, bias in own["actor"]) for own in networks]
-    policies = [Policy(activation, actor, own["critic"]) for actor, own in zip(sharp, networks, strict=True)]
-    policy = policies[0] if learners == 1 else Team(tuple(policies))
+    networks = initial_networks(run, 60, 5)
+    sharp = tuple((weight * np.float32(3), bias) for weight, bias in networks["actor"])
+    policy = Policy(activation, sharp, networks["critic"])
     compiled = evaluation.evaluate(policy, 7)
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
     assert evaluation.evaluate(policy, 7) == pytest.approx(compiled)

@@ -26,7 +26,6 @@ TABLE: dict[str, Any] = {
 RUNS: dict[str, dict[str, Any]] = {
     "sb3": {**SMALL, "steps": 256, "engine": "sb3"},
     "batched, shared": {**SMALL, "steps": 512, "slots": 2},
-    "batched, independent": {**SMALL, "steps": 512, "players": 2, "learners": "independent"},
     "tabular": TABLE,
 }
 # How many episodes end, and step, length and return of some; the last metrics, actions' shares, evaluation.
@@ -61,22 +60,6 @@ GOLDEN: dict[tuple[str, int], dict[str, Any]] = {
             "share_killed": 0.0178571, "return": -36.5325, "length": 40.0, "died": 0.0,
             "argmax_share_killed": 0.0, "argmax_return": -35.695, "random_share_killed": 0.0178571,
             "hunter_share_killed": 0.125,
-        },
-    },
-    ("batched, independent", 3): {
-        "episodes": 12,
-        "episode": {0: (80, 40, -27.26), 1: (80, 40, -33.98), 8: (400, 40, -39.65)},
-        "metrics": {
-            "policy_loss": -0.000462193, "value_loss": 67.7902, "entropy": 1.6092,
-            "approx_kl": 4.82611e-06, "clip_fraction": 0.0, "explained_variance": 0.0248444,
-            "grad_norm": 51.8376, "grad_norm_actor": 0.558049, "grad_norm_critic": 51.8338,
-            "dead_units": 0.0875,
-        },
-        "actions": [0.210938, 0.164062, 0.179688, 0.1875, 0.257812],
-        "evaluation": {
-            "share_killed": 0.0357143, "return": -33.1038, "length": 40.0, "died": 0.0,
-            "argmax_share_killed": 0.0, "argmax_return": -34.5633, "random_share_killed": 0.0178571,
-            "hunter_share_killed": 0.267857,
         },
     },
     ("tabular", 1): {

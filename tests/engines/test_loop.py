@@ -9,10 +9,9 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.engines.base import EVALUATIONS, Progress
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.loop import train_run
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, Records
 
 UPDATES = 2 * EVALUATIONS
 HORIZON = 64

@@ -9,9 +9,8 @@ import pytest
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
-from pneuma.engines.checkpoint import CheckpointError
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, CheckpointError
 from pneuma.engines.tabular import (
     TableEvaluation,
     estimated_values,

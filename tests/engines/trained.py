@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pneuma.config import Run
 from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import Checkpoint
-from pneuma.engines.team import policy_files
+from pneuma.engines.records import Checkpoint
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.tables import to_parquet
 
@@ -26,4 +25,4 @@ def bits(result: Result) -> tuple[object, ...]:
     """Return all that a run ends with; as Parquet, where NaN equals NaN."""
     assert result.policy is not None
     tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
-    return result.status, result.step, tables, policy_files(result.policy)
+    return result.status, result.step, tables, result.policy.to_bytes()

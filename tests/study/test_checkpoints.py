@@ -10,8 +10,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
-from pneuma.engines.records import Records
+from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.study import checkpoints, provenance
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
 from pneuma.study.provenance import Attempt

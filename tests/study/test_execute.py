@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,9 @@ from pneuma.study.execute import (
     CellResult,
     OnProgress,
     execute,
-    groups,
     prepare,
     recorded_selection,
 )
-from pneuma.study.executors import local
 from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
@@ -82,23 +80,6 @@ def _rows(executed: Executed, seed: int, table: str) -> list[dict[str, Any]]:
 
 def _run_id(executed: Executed, seed: int) -> str:
     return next(cell.run_id for cell in executed.plan.cells if cell.seed == seed)
-
-
-# --- Groups ------------------------------------------------------------------------------------------
-
-
-def test_the_conditions_that_a_file_marks_get_gpus_among_themselves_and_no_other_ids(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain, path, told = tiny_plan(tmp_path), tmp_path / "marked.toml", list[Supervision]()
-    path.write_text('gpu = ["one"]\n' + TINY.replace("[conditions.other]", "[conditions.other]\ngamma = 0.9"))
-    plan = make_plan(load_study(str(path)), Selection())
-    monkeypatch.setattr(local, "run_groups", lambda groups, store, how, on_event: told.append(how))
-    _run(plan, Store(tmp_path / "results"), 1, lambda progress: None)
-    marked = {cell.run_id for cell in plan.cells if cell.condition == "one"}
-    assert told[0].on_gpu == marked == {cell.run_id for cell in plain.cells}
-    runs = {cell.run_id: replace(cell.run, engine="batched") for cell in plan.cells}
-    assert [set(group) for group in groups(runs, told[0])] == [marked, {*runs} - marked]
 
 
 # --- What a run leaves behind ------------------------------------------------------------------------
@@ -179,23 +160,6 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
     assert {p.cell.seed for p in second.progress} == {0}
     again = _run(together.plan, together.store, 2, lambda _: pytest.fail("something happened"))
     assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
-
-
-@pytest.mark.slow
-def test_a_damaged_run_is_trained_again_to_the_same_bits(alone: tuple[Executed, Executed]) -> None:
-    executed = alone[0]
-    path = executed.store.run_folder(_run_id(executed, 1)) / "metrics.parquet"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
-    try:
-        (result,) = _run(executed.plan, executed.store, 1, lambda _: None)
-        assert result.trained
-        assert path.read_bytes() == whole
-    finally:
-        path.write_bytes(whole)  # other tests look at this folder too
-
-
-# --- When a worker goes ------------------------------------------------------------------------------
 
 
 def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:

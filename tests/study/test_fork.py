@@ -1,4 +1,4 @@
-"""Forks: what they share with their parent, what is fresh, what cannot be changed; forks of several runs."""
+"""Plans of forks: from which checkpoint, what cannot be changed; forks of several runs."""
 
 from __future__ import annotations
 
@@ -7,15 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from pneuma.config import Run, make_run
-from pneuma.engines import sb3
-from pneuma.engines.base import Progress, Result, load_engine
-from pneuma.engines.checkpoint import Checkpoint
-from pneuma.engines.sb3_learners import take_checkpoint
-from pneuma.engines.team import policy_files
+from pneuma.config import make_run
+from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import checkpoint_files, encode, file_name
 from pneuma.study.fork import CAUSES, Change, plan_cause_forks, plan_fork
@@ -28,99 +23,6 @@ SMALL: dict[str, object] = {
     "betas": (0.9, 0.9), "engine": "sb3",
 }  # fmt: skip
 AT = 128
-
-
-def train(run: Run, start: Checkpoint | None = None) -> tuple[Result, dict[int, Checkpoint]]:
-    """Train a run; return its end and its checkpoints by step."""
-    taken: dict[int, Checkpoint] = {}
-
-    def keep(progress: Progress) -> bool:
-        taken[progress.step] = progress.checkpoint()
-        return True
-
-    return next(load_engine("sb3").train([run], {0: start} if start else {}, keep)), taken
-
-
-@pytest.fixture(scope="module")
-def parent() -> tuple[Run, dict[int, Checkpoint]]:
-    run = make_run({**SMALL, "xp_scope": "forever"})
-    return run, train(run)[1]
-
-
-def forked(parent: Run, seed: int = 0, **changes: object) -> Run:
-    own = {"parent": run_id(parent), "fork_step": AT, "seed": seed}
-    return make_run({**SMALL, "xp_scope": "forever", **own, **changes})
-
-
-def begun(run: Run, checkpoint: Checkpoint) -> Any:
-    """Return a learner at the beginning of a fork."""
-    model = sb3.make_model(run, sb3.make_env(run))
-    model._setup_learn(run.steps)
-    sb3.begin_fork(model, run, checkpoint)
-    return model
-
-
-# --- What a fork begins with -----------------------------------------------------------------------
-
-
-def test_a_fork_begins_with_its_parents_weights_worlds_and_optimizer_and_fresh_streams(
-    parent: tuple[Run, dict[int, Checkpoint]],
-) -> None:
-    run, taken = parent
-    there = take_checkpoint(begun(forked(run), taken[AT]), AT, taken[AT].records)
-    seen = set()
-    for name, array in taken[AT].arrays.items():
-        part = name.split("/")[0]
-        seen.add(part)
-        if part in ("policy", "optimizer", "worlds", "last") and name != "worlds/worlds":  # keys of streams
-            assert np.array_equal(there.arrays[name], array), name
-        if part == "random":
-            assert not np.array_equal(there.arrays[name], array), name
-    assert seen == {"policy", "optimizer", "worlds", "last", "random"}
-
-
-def test_only_what_is_asked_for_is_reset(parent: tuple[Run, dict[int, Checkpoint]]) -> None:
-    run, taken = parent
-    resets = ("", "optimizer", "xp", "critic")
-    models = {reset: begun(forked(run, fork_reset=reset), taken[AT]) for reset in resets}
-    weights = {reset: model.policy.state_dict() for reset, model in models.items()}
-    fresh = sb3.make_model(forked(run), sb3.make_env(forked(run))).policy.state_dict()
-    for name, kept in weights[""].items():
-        own = fresh[name] if "value_net" in name else kept
-        assert np.array_equal(weights["critic"][name].numpy(), own.numpy()), name
-        assert np.array_equal(weights["optimizer"][name].numpy(), kept.numpy())
-    moments = {reset: len(model.policy.optimizer.state_dict()["state"]) for reset, model in models.items()}
-    assert moments[""] == moments["xp"] > moments["critic"] > moments["optimizer"] == 0
-
-
-def test_xp_that_outlives_episodes_can_be_reset(parent: tuple[Run, dict[int, Checkpoint]]) -> None:
-    run, taken = parent
-    model = begun(forked(run), taken[AT])
-    model.env.state.players["xp"] = 7.0
-    model._last_obs = model.env.observe().copy()
-    rich = take_checkpoint(model, AT, taken[AT].records)
-    kept, poor = begun(forked(run), rich), begun(forked(run, fork_reset="xp"), rich)
-    assert kept.env.state.players["xp"][0, 0] == 7.0
-    assert poor.env.state.players["xp"][0, 0] == 0.0
-    (seen,) = np.flatnonzero(kept._last_obs != poor._last_obs)  # the first action is taken without it, too
-    assert kept._last_obs[0, seen] > 0 == poor._last_obs[0, seen]
-
-
-def test_fork_seeds_differ_and_a_fork_goes_on_after_a_kill(
-    parent: tuple[Run, dict[int, Checkpoint]],
-) -> None:
-    run, taken = parent
-    whole, own = train(forked(run), taken[AT])
-    other, _ = train(forked(run, seed=1), taken[AT])
-    resumed, _ = train(forked(run), own[256])
-    assert whole.policy is not None and other.policy is not None and resumed.policy is not None
-    assert policy_files(whole.policy) != policy_files(other.policy)
-    assert policy_files(whole.policy) == policy_files(resumed.policy)
-    assert [row["step"] for row in whole.records.metrics] == [192, 256, 320]
-    assert whole.records.metrics == resumed.records.metrics
-
-
-# --- Plans of one run ------------------------------------------------------------------------------
 
 
 def stored(store: Store, steps: Sequence[int] = (AT,), about: object = None, **settings: Any) -> str:

@@ -12,6 +12,7 @@ import pytest
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
 from pneuma.env.level import LEVELS
+from pneuma.errors import UserError
 from pneuma.study import identity
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Selection, make_plan
@@ -103,12 +104,11 @@ OF_OTHER_ALGORITHMS: dict[str, tuple[dict[str, Any], Any]] = {
 }
 """For every field that PPO does not read, fields under which it is, and a value that is not the default."""
 
-OF_PLAYERS = {"learners"}
 OF_ONE_VALUE = {"engine"}
 
 
 def test_every_field_of_a_run_is_tested_here() -> None:
-    several = {*OF_OTHER_OPTIMIZERS, *OF_OTHER_ALGORITHMS, *OF_PLAYERS, *OF_ONE_VALUE}
+    several = {*OF_OTHER_OPTIMIZERS, *OF_OTHER_ALGORITHMS, *OF_ONE_VALUE}
     tested = {*OTHER, *several, "level", "random_levels", "held_out_levels"}
     assert tested == {item.name for item in fields(Run)}
 
@@ -132,11 +132,10 @@ def test_every_field_changes_the_name() -> None:
             assert run_id(make_run({key: value})) == usual, key  # PPO reads none of them
 
 
-def test_how_players_learn_changes_the_name_where_there_are_several() -> None:
-    two, alone = {"players": 2}, {"learners": "independent"}
-    assert run_id(make_run({**two, **alone})) != run_id(make_run(two))
-    assert run_id(make_run({**two, "learners": "shared"})) == run_id(make_run(two))
-    assert run_id(make_run(alone)) == run_id(make_run({}))
+def test_a_run_of_an_older_version_is_the_same_run_still() -> None:
+    assert run_id(make_run({"learners": "shared"})) == run_id(make_run({}))
+    with pytest.raises(UserError, match="learners"):
+        make_run({"learners": "independent"})
 
 
 @pytest.mark.parametrize("version", ["RULES_VERSION", "ENGINE_VERSIONS"])

@@ -10,8 +10,8 @@ import pytest
 
 from pneuma.cli import main
 from pneuma.study.execute import selection_record
-from pneuma.study.origins import unusual_origins
 from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.provenance import unusual_origins
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
 

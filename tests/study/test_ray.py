@@ -84,29 +84,13 @@ def checkpoint_folders(folder: Path) -> set[Path]:
     return {path.parent for path in (folder / "results").glob("runs/*/checkpoints/*.safetensors")}
 
 
-# --- The same bytes ----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_run_on_a_cluster_of_its_own_leaves_the_same_files(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
-    process = begin(tmp_path, study)
-    out, told = process.communicate(timeout=120)
-    assert process.returncode == 0, told
-    assert [run["status"] for run in json.loads(out)["runs"]] == ["done"]
-    (tmp_path / "results").rename(tmp_path / "away")
-    assert run_locally(tmp_path, study)[0] == 0
-    assert outcome(tmp_path / "away") == outcome(tmp_path / "results")
-    assert outcome(tmp_path / "results")
-
-
 # --- Refusals ----------------------------------------------------------------------------------------
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
     command = ray.Command(ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere"))
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
-        next(ray.Node().train({"results": "/shared/results"}, False, command))
+        next(ray.Node().train({"results": "/shared/results"}, command))
 
 
 # --- A node is lost: last, because the others need both ------------------------------------------------

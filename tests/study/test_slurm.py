@@ -15,12 +15,9 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
-from pneuma.study.execute import execute
 from pneuma.study.executors import local, slurm
 from pneuma.study.executors.base import Detached, Event, Place, Supervision
 from pneuma.study.identity import run_id
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
 submitit = pytest.importorskip("submitit")
@@ -43,7 +40,7 @@ class Queue:
         self.runs_jobs = runs_jobs
         self.gone = False
 
-    def executor(self, folder: Path, name: str, how: Supervision, gpu: bool) -> Any:
+    def executor(self, folder: Path, name: str, how: Supervision) -> Any:
         self.name = name
         self.local = submitit.LocalExecutor(folder)
         return self
@@ -130,20 +127,6 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     assert len(queue.submitted) == 2
 
 
-def test_what_ended_while_nobody_watched_is_put_away_by_the_same_command(queue: Queue, store: Store) -> None:
-    """All runs lie in the store when it is given again: none is to be trained."""
-    runs = group(11)
-    with pytest.raises(Detached):
-        train([runs], store, DETACHED)
-    store.save_run(next(iter(runs)), Status("done", 500), {"run.json": b"{}"})
-    planned = make_plan(load_study("activation"), Selection(seeds=(0,), steps=256))
-    execute(planned, {}, store, DETACHED, lambda progress: None)
-    assert folders(store)  # its job is still ending
-    queue.gone = True
-    execute(planned, {}, store, DETACHED, lambda progress: None)
-    assert not folders(store)
-
-
 def test_the_queue_tells_the_jobs_of_arrays_and_single_ones_by_run(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,24 +151,24 @@ def test_the_queue_tells_the_jobs_of_arrays_and_single_ones_by_run(
 # --- What sbatch is asked ----------------------------------------------------------------------------
 
 
-def script(options: Mapping[str, str], gpu: bool, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def script(options: Mapping[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     (folder / "srun").touch(0o755)
     monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
     how = replace(HOW, place=Place("slurm", slurm=tuple(options.items())))
-    return slurm._executor(folder, "mine", how, gpu)._make_submission_file_text("", "").splitlines()
+    return slurm._executor(folder, "mine", how)._make_submission_file_text("", "").splitlines()
 
 
 def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = script({}, True, tmp_path, monkeypatch)
-    assert {"#SBATCH --time=60", "#SBATCH --gres=gpu:1", "#SBATCH --requeue"} <= {*usual}
+    usual = script({}, tmp_path, monkeypatch)
+    assert {"#SBATCH --time=60", "#SBATCH --requeue"} <= {*usual}
     options = {"time": "2:30:00", "gres": "gpu:a100:1", "exclusive": "true", "setup": "module load cuda"}
-    own = script(options, True, tmp_path, monkeypatch)
+    own = script(options, tmp_path, monkeypatch)
     assert {"#SBATCH --time=2:30:00", "#SBATCH --gres=gpu:a100:1", "#SBATCH --exclusive"} <= {*own}
     assert "module load cuda" in own
     with pytest.raises(UserError, match="job_name=x: is set by Pneuma"):
-        script({"job_name": "x"}, False, tmp_path, monkeypatch)
+        script({"job_name": "x"}, tmp_path, monkeypatch)
 
 
 # --- A job and its signals ---------------------------------------------------------------------------
@@ -210,7 +193,7 @@ def hit():
 
 signal.signal(signal.SIGUSR2, lambda *_: print("back into the queue"))
 threading.Thread(target=hit, daemon=True).start()
-Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, keep_checkpoints=2), False)()
+Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, keep_checkpoints=2))()
 """
 
 

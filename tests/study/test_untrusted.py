@@ -15,7 +15,7 @@ from safetensors.numpy import save
 
 import pneuma
 from pneuma.config import as_fields, make_run
-from pneuma.engines.checkpoint import Checkpoint
+from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.executors.base import Event, Supervision

@@ -18,9 +18,8 @@ import pytest
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.engines.base import OnUpdate, Progress, Result
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.policy import Policy, read_policy
-from pneuma.engines.records import METRIC_COLUMNS, Records, Row
+from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.identity import run_id

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pneuma.config import Run
 from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.batched.training import BatchedTrainer
-from pneuma.engines.checkpoint import Checkpoint
 from pneuma.engines.loop import train_run
+from pneuma.engines.records import Checkpoint
 
 
 def train(

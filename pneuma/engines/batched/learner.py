@@ -23,9 +23,9 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 """Of the orthogonal initial weights, as Stable-Baselines3 has them."""
 
 
-def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
-    """Return orthogonal weights and zero biases, drawn from the run's stream of a player's weights."""
-    generator = np.random.default_rng(stream_seed(run.stream, "weights", player))
+def initial_networks(run: Run, features: int, actions: int) -> Networks:
+    """Return orthogonal weights and zero biases, drawn from the run's stream of weights."""
+    generator = np.random.default_rng(stream_seed(run.stream, "weights"))
     return {
         "actor": _layers(generator, (features, *run.actor, actions), ACTOR_GAIN),
         "critic": _layers(generator, (features, *run.critic, 1), CRITIC_GAIN),
@@ -39,7 +39,6 @@ class Learner:
         run: how it learns.
         features: numbers in an observation.
         actions: how many there are.
-        player: whose policy it is, where each player has one: its random streams are its own.
 
     Attributes:
         networks: actor and critic, NumPy arrays.
@@ -47,13 +46,13 @@ class Learner:
         generator: draws the order of minibatches.
     """
 
-    def __init__(self, run: Run, features: int, actions: int, player: int = 0) -> None:
+    def __init__(self, run: Run, features: int, actions: int) -> None:
         self.run = run
-        self.networks: Networks = initial_networks(run, features, actions, player)
+        self.networks: Networks = initial_networks(run, features, actions)
         self.optimizer: Tree = to_numpy(initial_state(run.optimizer, self.networks))
-        self.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
+        self.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
         self._actions = actions
-        self._numbers = run_numbers(run, player)
+        self._numbers = run_numbers(run)
         self._size = np.zeros(run.minibatch, np.bool_)
 
     def policy(self) -> Policy:

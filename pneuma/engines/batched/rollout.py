@@ -9,7 +9,6 @@ and rewards rounded as the slots of Stable-Baselines3 do it (`pneuma.env.slots`,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -58,25 +57,6 @@ class Rollout:
     ended: np.ndarray
     terminal_observations: np.ndarray
 
-    def of_player(self, player: int, players: int) -> Rollout:
-        """Return what one of so many players did; slots are its worlds."""
-        if players == 1:
-            return self
-        own = slice(player, None, players)
-        mine = self.ended["slot"] % players == player
-        ended = self.ended[mine]  # a copy
-        ended["slot"] //= players
-        return Rollout(
-            self.observations[own],
-            self.actions[own],
-            self.rewards[own],
-            self.starts[own],
-            self.last_observations[own],
-            self.last_ends[own],
-            ended,
-            self.terminal_observations[mine],
-        )
-
 
 class Tape(NamedTuple):
     """What playing reads and writes beside the worlds: the episodes so far, then a rollout's arrays."""
@@ -119,8 +99,8 @@ class Collector:
         self.begins = np.ones(slots, np.float32)
         self.idle = np.zeros(slots, np.bool_)
 
-    def collect(self, actors: Sequence[Layers]) -> Rollout:
-        """Play one horizon with an actor for all players, or one for each."""
+    def collect(self, actor: Layers) -> Rollout:
+        """Play one horizon."""
         steps, slots, features = self._run.horizon, len(self.idle), self.worlds.observations.shape[2]
         rewards, starts = np.zeros((2, slots, steps), np.float32)
         tape = Tape(
@@ -130,7 +110,7 @@ class Collector:
         )  # fmt: skip
         draws = self.generator.random((steps, slots), np.float32)
         play = self._play_asking if self._asks else self._play_compiled
-        tape, count = play(np.stack([flat(actor) for actor in actors]), sizes(actors[0]), draws, tape)
+        tape, count = play(flat(actor), sizes(actor), draws, tape)
         last = self.worlds.observations.reshape(slots, features).copy()
         last[self.idle] = 0.0
         return Rollout(
@@ -239,9 +219,8 @@ def _choose(
         else:
             tape.observations[i, step] = s.observations[w, p]
         tape.starts[i, step] = tape.begins[i]
-        own = weights[p % weights.shape[0]]
         scratch[0, 0, : widths[0]] = tape.observations[i, step]
-        logits = forward(own, widths, activation, 1, scratch)
+        logits = forward(weights, widths, activation, 1, scratch)
         chosen[w, p] = tape.actions[i, step] = sample(logits[0], draws[i])
 
 

@@ -12,12 +12,10 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Collector, episode_rows
-from pneuma.engines.checkpoint import Checkpoint, CheckpointError
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, overflows
-from pneuma.engines.records import Records, Row
-from pneuma.engines.team import Team
+from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.env.state import LAYOUT_DIGEST
 
 _WORLDS = ("worlds", "players", "monsters")
@@ -29,7 +27,7 @@ class BatchedTrainer:
 
     Attributes:
         collector: the worlds and the actions' stream.
-        learners: one; or the players', in their order, where they learn independently.
+        learner: of the policy of all players.
     """
 
     def __init__(self, run: Run) -> None:
@@ -37,7 +35,7 @@ class BatchedTrainer:
         self.collector = Collector(run)
         features = self.collector.worlds.observations.shape[2]
         actions = int(self.collector.worlds.action_space.n)
-        self.learners = [Learner(run, features, actions, player) for player in range(run.policies)]
+        self.learner = Learner(run, features, actions)
 
     @cached_property
     def _evaluation(self) -> Evaluation:
@@ -45,39 +43,23 @@ class BatchedTrainer:
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Collect one horizon, and learn from it."""
-        count = len(self.learners)
-        rollout = self.collector.collect([learner.networks["actor"] for learner in self.learners])
-        told = [
-            learner.learn_from(rollout.of_player(player, count))
-            for player, learner in enumerate(self.learners)
-        ]
-        records.metrics.append({"step": after, **mean_metrics(told)})
-        if count > 1:
-            records.learners.extend(
-                {"step": after, "learner": player, **own} for player, own in enumerate(told)
-            )
+        rollout = self.collector.collect(self.learner.networks["actor"])
+        told = self.learner.learn_from(rollout)
+        records.metrics.append({"step": after, **told})
         records.episodes.extend(episode_rows(rollout, before, self.run.slots * self.run.players))
-        if not all(learner.is_finite(own) for learner, own in zip(self.learners, told, strict=True)):
+        if not self.learner.is_finite(told):
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # what overflows shows in the next
-        return not (is_last and self._overflows())
-
-    def _overflows(self) -> bool:
-        """Tell whether some learner's logits of what its players see are no numbers, as of huge weights."""
-        seen, count = self.collector.worlds.observations, len(self.learners)  # seen: (N, players, features)
-        return any(
-            overflows(learner.policy(), seen[:, player::count].reshape(-1, seen.shape[2]))
-            for player, learner in enumerate(self.learners)
-        )
+        seen = self.collector.worlds.observations
+        return not (is_last and overflows(self.policy(), seen.reshape(-1, seen.shape[2])))
 
     def evaluate(self, step: int) -> Row:
         """Let the policy play where it was not trained."""
         return self._evaluation.evaluate(self.policy(), step)
 
-    def policy(self) -> Policy | Team:
-        """Return the policy, or the players'."""
-        policies = tuple(learner.policy() for learner in self.learners)
-        return policies[0] if len(policies) == 1 else Team(policies)
+    def policy(self) -> Policy:
+        """Return the networks as a stored policy."""
+        return self.learner.policy()
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         """Copy networks, optimizer, worlds and random streams."""
@@ -86,12 +68,11 @@ class BatchedTrainer:
             "layout": LAYOUT_DIGEST,
             "optimizer": self.run.optimizer,
             "actions": self.collector.generator.bit_generator.state,
+            "minibatches": self.learner.generator.bit_generator.state,
         }
-        for player, learner in enumerate(self.learners):
-            place = _place(player)
-            arrays |= {f"{place}networks/{name}": np.array(own) for name, own in _named(learner.networks)}
-            arrays |= {f"{place}optimizer/{name}": np.array(own) for name, own in _named(learner.optimizer)}
-            numbers[f"{place}minibatches"] = learner.generator.bit_generator.state
+        for part in ("networks", "optimizer"):
+            named = _named(getattr(self.learner, part))
+            arrays |= {f"{part}/{name}": np.array(own) for name, own in named}
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -109,8 +90,7 @@ class BatchedTrainer:
                 worlds.players["xp"] = 0.0
                 worlds.observe()
             self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-            for player, learner in enumerate(self.learners):
-                learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches", player))
+            self.learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
 
     def _restore(self, checkpoint: Checkpoint, reset: str) -> None:
         numbers = checkpoint.numbers
@@ -121,22 +101,9 @@ class BatchedTrainer:
                 raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
             _restore_worlds(self.collector, checkpoint)
             self.collector.generator.bit_generator.state = numbers["actions"]
-            for player, learner in enumerate(self.learners):
-                _restore_learner(learner, checkpoint, _place(player), reset)
+            _restore_learner(self.learner, checkpoint, reset)
         except (KeyError, ValueError, TypeError) as error:
             raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
-
-
-def mean_metrics(told: list[dict[str, float]]) -> dict[str, float]:
-    """Return the means of learners' metrics over the learners."""
-    if len(told) == 1:
-        return told[0]
-    return {name: float(np.mean([own[name] for own in told])) for name in told[0]}
-
-
-def _place(player: int) -> str:
-    """Return how the names of what belongs to a learner begin."""
-    return f"player-{player}/" if player else ""
 
 
 def _collected(collector: Collector) -> list[tuple[str, np.ndarray]]:
@@ -156,11 +123,11 @@ def _restore_worlds(collector: Collector, checkpoint: Checkpoint) -> None:
     collector.worlds.observe()
 
 
-def _restore_learner(learner: Learner, checkpoint: Checkpoint, place: str, reset: str) -> None:
+def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> None:
     fresh = learner.networks
-    learner.networks = _filled(learner.networks, f"{place}networks/", checkpoint)
+    learner.networks = _filled(learner.networks, "networks/", checkpoint)
     if reset != "optimizer":
-        learner.optimizer = _filled(learner.optimizer, f"{place}optimizer/", checkpoint)
+        learner.optimizer = _filled(learner.optimizer, "optimizer/", checkpoint)
     if reset == "critic":
         learner.networks = {**learner.networks, "critic": fresh["critic"]}
         zero = initial_state(learner.run.optimizer, fresh)
@@ -168,7 +135,7 @@ def _restore_learner(learner: Learner, checkpoint: Checkpoint, place: str, reset
             if name != "steps":
                 part = zero[name]["critic"]  # copied, as an optimizer's moments may begin as one array
                 learner.optimizer[name] = {**moment, "critic": _rebuilt(part, "", dict(_named(part)))}
-    learner.generator.bit_generator.state = checkpoint.numbers[f"{place}minibatches"]
+    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"]
 
 
 def _filled(tree: Any, prefix: str, checkpoint: Checkpoint) -> Any:

@@ -41,10 +41,10 @@ METRICS = (
 """What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
 
 
-def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
+def run_numbers(run: Run) -> dict[str, Any]:
     """Return what of a run is only a number, float32; an absent limit is infinite.
 
-    Beside them, the key of UPGD's noise, of the run or of one of its players: (2,) uint32.
+    Beside them, the key of UPGD's noise, (2,) uint32.
     """
     b1, b2 = run.betas or (0.0, 0.0)
     limit = math.inf if run.gradient_limit is None else run.gradient_limit
@@ -72,7 +72,7 @@ def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
             "noise": run.noise or 0.0,
             "shrinking": run.weight_decay,
         }
-    key = np.array([stream_seed(run.stream, "upgd-noise", player)], np.uint64).view(np.uint32)
+    key = np.array([stream_seed(run.stream, "upgd-noise")], np.uint64).view(np.uint32)
     return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
 
 

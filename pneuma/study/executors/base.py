@@ -64,14 +64,12 @@ class Supervision:
         checkpoint_seconds: between two checkpoints of a run.
         keep_checkpoints: how many of each run to keep for forks.
         place: where they are trained.
-        on_gpu: ids of the runs that are to have a GPU each, where the executor hands them out.
     """
 
     workers: int
     checkpoint_seconds: float = 15.0
     keep_checkpoints: int = 0
     place: Place = HERE
-    on_gpu: frozenset[str] = frozenset()
 
 
 class Detached(KeyboardInterrupt):

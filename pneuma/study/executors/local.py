@@ -45,7 +45,7 @@ def one_thread_environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), **own}
 
 
-def prepare_node(gpu: bool) -> None:
+def prepare_node(gpu: bool = False) -> None:
     """Make this process, on a node of a cluster, fit to start workers.
 
     Compiled programs are kept apart by processor: nodes differ, and often share a home. GPUs are hidden

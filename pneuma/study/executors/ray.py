@@ -16,7 +16,7 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import IO, Any
@@ -43,7 +43,7 @@ def most_workers(place: Place) -> int:
     if place.address is None:
         return available_cores()
     join(place.address)
-    return max(1, _room("CPU"))
+    return max(1, _room())
 
 
 def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
@@ -53,17 +53,14 @@ def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
         UserError: with the mend.
     """
     join(supervision.place.address)
-    wanted = ["CPU", "GPU"] if any(name in supervision.on_gpu for name in runs) else ["CPU"]
-    rooms = {kind: _room(kind) for kind in wanted}
-    for kind, room in rooms.items():
-        if not room:
-            raise UserError(
-                f"--executor ray: no node of the cluster has a {kind} to give; start one with "
-                "`ray start --address HOST:PORT --num-cpus N --num-gpus N`"
-            )
-    where = supervision.place.address or "this machine"
-    told = " and ".join(counted(room, kind) for kind, room in rooms.items())
-    return f"runs go to the Ray cluster of {where}: {told}"
+    if not (room := _room()):
+        raise UserError(
+            "--executor ray: no node of the cluster has a CPU to give; start one with "
+            "`ray start --address HOST:PORT --num-cpus N`"
+        )
+    return (
+        f"runs go to the Ray cluster of {supervision.place.address or 'this machine'}: {counted(room, 'CPU')}"
+    )
 
 
 def run_groups(
@@ -79,10 +76,7 @@ def run_groups(
     store.root.mkdir(parents=True, exist_ok=True)
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
         command = Command(versions(), carried_code(), os.getcwd(), mark.name)
-
-        def start(job: Mapping[str, Any]) -> NodeProcess:
-            return NodeProcess(job, any(name in supervision.on_gpu for name in job["runs"]), command)
-
+        start = partial(NodeProcess, command)
         Supervisor(groups, store, supervision, on_event, interrupts, start).work()
         if interrupts.count:
             raise KeyboardInterrupt
@@ -142,12 +136,11 @@ def _refuse_unreachable(address: str) -> None:
     )
 
 
-def _room(resource: str) -> int:
-    """Return how many CPUs, or GPUs beside a CPU, all nodes have together."""
+def _room() -> int:
+    """Return how many CPUs all nodes have together."""
     import ray
 
-    rooms = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-    return int(sum(room.get(resource, 0.0) for room in rooms if room.get("CPU", 0.0) >= 1))
+    return sum(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
 
 
 # --- Workers on nodes ---------------------------------------------------------------------------------
@@ -170,8 +163,8 @@ class Node:
         """Let the runs come to a checkpoint and end."""
         self._process.ask_to_stop()
 
-    def train(self, job: Mapping[str, Any], gpu: bool, command: Command) -> Iterator[bytes | Death]:
-        """Start the worker, with a GPU or without; yield its lines, then how it ended.
+    def train(self, job: Mapping[str, Any], command: Command) -> Iterator[bytes | Death]:
+        """Start the worker; yield its lines, then how it ended.
 
         Raises:
             UserError: where runs cannot be trained on this node.
@@ -193,7 +186,7 @@ class Node:
         os.environ[CARRIED_CODE] = command.code
         with suppress(OSError):
             os.chdir(command.folder)  # from which people's own rewards and levels are read
-        prepare_node(gpu)
+        prepare_node()
         self._process = LocalProcess(job)
         first = {"event": "passing", "run_id": next(iter(job["runs"])), "text": f"starts on the node {node}"}
         yield json.dumps(first).encode() + b"\n"
@@ -204,13 +197,13 @@ class Node:
 class NodeProcess:
     """The process of a worker on some node, as the supervisor in the command sees it."""
 
-    def __init__(self, job: Mapping[str, Any], gpu: bool, command: Command) -> None:
+    def __init__(self, command: Command, job: Mapping[str, Any]) -> None:
         self._node: Any = None
         self._begun = self._ended = False
         self._death = Death(True, "its node was lost")
         reader, writer = os.pipe()
         self.events = os.fdopen(reader, "rb", buffering=0)
-        self._relaying = threading.Thread(target=self._relay, args=(writer, job, gpu, command), daemon=True)
+        self._relaying = threading.Thread(target=self._relay, args=(writer, job, command), daemon=True)
         self._relaying.start()
 
     def ask_to_stop(self) -> None:
@@ -235,17 +228,17 @@ class NodeProcess:
         self.events.close()
         return self._death
 
-    def _relay(self, writer: int, job: Mapping[str, Any], gpu: bool, command: Command) -> None:
+    def _relay(self, writer: int, job: Mapping[str, Any], command: Command) -> None:
         """Write what a node tells into the pipe, to its end; one that is gone before it begins is none."""
         import ray
 
         kind: Any = ray.remote(Node)
-        kind = kind.options(num_cpus=1, num_gpus=int(gpu), max_restarts=0, max_concurrency=2)
+        kind = kind.options(num_cpus=1, max_restarts=0, max_concurrency=2)
         with suppress(BrokenPipeError), os.fdopen(writer, "wb", buffering=0) as pipe:
             while not self._begun and not self._ended:
                 self._node = kind.remote()
                 try:
-                    for told in self._node.train.options(num_returns="streaming").remote(job, gpu, command):
+                    for told in self._node.train.options(num_returns="streaming").remote(job, command):
                         self._take(ray.get(told), pipe)
                 except (ray.exceptions.RayTaskError, ray.exceptions.RuntimeEnvSetupError) as error:
                     cause = getattr(error, "cause", error)

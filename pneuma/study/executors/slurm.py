@@ -47,6 +47,8 @@ MOST_REQUEUES = 10_000
 """submitit asks for a limit; a job that gets nowhere in its time ends by itself."""
 OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
 """What a job is made of here, and nobody else sets."""
+GPU_OPTIONS = ("gres", "gpus", "gpus_per_node", "gpus_per_task")
+"""With one of these a job sees GPUs."""
 NOTE = "groups.json"
 SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
 """Of the end of a job's time, and of its node or of `scancel`."""
@@ -102,17 +104,15 @@ class Training:
         runs: by id.
         store: the shared results folder.
         supervision: how runs are looked after.
-        gpu: whether the job has one.
     """
 
     runs: Mapping[str, Run]
     store: Store
     supervision: Supervision
-    gpu: bool
 
     def __call__(self) -> None:
         """Train the runs."""
-        local.prepare_node(self.gpu)
+        local.prepare_node(any(key in GPU_OPTIONS for key, _ in self.supervision.place.slurm))
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
         how, steps = replace(self.supervision, workers=cores), dict[str, set[int]]()
@@ -156,20 +156,19 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
     live = queued(store)
     _put_away(store, live)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
-    for gpu in (False, True):
-        alike = [own for own in fresh if own and (next(iter(own)) in how.on_gpu) == gpu]
-        for array in (alike[first : first + MOST_IN_ARRAY] for first in range(0, len(alike), MOST_IN_ARRAY)):
-            name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
-            folder, shared = _folder(store) / name, Store(store.root.resolve())
-            executor = _executor(folder / "jobs", name, how, gpu)
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                replace_file(folder / NOTE, to_json([list(group) for group in array]))  # none is forgotten
-                executor.submit_array([Training(group, shared, how, gpu) for group in array])
-            except Exception as error:  # submitit has many kinds; it has printed what sbatch said
-                shutil.rmtree(folder, ignore_errors=True)
-                why = _last_line(str(error))
-                raise UserError(f"--executor slurm: jobs are not submitted: {why}") from None
+    fresh = [group for group in fresh if group]
+    for array in (fresh[first : first + MOST_IN_ARRAY] for first in range(0, len(fresh), MOST_IN_ARRAY)):
+        name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
+        folder, shared = _folder(store) / name, Store(store.root.resolve())
+        executor = _executor(folder / "jobs", name, how)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            replace_file(folder / NOTE, to_json([list(group) for group in array]))  # none is forgotten
+            executor.submit_array([Training(group, shared, how) for group in array])
+        except Exception as error:  # submitit has many kinds; it has printed what sbatch said
+            shutil.rmtree(folder, ignore_errors=True)
+            why = _last_line(str(error))
+            raise UserError(f"--executor slurm: jobs are not submitted: {why}") from None
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
@@ -254,7 +253,7 @@ def queued(store: Store) -> dict[str, Job]:
     return jobs
 
 
-def _executor(folder: Path, name: str, how: Supervision, gpu: bool) -> Any:
+def _executor(folder: Path, name: str, how: Supervision) -> Any:
     """Return what submits jobs of such a name.
 
     Raises:
@@ -273,7 +272,7 @@ def _executor(folder: Path, name: str, how: Supervision, gpu: bool) -> Any:
         raise UserError(f"--executor slurm needs submitit: {install_extra('slurm')}") from None
     except RuntimeError as error:
         raise UserError(f"--executor slurm: {error}; give the command where jobs are submitted") from None
-    usual = {"requeue": True, "time": USUAL_MINUTES, **({"gres": "gpu:1"} if gpu else {})}
+    usual = {"requeue": True, "time": USUAL_MINUTES}
     own = {"job_name": name, "array_parallelism": how.workers, "setup": setup}
     executor.update_parameters(**own, additional_parameters={**usual, **options})
     return executor

@@ -1,0 +1,164 @@
+"""Forks in both engines: what is the parent's and what is their own, from the checkpoint on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import Run, make_run
+from pneuma.engines import sb3, sb3_learners
+from pneuma.engines.batched.training import BatchedTrainer
+from pneuma.engines.records import Checkpoint, Records
+from pneuma.study.identity import run_id
+
+from .trained import train
+
+SMALL: dict[str, Any] = {
+    "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 384, "actor": [8], "critic": [8],
+    "evaluation_episodes": 2, "episode_steps": 40, "xp_scope": "forever", "slots": 2,
+}  # fmt: skip
+AT = 128
+
+
+@pytest.fixture(scope="module", params=["batched", "sb3"])
+def parent(request: pytest.FixtureRequest) -> tuple[Run, Checkpoint]:
+    """A run, and a checkpoint of its first update."""
+    run = make_run({**SMALL, "engine": request.param})
+    return run, train(run)[1][0]
+
+
+def forked(parent: Run, seed: int = 0, **changes: object) -> Run:
+    own = {"parent": run_id(parent), "fork_step": AT, "seed": seed, "engine": parent.engine}
+    return make_run({**SMALL, **own, **changes})
+
+
+def trainer_of(run: Run) -> Any:
+    if run.engine == "batched":
+        return BatchedTrainer(run)
+    model = sb3_learners.make_model(run, sb3.make_env(run))
+    return sb3.Sb3Trainer(model, run, sb3.GradientNorms(model, run))
+
+
+def begun(run: Run, checkpoint: Checkpoint) -> Any:
+    """Return what trains a run from a checkpoint on: its own, or as a fork its parent's."""
+    trainer = trainer_of(run)
+    trainer.restore(checkpoint)
+    return trainer
+
+
+def worlds_of(trainer: Any) -> Any:
+    return trainer.collector.worlds if isinstance(trainer, BatchedTrainer) else trainer._model.env.state
+
+
+def seen_by(trainer: Any) -> np.ndarray:
+    """Return what the next action is chosen by."""
+    return np.array(
+        worlds_of(trainer).observations if isinstance(trainer, BatchedTrainer) else trainer._model._last_obs
+    )
+
+
+def arrays(trainer: Any) -> dict[str, np.ndarray]:
+    return dict(trainer.checkpoint(0, Records()).arrays)
+
+
+def streams(trainer: Any) -> list[object]:
+    """Return the states of the streams of actions and minibatches."""
+    taken = trainer.checkpoint(0, Records())
+    if isinstance(trainer, BatchedTrainer):
+        return [taken.numbers["actions"], taken.numbers["minibatches"]]
+    return [taken.arrays["random/torch"].tolist(), taken.arrays["random/numpy"].tolist()]
+
+
+def test_a_fork_begins_with_its_parents_networks_optimizer_and_worlds(
+    parent: tuple[Run, Checkpoint],
+) -> None:
+    run, checkpoint = parent
+    there, at_parent = begun(forked(run), checkpoint), begun(run, checkpoint)
+    own = arrays(there)
+    assert set(own) == set(checkpoint.arrays)
+    for name, array in own.items():
+        if name != "worlds/worlds" and not name.startswith("random/"):
+            assert np.array_equal(array, checkpoint.arrays[name]), name
+    worlds, before = worlds_of(there).worlds, worlds_of(at_parent).worlds
+    for name in set(before.dtype.names) - {"key", "draws"}:
+        assert np.array_equal(worlds[name], before[name]), name
+    np.testing.assert_array_equal(seen_by(there), seen_by(at_parent))
+
+
+def test_a_fork_draws_from_streams_of_its_own_and_of_its_seed(parent: tuple[Run, Checkpoint]) -> None:
+    run, checkpoint = parent
+    every, told = [], []
+    for each in (run, forked(run, 0), forked(run, 1)):
+        every.append(begun(each, checkpoint))
+        told.append(streams(every[-1]))  # before the next one's: torch's and NumPy's are of the process
+    keys = {int(key) for trainer in every for key in worlds_of(trainer).worlds["key"]}
+    assert len(keys) == 3 * run.slots
+    assert not worlds_of(every[1]).worlds["draws"].any()
+    for states in zip(*told, strict=True):
+        assert len({str(state) for state in states}) == 3
+
+
+@pytest.mark.parametrize("reset", ["optimizer", "critic", "xp"])
+def test_only_what_is_asked_for_is_begun_anew(parent: tuple[Run, Checkpoint], reset: str) -> None:
+    run, checkpoint = parent
+    kept = arrays(begun(forked(run), checkpoint))
+    own_run = forked(run, fork_reset=reset)
+    fresh, own = arrays(trainer_of(own_run)), arrays(begun(own_run, checkpoint))
+    of_critic: tuple[str, ...] = ("networks/critic",)
+    if run.engine == "sb3":
+        of_critic = sb3_learners.critic_names(trainer_of(run)._model)
+
+    def is_reset(name: str) -> bool:
+        of_optimizer = name.startswith("optimizer/")
+        if reset == "optimizer":
+            return of_optimizer
+        return reset == "critic" and (name.startswith(of_critic) or (of_optimizer and ".critic" in name))
+
+    names = [name for name in kept if not name.startswith(("worlds/", "last/", "random/"))]
+    assert any(map(is_reset, names)) == (reset != "xp")
+    for name in names:
+        wanted = (fresh if is_reset(name) else kept).get(name)  # torch has no moments before the first step
+        assert name not in own if wanted is None else np.array_equal(own[name], wanted), name
+    assert np.array_equal(own["worlds/monsters"], kept["worlds/monsters"])
+
+
+def test_xp_that_outlives_episodes_can_be_reset_and_is_then_not_seen(
+    parent: tuple[Run, Checkpoint],
+) -> None:
+    run, checkpoint = parent
+    rich = begun(run, checkpoint)
+    worlds_of(rich).players["xp"] = 7.0
+    taken = rich.checkpoint(AT, checkpoint.records)
+    kept, poor = (begun(forked(run, fork_reset=reset), taken) for reset in ("", "xp"))
+    assert (worlds_of(kept).players["xp"] == 7.0).all() and (worlds_of(poor).players["xp"] == 0.0).all()
+    kept_seen, poor_seen = seen_by(kept), seen_by(poor)
+    places = np.unique(np.argwhere(kept_seen != poor_seen)[:, -1])
+    assert len(places) == 1  # nothing but the XP was changed, and the first action is taken without it, too
+    assert (kept_seen[..., places] > 0).all() and (poor_seen[..., places] == 0).all()
+
+
+def test_forks_of_unlike_seeds_differ_and_a_fork_goes_on_after_a_kill(
+    parent: tuple[Run, Checkpoint],
+) -> None:
+    run, checkpoint = parent
+    whole, own = train(forked(run), checkpoint)
+    other, _ = train(forked(run, seed=1), checkpoint)
+    resumed, _ = train(forked(run), own[0])
+    assert whole.policy is not None and other.policy is not None and resumed.policy is not None
+    assert whole.policy.to_bytes() != other.policy.to_bytes()
+    assert whole.policy.to_bytes() == resumed.policy.to_bytes()
+    assert [row["step"] for row in whole.records.metrics] == [256, 384]
+    assert whole.records.metrics == resumed.records.metrics
+
+
+def test_a_critic_begun_anew_has_moments_of_its_own() -> None:
+    """The compiled update overwrites its arguments in place, so that no two may be one array."""
+    run = make_run(SMALL)
+    checkpoint = BatchedTrainer(run).checkpoint(AT, Records())
+    learner = begun(forked(run, fork_reset="critic"), checkpoint).learner
+    parts = [part["critic"] for name, part in learner.optimizer.items() if name != "steps"]
+    every = [array for part in parts for layer in part for array in layer]
+    assert len({id(array) for array in every}) == len(every) > 0
+    assert all(not np.asarray(array).any() for array in every)
