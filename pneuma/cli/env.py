@@ -9,14 +9,25 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, print_json, read_path, read_settings_options, say
+from pneuma.cli.options import (
+    RESULTS,
+    Json,
+    Results,
+    Several,
+    Text,
+    Trust,
+    flag,
+    option,
+    path_option,
+    read_settings_options,
+)
+from pneuma.cli.output import print_json, print_table, say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
 
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
-RESULTS = Path("results")
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
     "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
@@ -28,10 +39,7 @@ ABOUT = {
 EnvName = Annotated[str, typer.Argument(metavar="ID", help="An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
 EnvSettings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set one of the environment's arguments (may be repeated)."
-    ),
+    Several, option("--set", "KEY=VALUE", "Set one of the environment's arguments (may be repeated).")
 ]
 
 
@@ -49,20 +57,23 @@ def list_(json: Json = False) -> None:
         with closing(gymnasium.make(name).unwrapped) as env:
             seen = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
-        rows.append({"id": name, "about": about, "observation": seen, "actions": actions})
+        rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
     if json:
         return print_json({"schema": 1, "environments": rows})
-    for row in rows:
-        print(
-            f"{row['id']:<26} observation {row['observation']:<12} {row['actions']} actions  {row['about']}"
-        )
+    print_table(
+        [""] * 4,
+        [
+            (row["id"], f"observation {row['observation']}", f"{row['actions']} actions", row["about"])
+            for row in rows
+        ],
+    )
     return None
 
 
 @app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[str | None, typer.Argument(metavar="[ID]", help="The environment to check.")] = None,
-    all_: Annotated[bool, typer.Option("--all", help="Check every environment.")] = False,
+    all_: Annotated[bool, flag("--all", "Check every environment.")] = False,
     set_: EnvSettings = None,
     json: Json = False,
 ) -> int:
@@ -97,23 +108,11 @@ def check(
 @app.command()
 def render(
     name: EnvName,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", parser=read_path, help="A .png, or a .gif or .mp4 of an episode."
-        ),
-    ],
-    player: Annotated[
-        str,
-        typer.Option("--player", metavar="random|hunter|RUN_ID", help="Who plays the episode."),
-    ] = "random",
+    out: Annotated[Path, path_option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
+    player: Annotated[str, option("--player", "random|hunter|RUN_ID", "Who plays the episode.")] = "random",
     camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="map|follow",
-            help="The whole map, or a view of one player (default: map for a picture, follow for a video).",
-        ),
+        Text,
+        option("--camera", "map|follow", "The whole map (usual for a picture), or one player (for a video)."),
     ] = None,
     scale: Annotated[
         int | None,
@@ -125,12 +124,10 @@ def render(
             help="Pixels for each of the 16 x 16 dots of a tile (default: 4 to follow, else about 900 px).",
         ),
     ] = None,
-    no_hud: Annotated[bool, typer.Option("--no-hud", help="Leave out the strip of numbers.")] = False,
+    no_hud: Annotated[bool, flag("--no-hud", "Leave out the strip of numbers.")] = False,
     seed: Seed = 0,
     set_: EnvSettings = None,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Open the level and characters files that a run of RUN_ID names.")
-    ] = False,
+    trust: Trust = False,
     results: Results = RESULTS,
 ) -> None:
     """Draw the world as a picture, or an episode as a video.
@@ -159,7 +156,7 @@ def render(
 @app.command()
 def play(
     name: EnvName = "pneuma/Pneuma-v0",
-    camera: Annotated[str, typer.Option("--camera", metavar="map|follow", help="What to see.")] = "follow",
+    camera: Annotated[str, option("--camera", "map|follow", "What to see.")] = "follow",
     seed: Seed = 0,
     set_: EnvSettings = None,
 ) -> None:

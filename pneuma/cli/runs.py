@@ -1,23 +1,41 @@
-"""`pneuma run …`: list stored runs, show what produced one, and export its policy."""
+"""`pneuma run …`: list stored runs, show what produced one, fork it, and export its policy."""
 
 from __future__ import annotations
 
 import json as json_module
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pneuma.algorithms import TABULAR
-from pneuma.cli.fork import fork
-from pneuma.cli.options import Json, Results, print_json, read_path
-from pneuma.cli.out_files import check_file, write_file
-from pneuma.cli.plain_text import plain
-from pneuma.config import Run, make_run
-from pneuma.errors import UserError
+from pneuma.cli.options import (
+    RESULTS,
+    Json,
+    OwnSeeds,
+    Quiet,
+    Results,
+    RunName,
+    Settings,
+    Trust,
+    Workers,
+    flag,
+    option,
+    path_option,
+    read_count,
+    read_seeds_option,
+    read_settings_options,
+    read_workers,
+)
+from pneuma.cli.output import check_file, print_json, print_table, write_file
+from pneuma.cli.study_run import train
+from pneuma.config import FORK_RESETS, make_run
+from pneuma.errors import UserError, plain
 from pneuma.study import stored_runs
+from pneuma.study.executors.base import Supervision
+from pneuma.study.fork import Change, plan_fork
 from pneuma.study.origins import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import ListedRun, StoredRun
@@ -26,15 +44,6 @@ from pneuma.values import shown_value
 app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
 )
-
-app.command("fork", short_help="Go on from a checkpoint with something changed.")(fork)
-
-RESULTS = Path("results")
-EXPORTS = (".zip", ".onnx")
-
-RunName = Annotated[
-    str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
-]
 
 
 @app.command("list", short_help="List the stored runs.")
@@ -46,18 +55,19 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
     if not runs:
         none = "" if results.is_dir() else ": there is no such folder"
         print(f"No run is stored in {results} yet{none}.")
+    rows = []
     for run in runs:
-        held = ", ".join(f"{plain(h.study)}/{plain(h.condition)}" for h in run.holders) or "of no study"
+        held = ", ".join(f"{own.study}/{own.condition}" for own in run.holders) or "of no study"
         seed = "?" if run.seed is None else run.seed
-        step = f"{run.status.step:>12,} steps"
-        print(f"{run.run_id:<16}  {plain(run.status.name):<9} {step}  seed {seed:<6} {held}")
+        rows.append((run.run_id, run.status.name, f"{run.status.step:>12,} steps", f"seed {seed}", held))
+    print_table([""] * 5, rows)
     return None
 
 
 @app.command(short_help="Show what produced a stored run.")
 def show(
     name: RunName,
-    all_: Annotated[bool, typer.Option("--all", help="Show every field, defaults too.")] = False,
+    all_: Annotated[bool, flag("--all", "Show every field, defaults too.")] = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
@@ -84,34 +94,52 @@ def show(
     for study, word in _unlike_most(store, run).items():
         print(f"  unlike     {word} than most runs of study {plain(study)}: its bits could differ")
     print("\nFiles")
-    for file in run.files:
-        print(f"  {plain(file.name):<24} {file.size_bytes:>12,} bytes  {file.state}")
+    print_table([""] * 3, [(f"  {f.name}", f"{f.size_bytes:>12,} bytes", f.state) for f in run.files])
     return None
+
+
+@app.command(short_help="Go on from a checkpoint with something changed.")
+def fork(
+    name: RunName,
+    at: Annotated[str, option("--at", "STEP", "Go on from the checkpoint nearest before this step.")],
+    set_: Settings = None,
+    reset: Annotated[str, option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")] = "",
+    seeds: OwnSeeds = "3",
+    workers: Workers = None,
+    trust: Trust = False,
+    results: Results = RESULTS,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
+
+    The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
+    `export` take its name.
+    """
+    store, change = Store(results), Change(read_settings_options(set_), reset)
+    parent, step = stored_runs.find_run(store, name), read_count("--at", at)
+    plan = plan_fork(store, parent, step, change, read_seeds_option(seeds), trust)
+    plan = replace(plan, notes=tuple(map(plain, plan.notes)))
+    how = Supervision(workers=read_workers(workers))
+    return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
+
+
+# --- export ----------------------------------------------------------------------------------------
 
 
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
     name: RunName,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", parser=read_path, help="A .zip for Stable-Baselines3, or an .onnx."
-        ),
-    ],
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Open the run's own level and characters files, for its bounds.")
-    ] = False,
-    player: Annotated[
-        int | None, typer.Option("--player", min=0, help="Whose, where each player has its own policy.")
-    ] = None,
+    out: Annotated[Path, path_option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
+    trust: Trust = False,
     results: Results = RESULTS,
     json: Json = False,
 ) -> None:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
-    check_file(out, EXPORTS)
+    check_file(out, (".zip", ".onnx"))
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
-    data, note = _exported(store, run, out.suffix.lower(), trust, player)
+    data, note = _exported(store, run, out.suffix.lower(), trust)
     write_file(out, data)
     if json:
         return print_json(
@@ -123,21 +151,23 @@ def export(
     return None
 
 
-# --- Export ----------------------------------------------------------------------------------------
-
-
-def _exported(
-    store: Store, run: StoredRun, suffix: str, trust: bool, player: int | None
-) -> tuple[bytes, str]:
+def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
     """Return the file's contents, and what a person should know about them."""
-    if not run.status.finished:
-        raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
-    data = store.read_file(run.run_id, _policy_file(run, player))
     from pneuma.engines import export as exports
     from pneuma.engines.policy import read_sound_policy
+    from pneuma.engines.team import policy_names
 
+    if not run.status.finished:
+        raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
+    names = policy_names([file.name for file in run.files])
+    if not names:
+        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
+    if len(names) > 1:
+        raise UserError(f"run {run.run_id}: each player has its own policy; one of a team is not exported")
+    if not run.settings:
+        raise UserError(f"run {run.run_id}: run.json: holds no configuration")
     try:
-        settings, policy = _resolved(run), read_sound_policy(data)
+        settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, names[0]))
     except UserError as error:
         raise UserError(f"run {run.run_id}: {error}") from None
     if suffix == ".onnx":
@@ -152,29 +182,6 @@ def _exported(
         "space in the file has no bounds, so load it without env=, or export again with --trust"
     )
     return exports.to_sb3(policy, settings, space), "" if bounded else note
-
-
-def _policy_file(run: StoredRun, player: int | None) -> str:
-    """Return the name of the file of the policy meant."""
-    from pneuma.engines.team import policy_names
-
-    names = policy_names([file.name for file in run.files])
-    if not names:
-        raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
-    if len(names) == 1:
-        if player is not None:
-            raise UserError(f"--player {player}: all players of run {run.run_id} share one policy")
-        return names[0]
-    if player is None or player >= len(names):
-        given = "each player has its own policy" if player is None else f"there is no player {player}"
-        raise UserError(f"run {run.run_id}: {given}; choose --player 0 to {len(names) - 1}")
-    return names[player]
-
-
-def _resolved(run: StoredRun) -> Run:
-    if not run.settings:
-        raise UserError("run.json: holds no configuration")
-    return make_run(run.settings)
 
 
 # --- Showing ---------------------------------------------------------------------------------------

@@ -5,41 +5,37 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pneuma.cli.options import (
+    RESULTS,
     Json,
     Quiet,
     Results,
+    RetryFailed,
     Selected,
     StudyName,
     Workers,
     WorldName,
-    places,
-    print_json,
-    read_seconds,
+    flag,
+    grouped,
     read_workers,
-    say,
-    selects,
 )
-from pneuma.cli.plain_text import command, plain
+from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.progress import ProgressDisplay, duration
-from pneuma.errors import UserError
+from pneuma.errors import UserError, plain
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_value
 
-RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that a cell should not have when a study has been run."""
 
 Unpublished = Annotated[
-    bool,
-    typer.Option("--unpublished", help="Leave out runs that are finished in a published table of RESULTS."),
+    bool, flag("--unpublished", "Leave out runs that are finished in a published table of RESULTS.")
 ]
 
 STOPPED = 130
@@ -52,8 +48,7 @@ _TOLD = {
 """The states of a plan's runs, for people."""
 
 
-@selects
-@places
+@grouped
 def plan_(
     name: StudyName,
     selection: Selected = None,
@@ -62,10 +57,7 @@ def plan_(
     place: Place = HERE,
     calibrate: Annotated[
         bool,
-        typer.Option(
-            "--calibrate",
-            help="Train for a few seconds what no stored run tells the pace of (else a table does).",
-        ),
+        flag("--calibrate", "Train for seconds what no stored run tells the pace of (else a table does)."),
     ] = False,
     unpublished: Unpublished = False,
     results: Results = RESULTS,
@@ -112,13 +104,14 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
         print(f"Note: {note}.")
     for key, values in plan.differing_fields(planned).items():
         print(f"Conditions differ in {key}: {by_value(values)}")
-    width = max(len(condition) for condition in planned.conditions)
+    rows = []
     for condition in planned.conditions:
         own = [cell for cell in planned.cells if cell.condition == condition]
         expected = sum(seconds.get(cell.run_id, 0.0) for cell in own)
         time = f", {duration(expected)} of one core" if expected else ""
-        size = f"{len(own):>3} x {own[0].run.steps:>11,} steps"
-        print(f"{condition:<{width}} {size}  {_counts(states[cell.run_id] for cell in own)}{time}")
+        counts = _counts(states[cell.run_id] for cell in own)
+        rows.append((condition, f"{len(own):>3} x {own[0].run.steps:>11,} steps", f"{counts}{time}"))
+    print_table(("", "", ""), rows)
     print(f"{_counts(states.values())}.")
 
 
@@ -127,8 +120,7 @@ def _counts(states: Iterable[str]) -> str:
     return ", ".join(f"{counts[state]} {told}" for state, told in _TOLD.items() if counts[state])
 
 
-@selects
-@places
+@grouped
 def run(
     name: StudyName,
     selection: Selected = None,
@@ -136,50 +128,27 @@ def run(
     workers: Workers = None,
     place: Place = HERE,
     checkpoint_seconds: Annotated[
-        str,
-        typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
-    ] = "15",
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
-    ] = False,
-    until_decided: Annotated[
-        bool,
-        typer.Option(
-            "--until-decided",
-            help="Add seeds in stages until every condition is decided against the baseline.",
-        ),
-    ] = False,
-    max_seeds: Annotated[
-        str | None,
-        typer.Option("--max-seeds", metavar="N", help="With --until-decided: the most seeds (default 40)."),
-    ] = None,
+        float,
+        typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
+    ] = 15.0,
+    retry_failed: RetryFailed = False,
     unpublished: Unpublished = False,
     results: Results = RESULTS,
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
-    from pneuma.cli import study_stages
-
-    selection = selection or plan.Selection()
-    most_seeds = study_stages.read_most_seeds(until_decided, max_seeds, selection.seeds)
-    if most_seeds and place.detach:
-        raise UserError("--detach: --until-decided waits for what runs come to; leave it by Ctrl-C")
-    if most_seeds and unpublished:
-        raise UserError("--unpublished: --until-decided trains what it judges; leave one of them out")
-    planned = plan.make_plan(spec.load_study(name, world), selection)
-    supervision = Supervision(
+    planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
+    store = Store(results)
+    if unpublished:
+        planned = replace(planned, published=_published(store, planned))
+    how = Supervision(
         workers=read_workers(workers, place),
-        checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
+        checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,
     )
-    store = Store(results)
-    if most_seeds is None:
-        if unpublished:
-            planned = replace(planned, published=_published(store, planned))
-        return train(planned, store, supervision, retry_failed, json, quiet)
-    return study_stages.run_stages(planned, most_seeds, store, supervision, retry_failed, json, quiet)
+    return train(planned, store, how, retry_failed, json, quiet)
 
 
 def train(

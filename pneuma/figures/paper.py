@@ -26,7 +26,6 @@ from pneuma.analysis.export import encode_frame
 from pneuma.analysis.run_index import open_published
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData, tell_figures_apart
-from pneuma.analysis.trajectories import StudyTrajectories, read_trajectories
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_LAYOUTS
@@ -38,7 +37,6 @@ from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.panels import stem_of
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
-from pneuma.figures.trajectories import draw_trajectories
 from pneuma.study.files import write_whole
 from pneuma.study.provenance import available_cores
 from pneuma.values import shown_value
@@ -149,27 +147,17 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tup
     (data,) = open_published(results, [study])
     data.figure = figure
     logs = open_published(results, [beside[study]])[0] if study in beside else None
-    return draw_published(data, folder, read_trajectories(results, study), logs)
+    return draw_published(data, folder, logs)
 
 
-def draw_published(
-    data: StudyData,
-    folder: Path,
-    found: StudyTrajectories | None = None,
-    logs: StudyData | None = None,
-) -> Entries:
+def draw_published(data: StudyData, folder: Path, logs: StudyData | None = None) -> Entries:
     """Draw everything of a study and write its tables; return what the index tells of each file.
 
-    Pictures are made small: they are committed, and drawn anew whenever a study is published.
-
-    Args:
-        data: the study.
-        folder: where.
-        found: its trajectories, where these are published too.
-        logs: imported logs to draw its curves beside.
+    Pictures are made small: they are committed, and drawn anew whenever a study is published. Imported logs
+    are drawn beside its curves.
     """
     entries = []
-    for shown, paths, told in [*_curves(data, folder, logs), *_others(data, folder, found)]:
+    for shown, paths, told in [*_curves(data, folder, logs), *_others(data, folder)]:
         for path in paths:
             shrink(path)
         entries += index_entries(paths, COMMAND, shown, told)
@@ -211,19 +199,14 @@ def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[D
         yield drawn(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=BESIDE_QUANTITIES)
 
 
-def _others(data: StudyData, folder: Path, found: StudyTrajectories | None) -> Iterator[Drawn]:
-    """Draw what the runs came to, and where they are known collapses, maps and trajectories."""
+def _others(data: StudyData, folder: Path) -> Iterator[Drawn]:
+    """Draw what the runs came to, and where they are known collapses and maps."""
     yield data, draw_summary(data, folder), {"figure": "summary", "outcome": shown_outcome(data)}
     if len(collapsed_shares(data)):
         yield data, draw_collapse(data, folder, stem_of(data, "collapses")), {"figure": "collapses"}
     if maps := study_maps(data):
         told = {"figure": "map", "contrasts": [each.setting for each in maps]}
         yield data, draw_robustness(data, maps, folder, stem_of(data, "map")), told
-    ways = found and found.of_runs(data.runs)  # some may have been published anew
-    if ways and len(ways.episodes) and ways.level:
-        walked = data.of_runs(set(ways.episodes["run_id"]))
-        paths = draw_trajectories(walked, ways, folder, stem_of(data, "trajectories"))
-        yield walked, paths, {"figure": "trajectories", "episodes": ways.per_run}
 
 
 def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:

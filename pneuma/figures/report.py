@@ -27,7 +27,6 @@ from pneuma.analysis.curves import curve_names
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.rounding import decimals, shown, shown_with_interval
 from pneuma.analysis.tables import StudyData
-from pneuma.analysis.trajectories import StudyTrajectories
 from pneuma.errors import counted, plain
 from pneuma.figures import verdict_words
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
@@ -35,7 +34,6 @@ from pneuma.figures.curves import MOST_CURVES, draw_study
 from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
-from pneuma.figures.trajectories import draw_trajectories
 from pneuma.figures.verdict_words import MEANINGS, PLACES
 from pneuma.values import shown_value
 
@@ -267,14 +265,10 @@ def _rows(frame: pd.DataFrame) -> Iterable[Any]:
 Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 
 
-def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> Iterator[Picture]:
+def study_pictures(data: StudyData) -> Iterator[Picture]:
     """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps.
 
     Of more conditions than a page has room for the curves of, it shows what their runs came to.
-
-    Args:
-        data: the study.
-        found: its trajectories on one level, where these are published.
     """
 
     def picture(what: str, command: str, draw: Draw) -> Picture:
@@ -297,11 +291,6 @@ def study_pictures(data: StudyData, found: StudyTrajectories | None = None) -> I
         yield picture(
             "runs that collapsed", f"collapse {study}",
             lambda folder, forms: draw_collapse(data, folder, "collapse", forms),
-        )  # fmt: skip
-    if found is not None:
-        yield picture(
-            "where the final policies go, and how their episodes end", f"trajectories {study}",
-            lambda folder, forms: draw_trajectories(data, found, folder, "ways", forms),
         )  # fmt: skip
     if maps := study_maps(data):
         values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
