@@ -54,7 +54,7 @@ MOST_ROWS = 1000
 
 
 def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> Report:
-    """Return the report on some studies, or on all shipped and all that were run here; `tell` its progress."""
+    """Return the report on some studies, or on all shipped and all that were run here."""
     studies = _studies(store, names)
     unjudged = ""
     try:

@@ -60,7 +60,7 @@ from pneuma.cli.study_records import (
     tell_left_out,
 )
 from pneuma.errors import UserError, plain
-from pneuma.figures import FIGURE_KINDS, FIGURE_LAYOUTS
+from pneuma.figures import FIGURE_KINDS
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -94,12 +94,9 @@ def plot(
         option(
             "--band",
             "|".join(BAND_NAMES),
-            "What the band shows (default: ci; of the thesis minmax).",
+            "What the band shows (default: ci).",
         ),
     ] = None,
-    layout: Annotated[
-        str, option("--layout", "|".join(FIGURE_LAYOUTS), "Whose figure it is like.")
-    ] = FIGURE_LAYOUTS[0],
     window: Annotated[Text, option("--window", "|".join(WINDOWS), "Which episodes a point averages.")] = None,
     beside: Annotated[
         Text, option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
@@ -115,9 +112,7 @@ def plot(
 ) -> None:
     """Draw a study: curves over its steps, or what its runs came to."""
     of_curves = {"quantity": quantity, "band": band, "window": window, "beside": beside}
-    of_curves["layout"] = layout if layout != FIGURE_LAYOUTS[0] else None
     check_choice("--figure", figure, FIGURE_KINDS)
-    check_choice("--layout", layout, FIGURE_LAYOUTS)
     check_choice("--band", band or BAND_NAMES[0], BAND_NAMES)
     check_choice("--window", window or WINDOWS[0], WINDOWS)
     for each in quantity or ():
@@ -144,7 +139,7 @@ def plot(
         tell_left_out(data)
         settled = None
         if figure == "curves":
-            settled = settle(data, band, window, quantities=_quantities(data, quantity or []), layout=layout)
+            settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
 
         def stem() -> str:
             return file_stem(data, settled, beside) if settled else stem_of(data, "summary")
@@ -175,7 +170,7 @@ def plot(
 
 def _options(drawn: dict[str, Any], formats: tuple[str, ...]) -> list[str]:
     """Return the options that draw a figure again as it was drawn."""
-    singles = [key for key in ("figure", "layout", "band", "window") if key in drawn]
+    singles = [key for key in ("figure", "band", "window") if key in drawn]
     several = {"quantity": drawn.get("quantities", ()), "format": formats}
     return [word for key in singles for word in (f"--{key}", drawn[key])] + [
         word for key, values in several.items() for value in values for word in (f"--{key}", value)

@@ -14,7 +14,7 @@ import pytest
 from typer.main import get_command
 
 from pneuma.cli import app
-from pneuma.cli.options import say
+from pneuma.cli.output import say
 from pneuma.study.store import Store
 
 from .calls import described, printed, refused

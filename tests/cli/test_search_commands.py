@@ -87,7 +87,7 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
         if "trial-002" in planned.conditions:
             raise stop
 
-    monkeypatch.setattr("pneuma.cli.search_run.train", train)
+    monkeypatch.setattr("pneuma.cli.search.train", train)
     done = call("search", "run", path, "--results", results, "--json")
     assert done.code == (1 if isinstance(stop, Unfinished) else 130)
     assert [trial["number"] for trial in done.document["trials"]] == [0, 1]
@@ -162,7 +162,7 @@ def test_a_figure_that_cannot_be_drawn_says_why_and_others_follow_no_link(
     figures.mkdir(exist_ok=True)
     (figures / "search-small-history.svg").symlink_to(mine)
     plot = ("search", "plot", "small", "--results", searched[1], "--format", "svg")
-    done = call(*plot, "--what", "history", "--what", "importances", "--what", "front")
+    done = call(*plot)
     assert done.code == 0 and "importances needs 10 complete trials" in done.err
     assert "front needs two objectives" in done.err and "search-small-history" in done.out
     assert mine.read_text() == "mine" and not (figures / "search-small-history.svg").is_symlink()
@@ -184,7 +184,6 @@ def test_a_world_that_cannot_be_made_is_refused_before_anything_is_written(tmp_p
         (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),
         (["status", "ppo", "--world", "godot"], "search ppo-godot was not run"),
         (["promote", "my.toml"], "search my was not run"),
-        (["plot", "ppo", "--what", "histroy"], "did you mean history"),
     ],
 )
 def test_mistakes_are_told_in_one_line_and_train_nothing(

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from pneuma.cli.options import Selected, read_selection, selecting_words, selects
+from pneuma.cli.options import Selected, Selecting, grouped, selecting_words
 from pneuma.study.plan import Selection
 
 
-@selects
+@grouped
 def command(name: str, selection: Selected = None, quiet: bool = False) -> tuple[str, Selected, bool]:
     """Give back what it was called with."""
     return name, selection, quiet
@@ -47,5 +47,5 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
     preset, seeds, steps, engine = (
         next(iter(given.get(option, [])), None) for option in ("--preset", "--seeds", "--steps", "--engine")
     )
-    read = read_selection(preset, seeds, steps, engine, given.get("--condition"), given.get("--set"))
+    read = Selecting(preset, seeds, steps, engine, given.get("--condition"), given.get("--set")).read()
     assert (read or Selection(settings={})) == replace(selection, settings=selection.settings or {})
