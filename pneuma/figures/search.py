@@ -97,7 +97,7 @@ def _study(searched: Searched, first_alone: bool = False) -> optuna.Study:
     search = searched.task.search
     count = 1 if first_alone else len(search.objectives)
     named = [replace(own, name=f"{own.outcome}, {own.over_seeds}") for own in search.objectives[:count]]
-    study = create_study(named, optuna.storages.InMemoryStorage(), search.name)
+    study = create_study(named, search.name)
     study.add_trials(frozen_trials(searched.trials, search.space, count))
     return study
 
