@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pneuma.cli.options import RESULTS, Json, Quiet, Results, Text, option, path_option
+from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, command, print_json, say, write_file
 from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import counted, plain
@@ -17,14 +17,14 @@ SIGNS = {"good": "ok", "note": "note", "broken": "BROKEN"}
 
 
 def report(
-    out: Annotated[Path, path_option("--out", "FILE", "The page to write, ending in .html.")],
+    out: Annotated[Path, opt.path_option("--out", "FILE", "The page to write, ending in .html.")],
     names: Annotated[
         list[str] | None,
         typer.Argument(metavar="[NAME]…", help="Studies; left out: all that are shipped or were run."),
     ] = None,
-    results: Results = RESULTS,
-    quiet: Quiet = False,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    quiet: opt.Quiet = False,
+    json: opt.Json = False,
 ) -> None:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, (".html", ".htm"))
@@ -47,7 +47,7 @@ def report(
     return None
 
 
-def doctor(results: Results = RESULTS, json: Json = False) -> None:
+def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """Say what is installed here and whether it works, with the mend for what does not."""
     from pneuma.doctor import as_document, examine
 
@@ -74,9 +74,11 @@ def tensorboard(
         list[Path],
         typer.Argument(metavar="DIR…", help="Hold NAME_1/, NAME_2/, … with event files, or are one."),
     ],
-    name: Annotated[Text, option("--name", "NAME", "The study's name (default: the folder's).")] = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    name: Annotated[
+        opt.Text, opt.option("--name", "NAME", "The study's name (default: the folder's).")
+    ] = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
     from pneuma.study.imported import import_tensorboard

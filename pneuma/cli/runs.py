@@ -11,24 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.algorithms import TABULAR
-from pneuma.cli.options import (
-    RESULTS,
-    Json,
-    OwnSeeds,
-    Quiet,
-    Results,
-    RunName,
-    Settings,
-    Trust,
-    Workers,
-    flag,
-    option,
-    path_option,
-    read_count,
-    read_seeds_option,
-    read_settings_options,
-    read_workers,
-)
+from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, print_json, print_table, write_file
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS, make_run
@@ -47,7 +30,7 @@ app = typer.Typer(
 
 
 @app.command("list", short_help="List the stored runs.")
-def list_(results: Results = RESULTS, json: Json = False) -> None:
+def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
     runs = stored_runs.list_runs(Store(results))
     if json:
@@ -66,10 +49,10 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
 
 @app.command(short_help="Show what produced a stored run.")
 def show(
-    name: RunName,
-    all_: Annotated[bool, flag("--all", "Show every field, defaults too.")] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    name: opt.RunName,
+    all_: Annotated[bool, opt.flag("--all", "Show every field, defaults too.")] = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
@@ -100,27 +83,29 @@ def show(
 
 @app.command(short_help="Go on from a checkpoint with something changed.")
 def fork(
-    name: RunName,
-    at: Annotated[str, option("--at", "STEP", "Go on from the checkpoint nearest before this step.")],
-    set_: Settings = None,
-    reset: Annotated[str, option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")] = "",
-    seeds: OwnSeeds = "3",
-    workers: Workers = None,
-    trust: Trust = False,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
+    name: opt.RunName,
+    at: Annotated[str, opt.option("--at", "STEP", "Go on from the checkpoint nearest before this step.")],
+    set_: opt.Settings = None,
+    reset: Annotated[
+        str, opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")
+    ] = "",
+    seeds: opt.OwnSeeds = "3",
+    workers: opt.Workers = None,
+    trust: opt.Trust = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> int:
     """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
 
     The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
     `export` take its name.
     """
-    store, change = Store(results), Change(read_settings_options(set_), reset)
-    parent, step = stored_runs.find_run(store, name), read_count("--at", at)
-    plan = plan_fork(store, parent, step, change, read_seeds_option(seeds), trust)
+    store, change = Store(results), Change(opt.read_settings_options(set_), reset)
+    parent, step = stored_runs.find_run(store, name), opt.read_count("--at", at)
+    plan = plan_fork(store, parent, step, change, opt.read_seeds_option(seeds), trust)
     plan = replace(plan, notes=tuple(map(plain, plan.notes)))
-    how = Supervision(workers=read_workers(workers))
+    how = Supervision(workers=opt.read_workers(workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
 
 
@@ -129,11 +114,11 @@ def fork(
 
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
-    name: RunName,
-    out: Annotated[Path, path_option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
-    trust: Trust = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    name: opt.RunName,
+    out: Annotated[Path, opt.path_option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
+    trust: opt.Trust = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
     check_file(out, (".zip", ".onnx"))

@@ -5,34 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import (
-    RESULTS,
-    EngineName,
-    Formats,
-    Json,
-    OwnSeeds,
-    Preset,
-    Quiet,
-    Results,
-    RetryFailed,
-    Settings,
-    Steps,
-    Text,
-    Workers,
-    WorldName,
-    grouped,
-    option,
-    path_option,
-    read_count,
-    read_seeds_option,
-    read_settings_options,
-    read_workers,
-)
+from pneuma.cli import options as opt
 from pneuma.cli.output import (
     check_file,
     command,
@@ -74,13 +53,13 @@ SearchName = Annotated[
 
 
 @app.command("list")
-def list_(json: Json = False) -> None:
+def list_(json: opt.Json = False) -> None:
     """List the shipped searches."""
     return print_listed("search", "searches", spec.studies_folder() / "search", json)
 
 
 @app.command()
-def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
+def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) -> None:
     """Show what a search varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
@@ -107,7 +86,9 @@ def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
 
 
 @app.command()
-def status(name: SearchName, world: WorldName = None, results: Results = RESULTS, json: Json = False) -> None:
+def status(
+    name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
+) -> None:
     """Show how far a search is, and the best that it has found."""
     from pneuma.search.storage import journal_path, read_record
 
@@ -134,10 +115,9 @@ def status(name: SearchName, world: WorldName = None, results: Results = RESULTS
     if isinstance(best, int):
         told = command("search", "promote", name, *world_option(world or TEXT), "--results", store.root)
         print(f"Best (*): trial {best}. Confirm it with: {told}")
-    elif best:
-        print(f"Pareto front (*): trials {', '.join(map(str, best))}.")
     else:
-        print("No trial is complete yet.")
+        front = f"Pareto front (*): trials {', '.join(map(str, best))}." if best else ""
+        print(front or "No trial is complete yet.")
     print(f"Its runs: {command('study', 'status', f'search-{search.name}', '--results', store.root)}")
     print(f"Look closer with: optuna-dashboard {plain(str(journal_path(store, search.name)))}")
     return None
@@ -147,12 +127,12 @@ def status(name: SearchName, world: WorldName = None, results: Results = RESULTS
 def plot(
     name: SearchName,
     out: Annotated[
-        Path | None, path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
+        Path | None, opt.path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
     ] = None,
-    world: WorldName = None,
-    format: Formats = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    world: opt.WorldName = None,
+    format: opt.Formats = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Draw a search by Optuna's plots: history, importances, slices, parallel coordinates, Pareto front."""
     formats = read_formats(format, out, always=True)
@@ -173,24 +153,27 @@ def plot(
 
 
 @app.command(short_help="Search for hyperparameters, or go on with a search.")
-@grouped
+@opt.grouped
 def run(
     name: SearchName,
-    preset: Preset = None,
-    trials: Annotated[Text, option("--trials", "N", "How many trials, those stored among them.")] = None,
-    seeds: Annotated[
-        Text, option("--seeds", "N|LIST", "Seeds of each trial: a count N (seeds 1000, 1001, …) or a list.")
+    preset: opt.Preset = None,
+    trials: Annotated[
+        opt.Text, opt.option("--trials", "N", "How many trials, those stored among them.")
     ] = None,
-    steps: Steps = None,
-    engine: EngineName = None,
-    set_: Settings = None,
-    world: WorldName = None,
-    workers: Workers = None,
+    seeds: Annotated[
+        opt.Text,
+        opt.option("--seeds", "N|LIST", "Seeds of each trial: a count N (seeds 1000, 1001, …) or a list."),
+    ] = None,
+    steps: opt.Steps = None,
+    engine: opt.EngineName = None,
+    set_: opt.Settings = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
     place: Place = HERE,
-    retry_failed: RetryFailed = False,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
+    retry_failed: opt.RetryFailed = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> int:
     """Search for hyperparameters, going on where the search was stopped."""
     from pneuma.config import Run, read_field
@@ -199,7 +182,7 @@ def run(
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Task, Unfinished, best_number
 
-    over = {**read_settings_options(set_), **({"engine": engine} if engine else {})}
+    over = {**opt.read_settings_options(set_), **({"engine": engine} if engine else {})}
     for key in over:
         if key not in FIXABLE.names:
             raise unknown_name("key of --set", key, FIXABLE.names)
@@ -210,16 +193,12 @@ def run(
     task = Task(search.with_settings(over, over) if over else search, budget, file, over)
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
-    store, how = Store(results), Supervision(workers=read_workers(workers, place), place=place)
+    store, how = Store(results), Supervision(workers=opt.read_workers(workers, place), place=place)
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     told: list[Told] = []
-    noted: set[str] = set()
+    train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
     code = 0
-
-    def train_trials(planned: plan.Plan) -> None:
-        train(planned, store, how, retry_failed, quiet, noted)
-
     try:
         for ended in storage.run_search(task, store, train_trials):
             for trial in ended[len(told) :]:
@@ -245,7 +224,7 @@ def run(
     return code
 
 
-def _budget(search: Search, preset: str, trials: Text, seeds: Text, steps: Text) -> Budget:
+def _budget(search: Search, preset: str, trials: opt.Text, seeds: opt.Text, steps: opt.Text) -> Budget:
     """Return a search's budget: its preset's, with what the options give in its place."""
     from pneuma.search import FIRST_SEED
     from pneuma.search.spec import Budget
@@ -255,14 +234,14 @@ def _budget(search: Search, preset: str, trials: Text, seeds: Text, steps: Text)
     own = search.presets[preset]
     first = FIRST_SEED if seeds is not None and not {",", "."} & {*seeds} else 0
     return Budget(
-        own.trials if trials is None else read_count("--trials", trials),
-        own.seeds if seeds is None else tuple(first + seed for seed in read_seeds_option(seeds)),
-        own.steps if steps is None else read_count("--steps", steps),
+        own.trials if trials is None else opt.read_count("--trials", trials),
+        own.seeds if seeds is None else tuple(first + seed for seed in opt.read_seeds_option(seeds)),
+        own.steps if steps is None else opt.read_count("--steps", steps),
     )
 
 
 def train(
-    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, quiet: bool, noted: set[str]
+    planned: plan.Plan, *, store: Store, how: Supervision, retry_failed: bool, quiet: bool, noted: set[str]
 ) -> None:
     """Train what a plan of trials lacks, and note what is to be known that was not `noted` before.
 
@@ -313,19 +292,19 @@ def promote(
         list[str],
         typer.Argument(metavar="NAME…", help="Searches, or their files; several must be tuned alike."),
     ],
-    seeds: OwnSeeds = "10",
-    steps: Steps = None,
+    seeds: opt.OwnSeeds = "10",
+    steps: opt.Steps = None,
     trial: Annotated[
         int | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
     ] = None,
     out: Annotated[
-        Path | None, path_option("--out", "FILE", "Write the study to a .toml file; train nothing.")
+        Path | None, opt.path_option("--out", "FILE", "Write the study to a .toml file; train nothing.")
     ] = None,
-    world: WorldName = None,
-    workers: Workers = None,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> int:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search.promote import find_winners, gains, winners_study
@@ -333,12 +312,12 @@ def promote(
 
     if trial is not None and len(names) > 1:
         raise UserError(f"--trial {trial}: is of one search; name one")
-    store, fresh = Store(results), read_seeds_option(seeds)
+    store, fresh = Store(results), opt.read_seeds_option(seeds)
     searches = [read_record(store, name, world) for name in names]
     winners = find_winners(searches, trial, fresh)
     for name, winner in zip(names, winners, strict=True):
         _refuse_untrusted(winner, name)
-    budget = searches[0].task.budget.steps if steps is None else read_count("--steps", steps)
+    budget = searches[0].task.budget.steps if steps is None else opt.read_count("--steps", steps)
     text = winners_study(winners, fresh, budget).encode()
     chosen = [
         {"search": own.searched.task.search.name, "trial": own.trial.number, "params": own.trial.params}
@@ -361,7 +340,7 @@ def promote(
     store.write(path, text)
     say(f"wrote {plain(str(path))}", aside=True, quiet=quiet)
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
-    how = Supervision(workers=read_workers(workers))
+    how = Supervision(workers=opt.read_workers(workers))
     _, code = train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet)
     if code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.cli import options as opt
 from pneuma.cli import study_output, study_run, study_summary, study_verify
-from pneuma.cli.options import RESULTS, Json, OneWorld, Results, Selected, StudyName, WorldName, grouped
 from pneuma.cli.output import print_json, print_listed, print_table, say
 from pneuma.cli.study_records import (
     RunState,
@@ -43,13 +43,18 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 
 
 @app.command("list")
-def list_(json: Json = False) -> None:
+def list_(json: opt.Json = False) -> None:
     """List the shipped studies."""
     return print_listed("study", "studies", spec.studies_folder(), json)
 
 
 @app.command(short_help="Show what a study compares, and its presets.")
-def show(name: StudyName, world: WorldName = None, results: Results = RESULTS, json: Json = False) -> None:
+def show(
+    name: opt.StudyName,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
     if not is_shipped(name) and name in known_studies(Store(results)):
         return _show_record(study_record(Store(results), name, None, world), json)
@@ -111,15 +116,15 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
 
 
 @app.command(short_help="Say how far the runs of a study are.")
-@grouped
+@opt.grouped
 def status(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
-    selection: Selected = None,
-    world: OneWorld = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    selection: opt.Selected = None,
+    world: opt.OneWorld = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Say how far the runs of a study are, as it was last run or as selected."""
     store = Store(results)

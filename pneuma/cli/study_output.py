@@ -24,23 +24,7 @@ from pneuma.analysis import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
-from pneuma.cli.options import (
-    RESULTS,
-    Formats,
-    Json,
-    OneWorld,
-    Results,
-    Selected,
-    Several,
-    StudyName,
-    Text,
-    WorldName,
-    flag,
-    grouped,
-    option,
-    path_option,
-    selecting_words,
-)
+from pneuma.cli import options as opt
 from pneuma.cli.output import (
     check_choice,
     check_folder,
@@ -73,42 +57,44 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 # --- plot -----------------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def plot(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
     ] = None,
     figure: Annotated[
-        str, option("--figure", "|".join(FIGURE_KINDS), "Curves over steps, or what the runs came to.")
+        str, opt.option("--figure", "|".join(FIGURE_KINDS), "Curves over steps, or what the runs came to.")
     ] = FIGURE_KINDS[0],
     quantity: Annotated[
-        Several,
-        option(
+        opt.Several,
+        opt.option(
             "--quantity",
             "NAME",
             "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
         ),
     ] = None,
     band: Annotated[
-        Text,
-        option(
+        opt.Text,
+        opt.option(
             "--band",
             "|".join(BAND_NAMES),
             "What the band shows (default: ci).",
         ),
     ] = None,
-    window: Annotated[Text, option("--window", "|".join(WINDOWS), "Which episodes a point averages.")] = None,
+    window: Annotated[
+        opt.Text, opt.option("--window", "|".join(WINDOWS), "Which episodes a point averages.")
+    ] = None,
     beside: Annotated[
-        Text, option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
+        opt.Text, opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
     ] = None,
-    format: Formats = None,
+    format: opt.Formats = None,
     out: Annotated[
-        Path | None, path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
+        Path | None, opt.path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
     ] = None,
-    selection: Selected = None,
-    world: OneWorld = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    selection: opt.Selected = None,
+    world: opt.OneWorld = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Draw a study: curves over its steps, or what its runs came to."""
     of_curves = {"quantity": quantity, "band": band, "window": window, "beside": beside}
@@ -131,7 +117,7 @@ def plot(
     target = out or store.root / "figures"
     owners = {entry["file"]: entry.get("from") for entry in read_present(target)}
     other = open_study(store, study_record(store, beside, None)) if beside else None
-    chosen = [*selecting_words(selection), *(["--world", world] if world else [])] if selection else []
+    chosen = [*opt.selecting_words(selection), *(["--world", world] if world else [])] if selection else []
     entries: list[dict[str, Any]] = []
 
     def draw_one(name: str, folder: Path) -> None:
@@ -188,25 +174,29 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
 # --- export ---------------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def export(
-    name: StudyName,
-    table: Annotated[str, option("--table", "|".join(EXPORT_TABLES), "What to export.")],
+    name: opt.StudyName,
+    table: Annotated[str, opt.option("--table", "|".join(EXPORT_TABLES), "What to export.")],
     out: Annotated[
         Path,
-        path_option("--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."),
+        opt.path_option(
+            "--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."
+        ),
     ],
     band: Annotated[
-        Text,
-        option("--band", "|".join(EDGED_BANDS), f"Of curves: what low and high are (else {EXPORTED_BAND})."),
+        opt.Text,
+        opt.option(
+            "--band", "|".join(EDGED_BANDS), f"Of curves: what low and high are (else {EXPORTED_BAND})."
+        ),
     ] = None,
     window: Annotated[
-        Text, option("--window", "|".join(WINDOWS), "Of curves: which episodes a point averages.")
+        opt.Text, opt.option("--window", "|".join(WINDOWS), "Of curves: which episodes a point averages.")
     ] = None,
-    selection: Selected = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Write a study's records as one tidy table."""
     check_choice("--table", table, EXPORT_TABLES)
@@ -244,19 +234,20 @@ def export(
 # --- publish --------------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def publish(
-    name: StudyName,
-    selection: Selected = None,
-    world: WorldName = None,
+    name: opt.StudyName,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
     curves: Annotated[
-        Text, option("--curves", "NAME,…|none", "Keep curves of these quantities alone; left out: of all.")
+        opt.Text,
+        opt.option("--curves", "NAME,…|none", "Keep curves of these quantities alone; left out: of all."),
     ] = None,
     rounding: Annotated[
-        bool, flag("--round", "Keep curves to a thousandth of their range: a third of the size.")
+        bool, opt.flag("--round", "Keep curves to a thousandth of their range: a third of the size.")
     ] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them.
 

@@ -9,20 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import (
-    RESULTS,
-    Json,
-    Quiet,
-    Results,
-    RetryFailed,
-    Selected,
-    StudyName,
-    Workers,
-    WorldName,
-    flag,
-    grouped,
-    read_workers,
-)
+from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.errors import UserError, plain
@@ -35,7 +22,7 @@ UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that a cell should not have when a study has been run."""
 
 Unpublished = Annotated[
-    bool, flag("--unpublished", "Leave out runs that are finished in a published table of RESULTS.")
+    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table of RESULTS.")
 ]
 
 STOPPED = 130
@@ -48,26 +35,28 @@ _TOLD = {
 """The states of a plan's runs, for people."""
 
 
-@grouped
+@opt.grouped
 def plan_(
-    name: StudyName,
-    selection: Selected = None,
-    world: WorldName = None,
-    workers: Workers = None,
+    name: opt.StudyName,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
     place: Place = HERE,
     calibrate: Annotated[
         bool,
-        flag("--calibrate", "Train for seconds what no stored run tells the pace of (else a table does)."),
+        opt.flag(
+            "--calibrate", "Train for seconds what no stored run tells the pace of (else a table does)."
+        ),
     ] = False,
     unpublished: Unpublished = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Say what is stored and what would be trained, and about how long that takes; none is trained."""
     from pneuma.study import estimate
 
     planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
-    at_once = read_workers(workers, place)
+    at_once = opt.read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     if unpublished:
@@ -120,22 +109,22 @@ def _counts(states: Iterable[str]) -> str:
     return ", ".join(f"{counts[state]} {told}" for state, told in _TOLD.items() if counts[state])
 
 
-@grouped
+@opt.grouped
 def run(
-    name: StudyName,
-    selection: Selected = None,
-    world: WorldName = None,
-    workers: Workers = None,
+    name: opt.StudyName,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
     place: Place = HERE,
     checkpoint_seconds: Annotated[
         float,
         typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
     ] = 15.0,
-    retry_failed: RetryFailed = False,
+    retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
     planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
@@ -143,7 +132,7 @@ def run(
     if unpublished:
         planned = replace(planned, published=_published(store, planned))
     how = Supervision(
-        workers=read_workers(workers, place),
+        workers=opt.read_workers(workers, place),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
         place=place,

@@ -6,27 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.cli.options import (
-    RESULTS,
-    FigureFolder,
-    Formats,
-    Json,
-    Outcome,
-    Quiet,
-    Results,
-    Selected,
-    Several,
-    StudyName,
-    Trust,
-    Workers,
-    WorldName,
-    flag,
-    grouped,
-    option,
-    read_seeds_option,
-    read_settings_options,
-    read_workers,
-)
+from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, read_formats, records, say, tell_written
 from pneuma.cli.study_records import open_data
 from pneuma.cli.study_run import train
@@ -54,20 +34,20 @@ _HEADS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baselin
 # --- summary --------------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def summary(
-    name: StudyName,
+    name: opt.StudyName,
     outcome: Annotated[
-        Several,
-        option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable)."),
+        opt.Several,
+        opt.option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable)."),
     ] = None,
     all_: Annotated[
-        bool, flag("--all", "Print every statistic of all usual outcomes, not three means.")
+        bool, opt.flag("--all", "Print every statistic of all usual outcomes, not three means.")
     ] = False,
-    selection: Selected = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
     data = open_data(Store(results), name, selection, world)
@@ -180,27 +160,27 @@ def _core_share(data: StudyData) -> str:
 # --- collapse -------------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def collapse(
-    name: StudyName,
+    name: opt.StudyName,
     fork: Annotated[
-        bool, flag("--fork", "Go on from before each collapse, changing one thing at a time.")
+        bool, opt.flag("--fork", "Go on from before each collapse, changing one thing at a time.")
     ] = False,
     run: Annotated[
-        Several, option("--run", "RUN_ID", "Fork this collapsed run alone (may be repeated).")
+        opt.Several, opt.option("--run", "RUN_ID", "Fork this collapsed run alone (may be repeated).")
     ] = None,
     fork_seeds: Annotated[
-        str, option("--fork-seeds", "N|LIST", "Seeds of the forks of each run.")
+        str, opt.option("--fork-seeds", "N|LIST", "Seeds of the forks of each run.")
     ] = FORK_SEEDS,
-    out: FigureFolder = None,
-    format: Formats = None,
-    workers: Workers = None,
-    trust: Trust = False,
-    selection: Selected = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
+    out: opt.FigureFolder = None,
+    format: opt.Formats = None,
+    workers: opt.Workers = None,
+    trust: opt.Trust = False,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     formats = read_formats(format, out)
@@ -217,9 +197,9 @@ def collapse(
     collapsed = found[found["collapsed"]]
     if fork:
         parents = _parents(data, collapsed, run or ())
-        plan = plan_cause_forks(store, data.study, parents, read_seeds_option(fork_seeds), trust=trust)
+        plan = plan_cause_forks(store, data.study, parents, opt.read_seeds_option(fork_seeds), trust=trust)
         plan = replace(plan, notes=tuple(map(plain, plan.notes)))
-        how = Supervision(workers=read_workers(workers))
+        how = Supervision(workers=opt.read_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
     files = []
     if out is not None:
@@ -275,14 +255,14 @@ def _print_collapses(collapsed: pd.DataFrame, shares: pd.DataFrame) -> None:
 # --- effects --------------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def effects(
-    name: StudyName,
-    outcome: Outcome = PRIMARY,
-    selection: Selected = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    name: opt.StudyName,
+    outcome: opt.Outcome = PRIMARY,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
     data = open_data(Store(results), name, selection, world)
@@ -327,24 +307,24 @@ def _print_effects(found: Effects, table: pd.DataFrame) -> None:
 # --- robustness -----------------------------------------------------------------------------------
 
 
-@grouped
+@opt.grouped
 def robustness(
-    name: StudyName,
+    name: opt.StudyName,
     contrast: Annotated[
         str,
-        option(
+        opt.option(
             "--contrast",
             "KEY=A:B",
             "A field, its value said to be better, another: activation=tanh:relu.",
         ),
     ],
-    outcome: Outcome = PRIMARY,
-    out: FigureFolder = None,
-    format: Formats = None,
-    selection: Selected = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    outcome: opt.Outcome = PRIMARY,
+    out: opt.FigureFolder = None,
+    format: opt.Formats = None,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Compare two values of a field in every combination of a study's other factors."""
     formats = read_formats(format, out)
@@ -380,7 +360,7 @@ def _read_contrast(text: str) -> list[tuple[str, Any, Any]]:
     key, _, values = (part.strip() for part in text.partition("="))
     pairs = [(values[:i].strip(), values[i + 1 :].strip()) for i, c in enumerate(values) if c == ":"]
     read = [
-        tuple(read_settings_options([f"{key}={value}"])[key] for value in pair)
+        tuple(opt.read_settings_options([f"{key}={value}"])[key] for value in pair)
         for pair in pairs
         if key and all(pair)
     ]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import RESULTS, Json, OneWorld, Results, flag, path_option
+from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_table
 from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import plain, unknown_name
@@ -29,13 +29,15 @@ def verify(
     claims: Annotated[
         list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
     ] = None,
-    world: OneWorld = None,
-    file: Annotated[Path | None, path_option("--claims", "FILE", "Other claims than the thesis's.")] = None,
+    world: opt.OneWorld = None,
+    file: Annotated[
+        Path | None, opt.path_option("--claims", "FILE", "Other claims than the thesis's.")
+    ] = None,
     design: Annotated[
-        bool, flag("--design", "Say what the seeds of each claim can tell, and read no runs.")
+        bool, opt.flag("--design", "Say what the seeds of each claim can tell, and read no runs.")
     ] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
     check_world(world)

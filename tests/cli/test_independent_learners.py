@@ -57,20 +57,14 @@ def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
 
 
 def test_the_table_of_learners_is_of_the_runs_that_have_it(plan: Plan) -> None:
-    words = ("study", "export", "two.toml", "--table", "learners", "--format", "csv", "--out", "-")
+    words = ("study", "export", "two.toml", "--table", "learners", "--out", "-")
     rows = csv.DictReader(io.StringIO(printed(*words)))
     told = [(row["condition"], row["step"], row["learner"], row["value_loss"]) for row in rows]
     assert told == [("independent", "128", "0", "1.0"), ("independent", "128", "1", "2.0")]
     assert 'no finished run has learners = "independent"' in refused(*words, "--condition", "shared")
 
 
-def test_export_asks_whose_policy(plan: Plan) -> None:
-    shared, own = (cell.run_id for cell in plan.cells)
-    export = ("run", "export", own, "--out", "a.zip")
-    assert "each player has its own policy; choose --player 0 to 1" in refused(*export)
-    assert "there is no player 2" in refused(*export, "--player", "2")
+def test_a_policy_of_a_team_is_not_exported(plan: Plan) -> None:
+    _, own = (cell.run_id for cell in plan.cells)
+    assert "each player has its own policy" in refused("run", "export", own, "--out", "a.zip")
     assert not Path("a.zip").exists()
-    printed(*export, "--player", "1")
-    assert Path("a.zip").exists()
-    line = refused("run", "export", shared, "--out", "b.zip", "--player", "0")
-    assert f"all players of run {shared} share one policy" in line

@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
-from pneuma.analysis.trajectories import encode_trajectories, gathered, trajectories_path
 from pneuma.figures import paper
 
 from .hand_made import HandMade
@@ -25,19 +23,13 @@ def no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def published(study: HandMade, tmp_path: Path) -> Path:
-    """A results folder with two published studies alone, and trajectories of one of their runs."""
+    """A results folder with two published studies alone."""
     data = study.data
-    run = data.of_condition("tanh")[1]
-    episode = {"episode": 0, "player": 0, "steps": 1, "kills": 0, "ending": "drowned"}
-    row = {"condition": "tanh", "seed": 1, "run_id": run.run_id, "places": np.zeros((2, 2)), **episode}
     fresh = tmp_path / "fresh"
-    files = {trajectories_path(fresh, "mine"): encode_trajectories(gathered("thesis", [row]))}
+    (fresh / "published").mkdir(parents=True)
     for name in ("mine", "mine-godot"):
         data.study = name
-        files[fresh / published_path(study.store, name).relative_to(study.store.root)] = encode_study(data)
-    for path, content in files.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        (fresh / "published" / published_path(study.store, name).name).write_bytes(encode_study(data))
     return fresh
 
 
@@ -48,20 +40,14 @@ def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert {entry["file"] for entry in index} == {
         str(path.relative_to(tmp_path / "paper"))
         for path in written
-        if path.name not in ("index.json", "README.md")
+        if path.name not in ("index.json", "README.md") and path.stem != "verdicts"
     }
     drawn = {Path(entry["file"]).stem: entry for entry in index}
-    for stem in (
-        "fig-mine",
-        "fig-mine-thesis",
-        "fig-mine-godot-summary",
-        "fig-mine-trajectories",
-        "mine-godot",
-    ):
+    for stem in ("fig-mine", "fig-mine-return-minmax-trailing-100", "fig-mine-godot-summary", "mine-godot"):
         assert drawn[stem]["command"] == "make figures"
     assert drawn["fig-mine"]["n"] == {"tanh": 2, "relu": 2}
     assert [entry["beside"] for entry in drawn.values() if "beside" in entry] == ["mine-godot"]
-    assert drawn["fig-mine-trajectories"]["n"] == {"tanh": 1}
+    assert "| Judged in |" in (tmp_path / "paper" / "verdicts.md").read_text()
     assert (
         "- [fig-mine.png](fig-mine.png): curves: share killed" in (tmp_path / "paper/README.md").read_text()
     )
