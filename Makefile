@@ -42,18 +42,19 @@ RESULTS ?= $(or $(PNEUMA_RESULTS),results)
 PNEUMA = $(BIN)/pneuma study $(DO)
 BEGUN := $(shell date +%s)
 
-WORLDS = text godot arena
+WORLDS = arena text godot
+WORLDS_architecture = arena
+WORLDS_generalisation = arena
+WORLDS_robustness = arena
 WORLDS_tabular = text
 WORLDS_magic = text
 WORLDS_classes = text
 WORLDS_independent = text
+WORLDS_published-logs = godot
 
-PRESET = paper+claims
-PRESET_perception = paper
-PRESET_independent = paper
-PRESET_collapse = paper
-PRESET_robustness = paper
-PRESET_actor-size-big = paper
+# What claims fix of chapter 6, by budget where there are several; of the other chapters the preset `paper`.
+PRESET = paper
+BUDGETS_architecture = 200000 40000
 
 # What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
 CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
@@ -62,11 +63,11 @@ CURVES_collapse = entropy,dead_units,actions
 CURVES_robustness = none
 SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
 
-# A study in a world; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
+# A study in a world, for one budget; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
 # stop all.
 define one
-$(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --world $(2) $(CONDITIONS_$(1)) \
-  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(STEPS),--steps $(STEPS)) $(if $(filter publish,$(DO)),$(SMALL)) \
+$(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --world $(2) \
+  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(3),--steps $(3)) $(if $(filter publish,$(DO)),$(SMALL)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
   $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \
   || { code=$$?; [ $$code = $(if $(filter publish,$(DO)),2,1) ] || exit $$code; failed="$$failed $(1) ($(2))"; };
@@ -77,25 +78,26 @@ Runs failed of:$$failed. RETRY=1 beside the same words tries those again that cr
 
 define each
 @failed=; $(foreach study,$(or $(STUDIES),$(1)),\
-$(foreach world,$(or $(WORLDS_$(study)),$(WORLDS)),$(call one,$(study),$(world)))) \
+$(foreach world,$(or $(WORLDS_$(study)),$(WORLDS)),$(if $(or $(STEPS),$(BUDGETS_$(study))),\
+$(foreach steps,$(or $(STEPS),$(BUDGETS_$(study))),$(call one,$(study),$(world),$(steps))),$(call one,$(study),$(world))))) \
 took=$$(( $$(date +%s) - $(BEGUN) )); \
 echo "$@: $$(( took / 3600 )) h $$(( took / 60 % 60 )) min $$(( took % 60 )) s."; \
 [ -z "$$failed" ] || { echo "$(FAILED)"; exit 1; }
 endef
 
-reproduction: PRESET = $(if $(filter publish,$(DO)),paper+claims,paper)
-reproduction: CONDITIONS_actor-size = --condition smallest --condition small --condition small-critic
-reproduction: install  ## Train chapter 6's small networks: 10 seeds of 1M steps, in all worlds
-	$(call each,activation optimizer gradient-limits hyperparameters clip-range actor-size)
+reproduction: PRESET = claims
+reproduction: install  ## Train chapter 6's small networks: 50 seeds of 1M steps, in all worlds
+	$(call each,activation optimizer early gradient-limits hyperparameters clip-range actor-size)
 
-reproduction-rest: install  ## Train chapters 3 to 5, and the 50 seeds of claims on spread and incidence
-	$(call each,tabular policy-gradient sigmoid magic classes independent perception activation optimizer)
+reproduction-slow: PRESET = claims
+reproduction-slow: install  ## Train chapter 6's mid and big networks
+	$(call each,generalisation architecture)
+
+reproduction-rest: install  ## Train chapters 3 to 5, and the published logs again
+	$(call each,tabular policy-gradient sigmoid magic classes independent perception algorithms published-logs)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)
-
-reproduction-slow: install  ## Train the mid and big networks, and the reference engine's algorithms
-	$(call each,architecture actor-size-big algorithms)
 
 # Of a target that is no study's runs: the words that are theirs are refused, lest somebody who asks for a plan trains.
 takes_results_alone = $(if $(filter-out run,$(DO))$(SEEDS)$(STEPS)$(STUDIES)$(UNPUBLISHED)$(RETRY),\

@@ -52,7 +52,7 @@ def run_study(
     Args:
         study: a shipped study's name, or the path of a file of one's own.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        preset: one of the study's, or several joined by +; quick when left out.
+        preset: one of the study's; quick when left out.
         seeds: how many, or which, instead of the preset's.
         steps: agent steps of each run, instead of the preset's.
         conditions: names; all when left out.

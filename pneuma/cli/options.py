@@ -68,9 +68,7 @@ Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters fi
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
 _AMOUNT = "How much to run: quick for plan and run, else as last run"
 Preset = Annotated[Text, option("--preset", "|".join(PRESETS), f"{_AMOUNT}.")]
-StudyPreset = Annotated[
-    Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}; also joined: paper+claims.")
-]
+StudyPreset = Annotated[Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
 _SEEDS = option(
     "--seeds", "N|LIST", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
 )

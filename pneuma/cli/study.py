@@ -83,9 +83,9 @@ def show(
     print("\nPresets:")
     from pneuma.study.claimed import fixed_amounts
 
-    presets = {name: {"": own, **own.conditions} for name, own in study.presets.items()}
-    print_table(("", "", ""), [row for own in presets.items() for row in _amounts(*own)])
-    print_table(("", "", ""), _amounts(spec.CLAIMS, fixed_amounts(study)))
+    presets = [(name, {"": own, **own.conditions}) for name, own in study.presets.items()]
+    presets += [(spec.CLAIMS, dict(own)) for own in fixed_amounts(study).values()]
+    print_table(("", "", ""), [row for own in presets for row in _amounts(*own)])
     return None
 
 

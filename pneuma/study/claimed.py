@@ -19,7 +19,7 @@ from pydantic import BaseModel, BeforeValidator
 from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import CONFIG, TomlFile, Where, read_model, read_toml
-from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, join_presets, read_seeds
+from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, read_seeds
 from pneuma.values import OneOf, Reads
 from pneuma.worlds import WORLDS, split_world, world_option
 
@@ -43,28 +43,35 @@ class FixedRuns:
     worlds: tuple[str, ...]
 
 
-def claims_preset(study: Study) -> dict[str, Preset]:
+def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
     """Return the seeds and steps that claims fix of a study in its world, by condition.
 
     Conditions that no claim is about are left out; one that several are about has the seeds of all.
 
+    Args:
+        study: the study.
+        steps: which budget, where claims fix several; of any other number, conditions of all.
+
     Raises:
-        UserError: where no claim is about the study, or some fix other steps than others.
+        UserError: where no claim is about the study, or the budget is not told.
     """
     found = fixed_amounts(study)
     if not found:
         beside = _file_beside(study)
         lacks = f"has no claim on study {study.name}" if beside.exists() else "is not there"
         raise UserError(f"--preset {CLAIMS}: {beside} {lacks}")
-    return found
+    if len(found) > 1 and steps is None:
+        budgets = " or ".join(f"{each:,}" for each in found)
+        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
+    return found.get(steps or 0) or {name: own for each in found.values() for name, own in each.items()}
 
 
-def fixed_amounts(study: Study) -> dict[str, Preset]:
-    """Return the same; empty where no claim is about the study."""
+def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
+    """Return the same for every budget, by its steps; empty where no claim is about the study."""
     if study.path is None or not _file_beside(study).exists():
         return {}
     file = read_toml(_file_beside(study))
-    found: dict[str, Preset] = {}
+    found: dict[int, dict[str, set[int]]] = {}
     for name in file.table(("claims",)):
         where = ("claims", name)
         if not _is_about(file, where, study):
@@ -72,9 +79,11 @@ def fixed_amounts(study: Study) -> dict[str, Preset]:
         fixed = read_fixed_runs(file, where, study)
         if study.world in fixed.worlds:
             for condition, seeds in fixed.seeds.items():
-                own = Preset(seeds, fixed.steps[condition])
-                found[condition] = join_presets(CLAIMS, condition, found.get(condition), own)
-    return {condition: found[condition] for condition in study.conditions if condition in found}
+                found.setdefault(fixed.steps[condition], {}).setdefault(condition, set()).update(seeds)
+    return {
+        steps: {name: Preset(tuple(sorted(own[name])), steps) for name in study.conditions if name in own}
+        for steps, own in found.items()
+    }
 
 
 def training_command(study: Study, claims: Path) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
-from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, join_presets, unread_fields
+from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, unread_fields
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Selection:
     """What of a study to run; None leaves a part to the preset.
 
     Attributes:
-        preset: name of the preset, or several joined by +; quick when left out.
+        preset: name of the preset; quick when left out.
         seeds: the seeds, as numbers.
         steps: agent steps of each run.
         engine: name of the engine.
@@ -95,7 +95,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         UserError: for an unknown preset or condition, or fields that do not go together.
     """
     names = _conditions(study, selection.conditions)
-    amounts = _amounts(study, selection.preset or "quick")
+    amounts = _amounts(study, selection)
     for name in selection.conditions:
         if name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
@@ -137,19 +137,15 @@ def _conditions(study: Study, wanted: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in study.conditions if not wanted or name in wanted)
 
 
-def _amounts(study: Study, presets: str) -> dict[str, Preset]:
-    """Return the seeds and steps of every condition that some preset, or several joined by +, has runs of."""
-    found: dict[str, Preset] = {}
-    for name in presets.split("+"):
-        if name == CLAIMS:
-            own = import_module("pneuma.study.claimed").claims_preset(study)
-        elif name in study.presets:
-            own = {condition: study.preset(name).of(condition) for condition in study.conditions}
-        else:
-            raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
-        for condition, amount in own.items():
-            found[condition] = join_presets(presets, condition, found.get(condition), amount)
-    return found
+def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
+    """Return the seeds and steps of every condition that the preset has runs of."""
+    name = selection.preset or "quick"
+    if name == CLAIMS:
+        found: dict[str, Preset] = import_module("pneuma.study.claimed").claims_preset(study, selection.steps)
+        return found
+    if name not in study.presets:
+        raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
+    return {condition: study.preset(name).of(condition) for condition in study.conditions}
 
 
 def _fields(given: Mapping[str, Any]) -> dict[str, Any]:

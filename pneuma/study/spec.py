@@ -151,20 +151,6 @@ def join_fields(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
     return {**BASES[base], **slots, **own}
 
 
-def join_presets(name: str, condition: str, some: Preset | None, other: Preset) -> Preset:
-    """Return what a condition has of two presets together: the seeds of both.
-
-    Raises:
-        UserError: where their steps differ, for a condition is trained for one budget.
-    """
-    if some is None:
-        return other
-    if some.steps != other.steps:
-        both = f"{some.steps:,} and {other.steps:,}"
-        raise UserError(f"--preset {name}: {condition} would have {both} steps: there is one budget for each")
-    return replace(some, seeds=tuple(sorted({*some.seeds, *other.seeds})))
-
-
 def read_seeds(value: object) -> tuple[int, ...]:
     """Read seeds: a count n for 0 … n - 1, or a list.
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims import Claim, Event, LogContrast, load_claims
+from pneuma.analysis.claims import Claim, Event, LogContrast, PublishedLogs, load_claims
 from pneuma.analysis.judgement import run_to_run_deviation
 from pneuma.errors import UserError
+from pneuma.schema import read_model, read_toml
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
@@ -101,17 +102,19 @@ def test_no_shipped_claim_compares_what_is_the_same() -> None:
 
 def test_the_published_runs_give_the_deviation_that_is_known() -> None:
     """Facts 3: the four pairs of equal runs give 976 for the final return."""
-    deviation, pairs = run_to_run_deviation(SHIPPED.logs, "end")
+    first = read_toml(Path(__file__).parents[2] / "docs" / "history" / "claims-1.toml")
+    deviation, pairs = run_to_run_deviation(read_model(PublishedLogs, first, ("logs",)), "end")
     assert deviation == pytest.approx(976, abs=0.5) and pairs == 4
 
 
 def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> None:
     world = "arena"
-    fixed: dict[str, set[tuple[str, int]]] = {}
+    fixed: dict[tuple[str, int], set[tuple[str, int]]] = {}
     for claim in SHIPPED.claims.values():
         if world in claim.worlds:
-            cells = {(name, seed) for name, seeds in claim.seeds.items() for seed in seeds}
-            fixed[claim.study] = fixed.get(claim.study, set()) | cells
-    for study, cells in fixed.items():
-        plan = make_plan(load_study(study, world), Selection("claims"))
+            for name, seeds in claim.seeds.items():
+                key = (claim.study, claim.steps[name])
+                fixed[key] = fixed.get(key, set()) | {(name, seed) for seed in seeds}
+    for (study, steps), cells in fixed.items():
+        plan = make_plan(load_study(study, world), Selection("claims", steps=steps))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells

@@ -14,11 +14,12 @@ import pytest
 
 from pneuma.config import as_fields, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.figures.verdict_words import MEANINGS, PLACES
+from pneuma.figures.verdict_words import MEANINGS
 from pneuma.study import spec
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
+from pneuma.worlds import WORLDS
 
 from ..figures.hand_made import make_id
 from .calls import described, refused
@@ -99,9 +100,8 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
     assert page.all("img") == []
     document = described("study", "verify", "--results", store.root, "--json")
     counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
-    places = [place for place in PLACES if place in {world for world, _ in counted}]
-    rows = [each.text for each in page.elements if each.tag == "td"][: len(MEANINGS) * len(places)]
-    assert [int(cell) for cell in rows] == [counted[place, word] for place in places for word in MEANINGS]
+    rows = [each.text for each in page.elements if each.tag == "td"][: len(MEANINGS) * len(WORLDS)]
+    assert [int(cell) for cell in rows] == [counted[place, word] for place in WORLDS for word in MEANINGS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
     assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
     assert document["claims_hash"] in words

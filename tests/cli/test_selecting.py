@@ -29,7 +29,7 @@ def test_what_is_given_becomes_one_selection() -> None:
     ("selection", "words"),
     [
         (Selection(), ""),
-        (Selection("paper+claims", (0, 1, 2)), "--preset paper+claims --seeds 3"),
+        (Selection("claims", (0, 1, 2)), "--preset claims --seeds 3"),
         (Selection(seeds=(4,), steps=512, engine="sb3"), "--seeds 4, --steps 512 --engine sb3"),
         (Selection(conditions=("tanh", "relu")), "--condition tanh --condition relu"),
         (

@@ -83,22 +83,10 @@ def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
     assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
 
 
-def test_joined_presets_have_the_seeds_of_both(tmp_path: Path) -> None:
-    study = _study(tmp_path)
-    both = make_plan(study, Selection("paper+claims"))
-    assert _seeds(both) == {
-        "low": [0, 1, 7], "middle": [0, 1], "high": [0, 1, 2, 3], "unclaimed": [0, 1],
-    }  # fmt: skip
-    alone = {cell.run_id for name in ("paper", "claims") for cell in make_plan(study, Selection(name)).cells}
-    assert {cell.run_id for cell in both.cells} == alone
-
-
 @pytest.mark.parametrize(
     ("selection", "words"),
     [
         (Selection("claim"), "unknown preset of study mine 'claim' (did you mean claims?)"),
-        (Selection("paper+"), "unknown preset of study mine ''"),
-        (Selection("quick+claims"), "--preset quick+claims: low would have 512 and 1,024 steps"),
         (Selection("claims", conditions=("unclaimed",)), "--condition unclaimed: the preset claims has no"),
     ],
 )
@@ -108,10 +96,12 @@ def test_a_preset_that_makes_no_sense_is_refused(selection: Selection, words: st
     assert words in str(refused.value)
 
 
-def test_claims_that_fix_unlike_budgets_of_a_condition_are_no_preset(tmp_path: Path) -> None:
+def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:
     study = _study(tmp_path, CLAIMS.replace("seeds = { high", "steps = 512\nseeds = { high"))
-    with pytest.raises(UserError, match="--preset claims: high would have 1,024 and 512 steps"):
+    with pytest.raises(UserError, match="runs of 1,024 or 512 steps: say which with --steps"):
         claims_preset(study)
+    assert {preset.steps for preset in claims_preset(study, 512).values()} == {512}
+    assert "high" in claims_preset(study, 512)
 
 
 def test_a_study_without_claims_has_no_such_preset(tmp_path: Path) -> None:
