@@ -72,13 +72,22 @@ def write_verdicts(claims: Mapping[str, JudgedClaim], folder: Path) -> list[Path
     return [*draw_verdicts(claims, folder), page]
 
 
+def _places(claims: Mapping[str, JudgedClaim]) -> dict[str, str]:
+    """Return the places where any of the claims is judged, with their titles."""
+    return {
+        place: title
+        for place, title in PLACES.items()
+        if any(place in own.verdicts for own in claims.values())
+    }
+
+
 # --- Tables ---------------------------------------------------------------------------------------
 
 
 def _counts(claims: Mapping[str, JudgedClaim]) -> list[str]:
     """Return what the verdicts come to, place by place."""
     rows = [["Judged in", *STANDINGS]]
-    for place, label in PLACES.items():
+    for place, label in _places(claims).items():
         counted = Counter(own.verdicts[place].standing for own in claims.values() if place in own.verdicts)
         rows.append([label, *(str(counted[word]) for word in STANDINGS)])
     return _markdown(rows)
@@ -86,11 +95,12 @@ def _counts(claims: Mapping[str, JudgedClaim]) -> list[str]:
 
 def _table(claims: Mapping[str, JudgedClaim]) -> list[str]:
     """Return a row for each claim, place beside place."""
-    rows = [["Claim", "Thesis", *PLACES.values()]]
+    places = _places(claims)
+    rows = [["Claim", "Thesis", *places.values()]]
     for own in claims.values():
         claim = own.claim
         said = f"{words.tested(claim)}: {words.compared(claim)}"
-        cells = [_told(own.verdicts.get(place)) for place in PLACES]
+        cells = [_told(own.verdicts.get(place)) for place in places]
         rows.append([said, f"{claim.section}: “{claim.quote}”", *cells])
     return _markdown(rows)
 
@@ -118,13 +128,13 @@ def draw_verdicts(
     """Draw the verdicts on all claims; return the files written."""
     rows = sorted(claims.values(), key=lambda own: own.claim.section)
     sections = [(name, [*own]) for name, own in groupby(rows, key=lambda own: own.claim.section)]
-    heights = len(rows) + len(sections)
+    heights, places = len(rows) + len(sections), _places(claims)
     with house_style(6.5):
         figure, panels = plt.subplots(
-            1, len(PLACES), sharey=True, layout="constrained", squeeze=False,
+            1, len(places), sharey=True, layout="constrained", squeeze=False,
             figsize=(7.4, 1.1 + ROW_INCHES * heights),
         )  # fmt: skip
-        for axes, (place, title) in zip(panels[0], PLACES.items(), strict=True):
+        for axes, (place, title) in zip(panels[0], places.items(), strict=True):
             _draw_place(axes, place, title, sections)
         _name_rows(panels[0][0], sections)
         figure.legend(handles=_legend(), loc="outside upper center", ncols=5, handletextpad=0.4)

@@ -44,8 +44,6 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
     given: dict[str, list[str]] = {}
     for option, value in zip(told[::2], told[1::2], strict=True):
         given.setdefault(option, []).append(value)
-    preset, seeds, steps, engine = (
-        next(iter(given.get(option, [])), None) for option in ("--preset", "--seeds", "--steps", "--engine")
-    )
-    read = Selecting(preset, seeds, steps, engine, given.get("--condition"), given.get("--set")).read()
+    singles = (next(iter(given.get(f"--{key}", [])), None) for key in ("preset", "seeds", "steps", "engine"))
+    read = Selecting(*singles, given.get("--condition"), given.get("--set")).read()
     assert (read or Selection(settings={})) == replace(selection, settings=selection.settings or {})
