@@ -144,16 +144,34 @@ def train(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
-    try:
-        results, code = train_cells(planned, store, how, retry_failed, json, quiet)
-    except Detached:  # as was asked
-        results, code = _as_stored(planned, store), 0
+    results, code = train_cells(planned, store, how, retry_failed, json, quiet)
     if json:
-        print_json({"schema": 1, "study": planned.study.name, "runs": result_rows(results)})
+        rows = [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
+        print_json({"schema": 1, "study": planned.study.name, "runs": rows})
     return code
 
 
-def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> list[execute.CellResult]:
+def train_cells(
+    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+) -> tuple[list[execute.CellResult], int]:
+    """Train what a plan lacks and tell how it went; return the cells' results and the exit code."""
+    todo = execute.prepare(planned, store, retry_failed, how)
+    for note in (*planned.notes, *todo.notes):
+        say(f"Note: {note}.", aside=True, quiet=quiet)
+    try:
+        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
+            results = execute.execute(planned, todo.runs, store, how, display.update)
+    except Detached as left:  # as --detach asks, or by Ctrl-C
+        say(str(left), aside=True)
+        return _as_stored(planned, store, () if left.asked else todo.runs), 0 if left.asked else STOPPED
+    except KeyboardInterrupt:
+        say("Stopped. The same command goes on where every run was stopped.", aside=True)
+        return _as_stored(planned, store, todo.runs), STOPPED
+    _tell_results(planned, results, store, json, quiet)
+    return results, int(any(result.status.name in UNWELL for result in results))
+
+
+def _as_stored(planned: plan.Plan, store: Store, todo: Container[str]) -> list[execute.CellResult]:
     """Return how cells of a plan that was left stand; of what was `todo`, what is done was trained."""
     states = [(cell, store.status(cell.run_id)) for cell in planned.cells]
     return [
@@ -161,32 +179,6 @@ def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> l
         for cell, status in states
         if status.finished or cell.run_id not in planned.published
     ]
-
-
-def train_cells(
-    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
-) -> tuple[list[execute.CellResult], int]:
-    """Train what a plan lacks and tell how it went; return the cells' results and the exit code.
-
-    Raises:
-        Detached: where the runs were left to go on, as --detach asks.
-    """
-    todo = execute.prepare(planned, store, retry_failed, how)
-    for note in (*planned.notes, *todo.notes):
-        say(f"Note: {note}.", aside=True, quiet=quiet)
-    try:
-        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
-            results = execute.execute(planned, todo.runs, store, how, display.update)
-    except Detached as left:
-        say(str(left), aside=True)
-        if left.asked:
-            raise
-        return _as_stored(planned, store, todo.runs), STOPPED
-    except KeyboardInterrupt:
-        say("Stopped. The same command goes on where every run was stopped.", aside=True)
-        return _as_stored(planned, store, todo.runs), STOPPED
-    _tell_results(planned, results, store, json, quiet)
-    return results, int(any(result.status.name in UNWELL for result in results))
 
 
 def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
@@ -209,11 +201,6 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
                 raise
             say(f"Note: {error}; its runs are trained.", aside=True)
     return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
-
-
-def result_rows(results: list[execute.CellResult]) -> list[dict[str, Any]]:
-    """Return the runs of a JSON document."""
-    return [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:

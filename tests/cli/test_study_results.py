@@ -105,20 +105,17 @@ def _export(results: Path, table: str, out: Path, *selection: str) -> bytes:
     return out.read_bytes()
 
 
-@pytest.mark.parametrize(("table", "columns"), [("episodes", EPISODES), ("metrics", METRICS)])
-def test_an_exported_table_has_exactly_the_documented_columns(
-    trained: Path, table: str, columns: str, tmp_path: Path
+def test_an_exported_table_has_exactly_the_documented_columns_and_the_same_bytes_each_time(
+    trained: Path, tmp_path: Path
 ) -> None:
-    header = _export(trained, table, tmp_path / "x.csv").decode().splitlines()[0]
-    assert header == columns.replace(", ", ",")
-    frame = pd.read_parquet(io.BytesIO(_export(trained, table, tmp_path / "x.parquet")))
-    assert list(frame.columns) == columns.split(", ")
-
-
-@pytest.mark.parametrize("form", ["csv", "parquet", "tex"])
-def test_exporting_twice_gives_the_same_bytes(trained: Path, form: str, tmp_path: Path) -> None:
-    first = _export(trained, "curves", tmp_path / f"first.{form}")
-    assert first and _export(trained, "curves", tmp_path / f"second.{form}") == first
+    for table, columns in (("episodes", EPISODES), ("metrics", METRICS)):
+        header = _export(trained, table, tmp_path / "x.csv").decode().splitlines()[0]
+        assert header == columns.replace(", ", ",")
+        frame = pd.read_parquet(io.BytesIO(_export(trained, table, tmp_path / "x.parquet")))
+        assert list(frame.columns) == columns.split(", ")
+    for form in ("csv", "parquet", "tex"):
+        first = _export(trained, "curves", tmp_path / f"first.{form}")
+        assert first and _export(trained, "curves", tmp_path / f"second.{form}") == first
 
 
 def test_all_formats_hold_the_same_rows_in_the_studys_order_seed_by_seed(
@@ -153,16 +150,14 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
         assert found == pytest.approx([min(means), sum(means) / len(means), max(means)])
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("--table episodes --out e.csv --band se", "--band se: goes with --table curves alone"),
-        ("--table episodes --out .", "--out ."),
-        ("--table episodes --out e.xlsx", "its ending tells no format"),
-    ],
-)
-def test_what_cannot_be_exported_is_told(trained: Path, words: str, told: str) -> None:
-    assert told in refused("study", "export", "activation", *words.split(), "--results", trained)
+def test_what_cannot_be_exported_is_told(trained: Path) -> None:
+    for words, told in {
+        "--out e.csv --band se": "--band se: goes with --table curves alone",
+        "--out .": "--out .: is a folder",
+        "--out e.xlsx": "its ending tells no format",
+    }.items():
+        export = ("study", "export", "activation", "--table", "episodes", *words.split())
+        assert told in refused(*export, "--results", trained)
 
 
 def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Path) -> None:
