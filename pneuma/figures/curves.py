@@ -57,7 +57,7 @@ from pneuma.figures.style import (
 )
 
 _, TRAILING_WINDOW = WINDOWS
-AS_IN_THESIS = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
+AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
 """How the author's own script drew: the least and the greatest."""
 USUAL_QUANTITIES = ("share_killed", "return")
 MOST_CURVES = 40

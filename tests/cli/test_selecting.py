@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -44,6 +45,7 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
     given: dict[str, list[str]] = {}
     for option, value in zip(told[::2], told[1::2], strict=True):
         given.setdefault(option, []).append(value)
-    singles = (next(iter(given.get(f"--{key}", [])), None) for key in ("preset", "seeds", "steps", "engine"))
-    read = Selecting(*singles, given.get("--condition"), given.get("--set")).read()
+    keys = ("preset", "seeds", "steps", "engine")
+    one: dict[str, Any] = {key: next(iter(given.get(f"--{key}", [])), None) for key in keys}
+    read = Selecting(**one, condition=given.get("--condition"), set_=given.get("--set")).read()
     assert (read or Selection(settings={})) == replace(selection, settings=selection.settings or {})
