@@ -221,9 +221,7 @@ def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequen
         weapon = character.weapon if weapon == "own" else weapon
         if weapon not in characters.weapons:
             raise unknown_name("weapon", weapon, ["own", *characters.weapons])
-        _fill_player(row, character)
-        _fill_weapon(row, characters.weapons[weapon], character)
-        _fill_spells(row, characters.spells, character)
+        _fill_player(row, character, characters.weapons[weapon], characters.spells)
     return stats
 
 
@@ -271,57 +269,66 @@ def _ticks(seconds: float) -> int:
     return round(seconds * TICKS_PER_SECOND)
 
 
-def _fill_player(row: Any, character: Player) -> None:
-    row["hp"], row["energy"] = character.hp, character.energy
-    row["energy_gain"] = character.energy_recovery * character.magic / TICKS_PER_SECOND
-    row["speed"] = character.speed / TICKS_PER_SECOND
-    _fill_body(row, character)
-    row["safe"] = _ticks(character.invulnerable)
+def _fill(row: Any, **values: Any) -> None:
+    for name, value in values.items():
+        row[name] = value
 
 
 def _fill_body(row: Any, character: _Body) -> None:
-    row["half_width"], row["half_height"] = (side / 2 for side in character.body)
+    _fill(
+        row,
+        hp=character.hp,
+        speed=character.speed / TICKS_PER_SECOND,
+        half_width=character.body[0] / 2,
+        half_height=character.body[1] / 2,
+        safe=_ticks(character.invulnerable),
+    )
     row["body_x"], row["body_y"] = character.body_at
 
 
-def _fill_weapon(row: Any, weapon: Weapon, character: Player) -> None:
-    row["damage"] = weapon.damage + character.attack
-    row["swing"] = _ticks(weapon.swing)
-    row["knock_ticks"] = _ticks(weapon.knock_back_time)
-    row["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
-    _fill_box(row, "sword", weapon.box, weapon.reach)
-    row["hilt_x"], row["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
-
-
-def _fill_spells(row: Any, spells: Spells, character: Player) -> None:
+def _fill_player(row: Any, character: Player, weapon: Weapon, spells: Spells) -> None:
     flame, heal = spells.flame, spells.heal
-    row["flame_ticks"], row["heal_ticks"] = _ticks(flame.cast), _ticks(heal.cast)
-    row["flame_damage"] = flame.strength + character.magic
-    row["flame_cost"], row["heal_cost"] = flame.cost, heal.cost
-    row["heal"] = heal.strength
-    _fill_box(row, "flame", (flame.length, flame.width), Reach(**dict.fromkeys(FACINGS, flame.length / 2)))
-
-
-def _fill_box(row: Any, name: str, box: Sequence[float], reach: Reach) -> None:
-    """Write where a box is by facing; its sides are those of facing left or right."""
-    along, across = box[0] / 2, box[1] / 2
-    row[f"{name}_x"], row[f"{name}_y"] = zip(*reach.places(), strict=True)
-    row[f"{name}_half_width"] = [across, along, across, along]
-    row[f"{name}_half_height"] = [along, across, along, across]
-
-
-def _fill_monster(row: Any, character: Monster) -> None:
-    for name in ("hp", "stand_off", "damage", "xp", "heal"):
-        row[name] = getattr(character, name)
-    row["speed"] = character.speed / TICKS_PER_SECOND
     _fill_body(row, character)
-    row["notice_squared"], row["attack_squared"] = character.notice**2, character.attack**2
-    row["notice_x"], row["notice_y"] = character.notice_at
-    row["attack_x"], row["attack_y"] = character.attack_at
-    row["bite_ticks"] = _ticks(character.bite_time)
-    row["safe"] = _ticks(character.invulnerable)
-    row["knock_ticks"] = -1 if character.knock_back_time is None else _ticks(character.knock_back_time)
-    row["knock_speed"] = (character.knock_back or 0.0) / TICKS_PER_SECOND
+    _fill(
+        row,
+        energy=character.energy,
+        energy_gain=character.energy_recovery * character.magic / TICKS_PER_SECOND,
+        damage=weapon.damage + character.attack,
+        swing=_ticks(weapon.swing),
+        knock_ticks=_ticks(weapon.knock_back_time),
+        knock_speed=weapon.knock_back / TICKS_PER_SECOND,
+        flame_ticks=_ticks(flame.cast),
+        flame_damage=flame.strength + character.magic,
+        flame_cost=flame.cost,
+        heal_ticks=_ticks(heal.cast),
+        heal=heal.strength,
+        heal_cost=heal.cost,
+    )
+    row["hilt_x"], row["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
+    ahead = Reach(**dict.fromkeys(FACINGS, flame.length / 2))
+    for name, box, reach in (
+        ("sword", weapon.box, weapon.reach),
+        ("flame", (flame.length, flame.width), ahead),
+    ):
+        along, across = box[0] / 2, box[1] / 2  # its sides are those of facing left or right
+        row[f"{name}_x"], row[f"{name}_y"] = zip(*reach.places(), strict=True)
+        row[f"{name}_half_width"] = [across, along, across, along]
+        row[f"{name}_half_height"] = [along, across, along, across]
+
+
+def _fill_monster(row: Any, kind: Monster) -> None:
+    _fill_body(row, kind)
+    for name in ("stand_off", "damage", "xp", "heal"):
+        row[name] = getattr(kind, name)
+    for name in ("notice", "attack"):
+        row[f"{name}_squared"] = getattr(kind, name) ** 2
+        row[f"{name}_x"], row[f"{name}_y"] = getattr(kind, f"{name}_at")
+    _fill(
+        row,
+        bite_ticks=_ticks(kind.bite_time),
+        knock_ticks=-1 if kind.knock_back_time is None else _ticks(kind.knock_back_time),
+        knock_speed=(kind.knock_back or 0.0) / TICKS_PER_SECOND,
+    )
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:

@@ -2,9 +2,9 @@
 
 A level's name is one of
 
-    thesis              a level that comes with the package, as a folder of CSV layers
-    path/to/folder      a user's own folder of layers; see `tiled.py`
-    path/to/map.tmx     a map as the editor Tiled saves it; see `tiled_map.py`
+    thesis              a level that comes with the package, as a folder of CSV tables
+    path/to/folder      a user's own folder; see `tiled.py`
+    path/to/map.tmx     a map as the editor Tiled saves it; see `tiled.py`
     random:train:17     an island drawn from a number; see `random_level.py`
 
 Whatever its source, a level is refused in which a body would begin beyond the grid, in what stops it, in
@@ -16,15 +16,15 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import label
 
 from pneuma.config import EnvConfig
 from pneuma.env import rules, tiled
-from pneuma.env.tiled_map import read_tmx
 from pneuma.errors import UserError, unknown_name
 
 LEVELS = Path(__file__).parent / "data" / "levels"
@@ -45,7 +45,6 @@ class Level:
         terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`.
         starts: (S, 2) start places.
         monsters: kind, x and y of each.
-        ground_names: which of `tiled.GROUNDS` each code is; None: their indices.
         where: what to call each start place, then each monster in an error; empty for random levels.
     """
 
@@ -58,7 +57,6 @@ class Level:
     terrain: np.ndarray
     starts: np.ndarray
     monsters: tuple[tuple[str, float, float], ...]
-    ground_names: Mapping[int, str] | None = None
     where: tuple[str, ...] = ()
 
     @property
@@ -94,9 +92,9 @@ def load_level(name: str, monster_codes: dict[int, str]) -> Level:
 
         return random_level(*parse_name(name), monster_codes)
     path = _level_path(name)
-    layers = (tiled.read_folder if path.is_dir() else read_tmx)(path, monster_codes)
+    layers = (tiled.read_folder if path.is_dir() else tiled.read_map)(path, monster_codes)
     terrain = np.where(layers.blocked, rules.SOLID, rules.OPEN)
-    terrain[np.isin(layers.ground, layers.header.coast_codes)] = rules.COAST
+    terrain[np.isin(layers.ground, layers.header.coast)] = rules.COAST
     starts = [entity for entity in layers.entities if entity.kind == tiled.START]
     monsters = [entity for entity in layers.entities if entity.kind != tiled.START]
     left, top = layers.header.corner(layers.ground.shape)
@@ -110,7 +108,6 @@ def load_level(name: str, monster_codes: dict[int, str]) -> Level:
         terrain=terrain.astype(np.uint8),
         starts=np.array([(entity.x, entity.y) for entity in starts], np.float64),
         monsters=tuple((entity.kind, entity.x, entity.y) for entity in monsters),
-        ground_names=layers.header.ground_names,
         where=tuple(entity.where for entity in (*starts, *monsters)),
     )
 
@@ -139,7 +136,7 @@ def _level_path(name: str) -> Path:
     if path.is_dir():
         if tiled.folder_files(path):
             return path
-        raise UserError(f"level {name!r}: the folder holds no layers: {tiled.NEEDED}")
+        raise UserError(f"level {name!r}: the folder holds none of {', '.join(tiled.FOLDER_FILES)}")
     if path.suffix.lower() == ".tmx" and path.is_file():
         return path
     forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder of layers or of a .tmx file"
@@ -296,16 +293,11 @@ def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
         (rows - abreast + 1, columns - abreast + 1) int32: the region of a body whose upper left
         tile is this one; 0 where it does not fit.
     """
-    fits = _fits(_fits(free, abreast).T, abreast).T
-    # One row and column of closed tiles around the rest, laid out as one list: no edges to look after.
-    padded = np.pad(fits, 1, constant_values=False)
-    regions, width = np.where(padded, -1, 0).ravel().tolist(), padded.shape[1]
-    count = 0
-    for first in np.flatnonzero(padded).tolist():
-        if regions[first] < 0:
-            count += 1
-            _flood(regions, first, count, (1, -1, width, -width))
-    return np.array(regions, np.int32).reshape(padded.shape)[1:-1, 1:-1]
+    rows, columns = (side - abreast + 1 for side in free.shape)
+    fits = np.ones((max(rows, 0), max(columns, 0)), np.bool_)
+    for down, along in np.ndindex(abreast, abreast):
+        fits &= free[down : down + rows, along : along + columns]
+    return np.asarray(label(fits, output=np.int32)[0])
 
 
 def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: float) -> set[int]:
@@ -313,21 +305,3 @@ def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: fl
     row, column = int((y - level.top) // level.tile), int((x - level.left) // level.tile)
     top, left = max(row - abreast + 1, 0), max(column - abreast + 1, 0)
     return set(regions[top : row + 1, left : column + 1].ravel().tolist()) - {0}
-
-
-def _fits(free: np.ndarray, abreast: int) -> np.ndarray:
-    """Return (rows - abreast + 1, columns) bool: whether so many tiles below one another are free."""
-    count = max(free.shape[0] - abreast + 1, 0)
-    return np.logical_and.reduce([free[shift : shift + count] for shift in range(abreast)])
-
-
-def _flood(regions: list[int], first: int, region: int, steps: tuple[int, ...]) -> None:
-    """Give every place marked -1 that is joined to `first` by `steps` the number of a region."""
-    regions[first] = region
-    stack = [first]
-    while stack:
-        place = stack.pop()
-        for step in steps:
-            if regions[place + step] < 0:
-                regions[place + step] = region
-                stack.append(place + step)

@@ -121,14 +121,8 @@ def observation_space(
     worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
     xp = (MOST_XP if forever else worth) * settings["xp_scale"]
     bounds = {
-        "x": (
-            (left - settings["middle_x"]) * settings["scale_x"],
-            (right - settings["middle_x"]) * settings["scale_x"],
-        ),
-        "y": (
-            (top - settings["middle_y"]) * settings["scale_y"],
-            (bottom - settings["middle_y"]) * settings["scale_y"],
-        ),
+        "x": _scaled(settings, "x", left, right),
+        "y": _scaled(settings, "y", top, bottom),
         "hp": (0.0, most_hp(player, monsters, config) * player["hp_scale"]),
         "energy": (0.0, player["energy"] * player["energy_scale"]),
         "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
@@ -136,23 +130,26 @@ def observation_space(
         "facing_y": (-1.0, 1.0),
         **dict.fromkeys(FACING_FEATURES, (0.0, 1.0)),
     }
-    highest = {
-        "distance": diagonal * monsters["distance_scale"].max(initial=0.0),
-        "hp": (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0),
-        "xp": (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0),
+    seen = bounds | {
+        "distance": (0.0, diagonal * monsters["distance_scale"].max(initial=0.0)),
+        "hp": (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0)),
+        "xp": (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0)),
+        "direction_x": (-1.0, 1.0),
+        "direction_y": (-1.0, 1.0),
     }
-    seen = {name: (0.0, highest[name]) for name in highest}
-    seen |= {"direction_x": (-1.0, 1.0), "direction_y": (-1.0, 1.0)}
-    seen |= {axis: bounds[axis] for axis in ("x", "y")}
     if config.terrain_stops == "players":  # monsters follow out over the sea
-        for axis, low, high in (("x", edges[0], edges[2]), ("y", edges[1], edges[3])):
-            middle, scale = settings[f"middle_{axis}"], settings[f"scale_{axis}"]
-            seen[axis] = (low - middle) * scale, (high - middle) * scale
+        seen["x"] = _scaled(settings, "x", edges[0], edges[2])
+        seen["y"] = _scaled(settings, "y", edges[1], edges[3])
     row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
     limits = np.array([bounds[name] for name in player_features(config)] + row * int(settings["perceived"]))
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+def _scaled(settings: Any, axis: str, *places: float) -> tuple[float, ...]:
+    """Return places on an axis in pixels as they are observed."""
+    return tuple((place - settings[f"middle_{axis}"]) * settings[f"scale_{axis}"] for place in places)
 
 
 def most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:

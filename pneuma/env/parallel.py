@@ -110,7 +110,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             alive = bool(self.worlds.players["hp"][0, player] > 0)
             rewards[agent] = float(self.worlds.events["reward"][0, player])
             truncations[agent] = over and cut and alive
-            terminations[agent] = (over and not cut) or not alive
+            terminations[agent] = (over or not alive) and not truncations[agent]
             if over or not alive:
                 infos[agent] |= ending_info(self.worlds, 0, player)
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]

@@ -17,7 +17,6 @@ import numpy as np
 from pneuma.env import rules, sprites
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.level import Level
-from pneuma.env.tiled import GROUNDS
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, unknown_name
 
@@ -312,13 +311,11 @@ def _foot(body: Any, stats: Any) -> float:
 
 
 def ground_kinds(level: Level) -> np.ndarray:
-    """Return what every tile of a level is made of, (rows, columns) of indices into `GROUNDS`.
+    """Return what every tile of a level is made of, (rows, columns) of `sprites.WATER`, `SNOW` ….
 
-    A code that the level does not name is grass, and where the land ends there is always water.
+    Any other code is grass, and where the land ends there is always water.
     """
-    kinds = np.full(level.ground.shape, sprites.GRASS)
-    for code, name in (level.ground_names or dict(enumerate(GROUNDS))).items():
-        kinds[level.ground == code] = GROUNDS.index(name)
+    kinds = np.where((level.ground >= 0) & (level.ground <= sprites.BRIDGE), level.ground, sprites.GRASS)
     return np.where(level.terrain == rules.COAST, sprites.WATER, kinds)
 
 

@@ -24,14 +24,13 @@ where no monster lives.
 
 from __future__ import annotations
 
-import ast
 import importlib
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import redirect_stdout
-from importlib.util import cache_from_source
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import redirect_stdout, suppress
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -54,16 +53,11 @@ PARTS = ("xp", "hp", "xp_gained", "hp_lost", "notices", "contacts")
 RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
-def reward_code(name: str) -> int:
-    """Return the rules' number of a formula; `REWARD_CUSTOM` for module:function."""
-    return REWARD_CODES.get(name, rules.REWARD_CUSTOM)
-
-
 def load_reward(name: str) -> RewardFunction:
     """Import a reward of a user's own, looking in the current folder too.
 
-    A module that was imported for this before is imported anew where its files have changed, as between two
-    cells of a notebook, or where the current folder has another of its name.
+    What was imported for this before is read anew, with the modules of its own that it imports, where one
+    was edited, as between two cells of a notebook, or the current folder is another.
 
     Raises:
         UserError: when the module or the function does not exist.
@@ -73,18 +67,24 @@ def load_reward(name: str) -> RewardFunction:
     added = path not in sys.path
     if added:
         sys.path.insert(0, path)
-    _forget_changed(module_name)
+    if _READ.get(module_name, here := _stamp(module_name)) != here:
+        own = {str(file) for file, _ in here[1]}
+        for each, module in list(sys.modules.items()):
+            if getattr(module, "__file__", None) in own:
+                del sys.modules[each]
+        importlib.invalidate_caches()
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # known by whole seconds and sizes alone
     try:
         with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
             module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is read
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:
+        sys.dont_write_bytecode = writes
         if added:  # behind all others, for what the function itself imports when it is called
             sys.path.remove(path)
             sys.path.append(path)
-    if module_name not in _STAMPS:
-        _STAMPS[module_name] = _stamps(_own_files(module_name))
+    _READ[module_name] = _stamp(module_name)
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
@@ -104,35 +104,19 @@ def reward_files(names: Sequence[str]) -> list[Path]:
     return files
 
 
-_STAMPS: dict[str, dict[Path, tuple[int, int]]] = {}
-"""Of modules that were imported for a reward: their own files, with the time and size of each."""
+_READ: dict[str, Any] = {}
+"""Of modules that were imported for a reward: what `_stamp` said then."""
+
+
+def _stamp(module: str) -> tuple[Path, list[tuple[Path, int]]]:
+    """Return the current folder, and when each of a module's own files was last written."""
+    files = [file for file in _own_files(module) if file.is_file()]
+    return Path.cwd(), [(file, file.stat().st_mtime_ns) for file in files]
 
 
 def _own_files(module: str) -> list[Path]:
     source = getattr(sys.modules.get(module), "__file__", None)
     return module_files(module, Path(source)) if source else []
-
-
-def _stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int]]:
-    told = {path: path.stat() for path in files if path.is_file()}
-    return {path: (stat.st_mtime_ns, stat.st_size) for path, stat in told.items()}
-
-
-def _forget_changed(module: str) -> None:
-    """Drop a module with those of its own that it imports, if it would be another by now."""
-    known = _STAMPS.get(module)
-    if not known:
-        return
-    here = module_in(Path.cwd(), module)
-    moved = here is not None and here.resolve() not in {path.resolve() for path in known}
-    if moved or _stamps(known) != known:
-        del _STAMPS[module]
-        own = {str(path) for path in known}
-        for name in [name for name, each in sys.modules.items() if getattr(each, "__file__", None) in own]:
-            del sys.modules[name]
-        for path in known:  # compiled code is known by whole seconds and sizes alone
-            Path(cache_from_source(path)).unlink(missing_ok=True)
-        importlib.invalidate_caches()
 
 
 def present(events: np.ndarray) -> np.ndarray:
@@ -164,7 +148,6 @@ def custom_rewards(
 
 
 def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
-    """Return the error for a reward that names where it is defined, if Python knows."""
     code = getattr(function, "__code__", None)
     where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
     return UserError(f"reward {name!r}: {where}{problem}")
@@ -225,7 +208,7 @@ def module_files(name: str, path: Path) -> list[Path]:
     """Return the source files of a module: its own first, then those that it imports, sorted.
 
     Followed are imports, wherever they stand in a file, of modules that lie under the folder that holds
-    the module or, where it is part of a package, the whole package; not those of Pneuma.
+    the module or, where it is part of an installed package, in the package; not those of Pneuma.
 
     Args:
         name: of the module, in full.
@@ -238,51 +221,22 @@ def module_files(name: str, path: Path) -> list[Path]:
     own = root / packages[0] if packages and _is_installed(root) else root
     if _is_installed(own):
         return [path]
-    found = {path: ".".join(packages)}
-    waiting = [path]
-    while waiting:
-        file = waiting.pop()
-        for imported in (name, *_imports(file, found[file])):  # importing a module imports its packages
-            for each, package in _files_of(root, imported):
-                if each not in found and each.is_relative_to(own):
-                    found[each] = package
-                    waiting.append(each)
-    return [path, *sorted(found.keys() - {path})]
+    finder = _Imports([str(root)], excludes=["pneuma"])
+    with suppress(ImportError, SyntaxError, ValueError, RecursionError):
+        finder.import_hook(name)
+    sources = (getattr(module, "__file__", None) for module in finder.modules.values())
+    found = {Path(source) for source in sources if source}
+    return [path, *sorted(file for file in found - {path} if file.is_relative_to(own))]
 
 
-def module_in(folder: Path, name: str) -> Path | None:
-    """Return the file of a module that importing its full name would find in a folder; None without one."""
-    place = folder.joinpath(*name.split("."))
-    return next((file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()), None)
+class _Imports(ModuleFinder):
+    """Reads import statements, and runs nothing."""
 
-
-def _imports(path: Path, package: str) -> Iterator[str]:
-    """Yield the full names that a file's import statements may load."""
-    try:
-        tree = ast.parse(path.read_bytes())
-    except (OSError, SyntaxError, ValueError, RecursionError):  # compiled, or not to be read
-        return
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            start = ".".join([*above, *([node.module] if node.module else [])])
-            yield start
-            yield from (f"{start}.{alias.name}" for alias in node.names)
-
-
-def _files_of(root: Path, name: str) -> Iterator[tuple[Path, str]]:
-    """Yield the files, each with its package, that importing a name loads from a folder."""
-    parts = [part for part in name.split(".") if part.isidentifier()]
-    if parts[:1] == ["pneuma"]:
-        return
-    for length in range(1, len(parts) + 1):
-        place = root.joinpath(*parts[:length])
-        if (place / "__init__.py").is_file():
-            yield place / "__init__.py", ".".join(parts[:length])
-        elif place.with_suffix(".py").is_file():
-            yield place.with_suffix(".py"), ".".join(parts[: length - 1])
+    def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
+        try:
+            return super().find_module(name, path, parent)
+        except TypeError:  # it does not know folders without __init__.py
+            raise ImportError(name) from None
 
 
 def _is_installed(folder: Path) -> bool:

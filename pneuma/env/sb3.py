@@ -115,7 +115,7 @@ class PneumaVecEnv(Rendering, VecEnv):
         self._lengths += 1
         self._steps_taken += 1
         dones = slots.terminated | slots.truncated if ended else self._no_dones
-        infos = [self._end(i) if dones[i] else {} for i in range(self.num_envs)]
+        infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
         if slots.world_over.any():
             self.state.reset(slots.world_over)
             self._lengths[slots.of_worlds(slots.world_over)] = 0  # idle slots begin again as well
@@ -158,12 +158,13 @@ class PneumaVecEnv(Rendering, VecEnv):
         self.state.restore(world, snapshot)
         self._begun = True
         slots = slice(world * self.slots.players, (world + 1) * self.slots.players)
-        counted = snapshot.returns is not None
-        self._returns[slots] = snapshot.returns if counted else 0.0
-        self._lengths[slots] = self.state.worlds["steps"][world] if counted else 0
         if self.state.worlds["ending"][world] != rules.RUNNING:
             self._returns[slots], self._lengths[slots] = 0.0, 0
             self.state.reset(np.arange(len(self.state)) == world)
+        elif snapshot.returns is not None:
+            self._returns[slots], self._lengths[slots] = snapshot.returns, self.state.worlds["steps"][world]
+        else:
+            self._returns[slots], self._lengths[slots] = 0.0, 0
         return self.observe()
 
     def observe(self) -> np.ndarray:
@@ -195,14 +196,10 @@ class PneumaVecEnv(Rendering, VecEnv):
         self._begun = True
 
     def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
-        worlds = self.state
-        return [
-            *((name, getattr(worlds, name)) for name in ("worlds", "players", "monsters")),
-            *((name, getattr(worlds, name)) for name in ("events", "observations", "masks")),
-            ("returns", self._returns),
-            ("lengths", self._lengths),
-            ("episodes", self._episodes),
-            ("steps_taken", self._steps_taken),
+        names = ("worlds", "players", "monsters", "events", "observations", "masks")
+        own = ("returns", "lengths", "episodes", "steps_taken")
+        return [(name, getattr(self.state, name)) for name in names] + [
+            (name, getattr(self, f"_{name}")) for name in own
         ]
 
     def action_masks(self) -> np.ndarray:
@@ -248,18 +245,14 @@ def _bytes(array: np.ndarray) -> np.ndarray:
 
 
 def _seeds(seeds: int | Sequence[int], seed: int | None, players: int) -> list[int]:
-    """Return a seed for each world.
-
-    Raises:
-        UserError: for no worlds, slots that are no multiple of the players, or seeds given twice.
-    """
-    if not isinstance(seeds, int | np.integer):
-        if seed is not None:
-            raise UserError("give a seed for each world, or a number of slots and one seed, not both")
-        if len(seeds) == 0:
-            raise UserError("seeds is empty: give one for each world, or a number of slots")
-        return [int(own) for own in seeds]
-    if seeds < 1 or seeds % players:
-        raise UserError(f"{seeds} slots are not allowed: a multiple of the {players} players in a world")
-    first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
-    return [first + i for i in range(int(seeds) // players)]
+    """Return a seed for each world."""
+    if isinstance(seeds, int | np.integer):
+        if seeds < 1 or seeds % players:
+            raise UserError(f"{seeds} slots are not allowed: a multiple of the {players} players in a world")
+        first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
+        return [first + i for i in range(int(seeds) // players)]
+    if seed is not None:
+        raise UserError("give a seed for each world, or a number of slots and one seed, not both")
+    if len(seeds) == 0:
+        raise UserError("seeds is empty: give one for each world, or a number of slots")
+    return [int(own) for own in seeds]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -118,9 +119,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         state = self.state
         self._actions[0, 0] = index
         ended = state.advance(self._actions)
-        info: dict[str, Any] = {"action_mask": state.masks[0, 0].copy()}
-        observation = state.observations[0, 0].copy()
-        self._show()
+        observation, info = self._seen()
         if not ended:
             if state.worlds["ending"][0]:
                 raise gymnasium.error.ResetNeeded("the episode has ended: call reset first")
@@ -133,7 +132,22 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         return self.state.events["reward"].item()
 
 
-class PneumaMOEnv(PneumaEnv):
+class VectorRewards:
+    """What a face with vector rewards has more; before the face among its bases."""
+
+    state: Worlds
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        refuse_reward(settings)
+        super().__init__(*arguments, **settings)
+        self.reward_space = parts_space(self.state)
+        self.reward_dim = len(PARTS)
+
+    def _parts(self) -> np.ndarray:
+        return reward_parts(self.state.events, self.state.players, self.state.player_stats)
+
+
+class PneumaMOEnv(VectorRewards, PneumaEnv):
     """The same world with a vector reward, in MO-Gymnasium's convention.
 
     `step` returns an array of `pneuma.env.reward.PARTS`: XP and HP share after the step, XP gained, HP
@@ -141,31 +155,15 @@ class PneumaMOEnv(PneumaEnv):
     the reward `kills` the third minus the fourth. There is no `reward` to choose.
     """
 
-    def __init__(
-        self,
-        env_id: str = ENVIRONMENTS[0],
-        render_mode: str | None = None,
-        camera: str = "map",
-        **settings: object,
-    ) -> None:
-        super().__init__(env_id, render_mode, camera, **refuse_reward(settings))
-        self.reward_space = parts_space(self.state)
-        self.reward_dim = len(PARTS)
-
     def _reward(self) -> Any:
-        return reward_parts(self.state.events, self.state.players, self.state.player_stats)[0, 0]
+        return self._parts()[0, 0]
 
 
-def refuse_reward(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of an environment with vector rewards, which has no other.
-
-    Raises:
-        UserError: when a reward is among them.
-    """
+def refuse_reward(settings: Mapping[str, object]) -> None:
+    """Refuse a choice of reward for an environment with vector rewards."""
     if "reward" in settings:
         told = f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts"
         raise UserError(f"{told}; weigh them, or choose a reward for an id without mo-")
-    return settings
 
 
 def parts_space(state: Worlds) -> spaces.Box:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.ndimage import convolve1d
 
 ART = Path(__file__).parent / "art"
 TILE = 16
@@ -193,7 +194,7 @@ def paint_ground(ground: np.ndarray) -> np.ndarray:
     """Paint a map's ground, shape (16 rows, 16 columns, 3) uint8.
 
     Args:
-        ground: (rows, columns) of indices into `GROUNDS`.
+        ground: (rows, columns) of `WATER`, `SNOW`, `GRASS`, `SAND` or `BRIDGE`.
     """
     kinds = _soften(np.where(ground == BRIDGE, WATER, ground))
     image = _texture(ground.shape, WATER)
@@ -260,18 +261,10 @@ def _soften(ground: np.ndarray) -> np.ndarray:
 
 def _sum_around(pixels: np.ndarray, radius: int) -> np.ndarray:
     """Return the sum of the pixels in a square of 2 radius + 1 around each."""
-    total = pixels.astype(np.int32)
+    total, ones = pixels.astype(np.int32), np.ones(2 * radius + 1)
     for axis in (0, 1):
-        widths = [(radius + 1, radius) if other == axis else (0, 0) for other in (0, 1)]
-        running = np.pad(total, widths, mode="edge").cumsum(axis=axis, dtype=np.int32)
-        total = _window_sums(running, axis, 2 * radius + 1)
+        total = convolve1d(total, ones, axis, mode="nearest")
     return total
-
-
-def _window_sums(running: np.ndarray, axis: int, length: int) -> np.ndarray:
-    """Return sums over windows from running sums along an axis."""
-    running = np.moveaxis(running, axis, 0)
-    return np.moveaxis(running[length:] - running[:-length], 0, axis)
 
 
 def _wobble(shape: tuple[int, ...], salt: int, step: int = 8) -> np.ndarray:

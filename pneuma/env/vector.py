@@ -13,9 +13,8 @@ from gymnasium.vector.utils import batch_space
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
-from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.saving import Snapshot
-from pneuma.env.single import parts_space, refuse_reward
+from pneuma.env.single import VectorRewards
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
@@ -64,8 +63,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.state.action_space, num_envs)
         self._keyed = False
         self._every = np.ones(num_envs, np.bool_)
-        self._over = np.zeros(len(self.state), np.bool_)
-        self._waiting = False
+        self._note_over(np.zeros(len(self.state), np.bool_))
 
     def reset(
         self,
@@ -88,14 +86,13 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not self._keyed and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=None if seeds is None else seeds[0])
-        if seeds is None and not self._keyed:
-            seeds = self._seeds(int(self.np_random.integers(2**62)))
-        if seeds is not None:
+        if not self._keyed:
+            seeds = seeds or self._seeds(int(self.np_random.integers(2**62)))
+        if seeds:
             self.state.seed(seeds, mask)
             self._keyed = True
         self.state.reset(mask, starts)
-        self._over &= ~mask
-        self._waiting = bool(self._over.any())
+        self._note_over(self._over & ~mask)
         self._show()
         return self.slots.observations, self._infos()
 
@@ -117,10 +114,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.state.restore(world, snapshot)
         self._keyed = True
         self._over[world] = self.state.worlds["ending"][world] != rules.RUNNING
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over[world]:
-            self.state.reset(self._over)
-            self._over[world] = False
-        self._waiting = bool(self._over.any())
+        self._note_over(self._over)
         self.state.observe()
         self._show()
         return self.slots.observations, self._infos()
@@ -158,16 +152,19 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._waiting:  # NEXT_STEP: this step resets what the last one ended
             self.state.reset(self._over)
         rewards = self._rewards()
-        terminated, truncated = slots.terminated.copy(), slots.truncated.copy()
-        infos = self._final(terminated | truncated) if ended else {}
-        self._waiting = ended and bool(slots.world_over.any())
-        if self.autoreset_mode != AutoresetMode.SAME_STEP:
-            self._over = slots.world_over.copy()
-        elif self._waiting:
-            self.state.reset(slots.world_over)
-            self._waiting = False
+        infos = self._final(slots.terminated | slots.truncated) if ended else {}
+        if ended or self._waiting:
+            self._note_over(slots.world_over.copy())
         self._show()
-        return slots.observations, rewards, terminated, truncated, self._infos(infos)
+        seen = slots.observations
+        return seen, rewards, slots.terminated.copy(), slots.truncated.copy(), self._infos(infos)
+
+    def _note_over(self, over: np.ndarray) -> None:
+        """Note which worlds are over; where the step that ends resets too, begin anew in them."""
+        self._over, self._waiting = over, bool(over.any())
+        if self._waiting and self.autoreset_mode == AutoresetMode.SAME_STEP:
+            self.state.reset(over)
+            over[:] = self._waiting = False
 
     def _rewards(self) -> np.ndarray:
         return self.slots.rewards.copy()
@@ -194,14 +191,8 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return infos
 
 
-class PneumaMOVectorEnv(PneumaVectorEnv):
+class PneumaMOVectorEnv(VectorRewards, PneumaVectorEnv):
     """The same with vector rewards, (slots, 6), in MO-Gymnasium's convention; see `PneumaMOEnv`."""
 
-    def __init__(self, num_envs: int = 1, *arguments: Any, **settings: Any) -> None:
-        super().__init__(num_envs, *arguments, **refuse_reward(settings))
-        self.reward_space = parts_space(self.state)
-        self.reward_dim = len(PARTS)
-
     def _rewards(self) -> np.ndarray:
-        state = self.state
-        return reward_parts(state.events, state.players, state.player_stats).reshape(self.num_envs, -1)
+        return self._parts().reshape(self.num_envs, -1)

@@ -105,7 +105,11 @@ def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: floa
     before: np.ndarray | None = None
     with open(path, "wb") as file:
         for number, frame in enumerate(frames):
-            top, bottom, left, right = _changed(before, frame)
+            height, width = frame.shape[:2]
+            box = (0, 0, width, height)
+            if before is not None:  # where it differs; one pixel if nowhere
+                box = Image.fromarray(before ^ frame).getbbox() or (0, 0, 1, 1)
+            left, top, right, bottom = box
             if before is None:
                 size = b"".join(side.to_bytes(2, "little") for side in (right, bottom))
                 file.write(b"GIF89a" + size + bytes(3) + b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")
@@ -118,14 +122,3 @@ def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: floa
             file.writelines(image)
             before = frame.copy()  # the caller may draw the next frame into the same array
         file.write(b";")
-
-
-def _changed(before: np.ndarray | None, frame: np.ndarray) -> tuple[int, int, int, int]:
-    """Return top, bottom, left and right of what differs: all at first, one pixel if nothing does."""
-    if before is None:
-        return 0, frame.shape[0], 0, frame.shape[1]
-    different = (before != frame).any(axis=-1)
-    rows, columns = np.flatnonzero(different.any(axis=1)), np.flatnonzero(different.any(axis=0))
-    if len(rows) == 0:
-        return 0, 1, 0, 1
-    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1

@@ -21,7 +21,7 @@ from pneuma.env import characters, rules, state
 from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.random_level import parse_name
-from pneuma.env.reward import custom_rewards, load_reward, present, reward_code
+from pneuma.env.reward import REWARD_CODES, custom_rewards, load_reward, present
 from pneuma.env.saving import Snapshot, fingerprint, refuse_nowhere, restore_world, save_world
 from pneuma.errors import UserError
 
@@ -56,7 +56,7 @@ class Worlds:
         )
         self.levels = _load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
-        self.player_stats["reward"] = [reward_code(name) for name in rewards]
+        self.player_stats["reward"] = [REWARD_CODES.get(name, rules.REWARD_CUSTOM) for name in rewards]
         self._custom = [
             (name, load_reward(name), [p for p, own in enumerate(rewards) if own == name])
             for name in dict.fromkeys(rewards)

@@ -20,10 +20,11 @@ import numpy as np
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
+from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
 
-WEST, EAST, NORTH, SOUTH = -551.0, 554.0, -554.0, 550.0
-"""Where a player's body is flush with the coast: -576 + 25, 576 - 22, -576 + 22 and 576 - 26."""
+EAST = 576.0 - 22
+"""Where a player's body is flush with the coast."""
 TILES = 20
 HEADER = 'title = "Arena"\ntile = 64\norigin = [10, 10]\ncoast = [0]\n'
 START, BAMBOO, SPIRIT, RACCOON, SQUID = 400, 390, 391, 392, 393
@@ -160,11 +161,28 @@ def bits(*arrays: np.ndarray) -> list[bytes]:
     return [np.ascontiguousarray(field).tobytes() for field in fields]
 
 
-def state_bits(worlds: Worlds) -> list[bytes]:
-    """Return every bit of the worlds' state and of what they last told."""
-    return bits(*(getattr(worlds, name) for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))
+def state_bits(worlds: Worlds, which: object = slice(None)) -> list[bytes]:
+    """Return every bit of the state of all worlds, or of some, and of what they last told."""
+    return bits(*(getattr(worlds, name)[which] for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))
 
 
 def on_screen(pygame: ModuleType) -> np.ndarray:
     """Return what pygame's window shows, shape (height, width, 3)."""
     return np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
+
+
+class Fighter:
+    """Hunts for a while, then does the same random thing for a while, and so on."""
+
+    def __init__(self, worlds: Worlds, seed: int) -> None:
+        self.hunter = Hunter(worlds)
+        self.generator = np.random.default_rng(seed)
+        self.action = np.full(worlds.players.shape, ATTACK)
+        self.hunts = np.ones(worlds.players.shape, np.bool_)
+
+    def act(self, worlds: Worlds) -> np.ndarray:
+        anew = self.generator.random(self.action.shape) < 0.15
+        drawn = self.generator.integers(int(worlds.action_space.n), size=self.action.shape)
+        self.action = np.where(anew, drawn, self.action)
+        self.hunts = np.where(anew, self.generator.random(self.action.shape) < 0.5, self.hunts)
+        return np.where(self.hunts, self.hunter.act(worlds), self.action)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -25,7 +24,7 @@ def _no_screen() -> Iterator[None]:
 def arena(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a field with one obstacle, a start at its centre and a monster in every corner."""
     corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
-    return write_level(_folder(tmp_path_factory, "arena"), [(0.0, 0.0)], corners, [(14, 10)])
+    return write_level(tmp_path_factory.mktemp("arena"), [(0.0, 0.0)], corners, [(14, 10)])
 
 
 @pytest.fixture(scope="session")
@@ -33,7 +32,7 @@ def zoo(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a field with a start at its centre and a bamboo, spirit, raccoon and squid in the corners."""
     corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
     codes = (BAMBOO, SPIRIT, RACCOON, SQUID)
-    return write_level(_folder(tmp_path_factory, "zoo"), [(0.0, 0.0)], corners, codes=codes)
+    return write_level(tmp_path_factory.mktemp("zoo"), [(0.0, 0.0)], corners, codes=codes)
 
 
 @pytest.fixture(scope="session")
@@ -44,11 +43,7 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> str:
     step: three stand against its head, and two beside those, where its sword does not reach.
     """
     around = [(-25.0, -50.0), (0.0, -50.0), (25.0, -50.0), (-50.0, -30.0), (50.0, -30.0)]
-    return write_level(_folder(tmp_path_factory, "pit"), [(0.0, 0.0), (450.0, -450.0)], around)
-
-
-def _folder(factory: pytest.TempPathFactory, name: str) -> Path:
-    return factory.mktemp(name)
+    return write_level(tmp_path_factory.mktemp("pit"), [(0.0, 0.0), (450.0, -450.0)], around)
 
 
 @pytest.fixture

@@ -13,59 +13,10 @@ import pytest
 
 from pneuma.env.rules import ATTACK, COAST, DOWN, LEFT, RIGHT, SOLID, UP
 
-from .oracle_stage import act, place_of, put, set_up, told
+from .oracle_stage import act, put, set_up, told
 
 TOUGH = "[monsters.bamboo]\nhp = 5000\n"
 STILL = f"{TOUGH}speed = 0\n"
-
-# --- In the way ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("way", "bamboo", "end"),
-    [
-        (RIGHT, (590.0, 512.0), (556.0, 512.0)),  # 590 - 35.5 + 1.5
-        (LEFT, (430.0, 512.0), (467.0, 512.0)),  # 430 + 35.5 + 1.5
-        (DOWN, (512.0, 590.0), (512.0, 541.0)),  # 590 + 2 - 49 - 2
-        (UP, (512.0, 430.0), (512.0, 479.0)),
-    ],
-)
-def test_a_player_stops_where_it_touches_a_bamboo(
-    tmp_path: Path, way: int, bamboo: tuple[float, float], end: tuple[float, float]
-) -> None:
-    pair = set_up(tmp_path, bamboo)
-    for _ in range(2):
-        act(pair, way)
-    assert (told(pair, "x"), told(pair, "y")) == ([end[0]], [end[1]])
-    act(pair, RIGHT if way in (UP, DOWN) else DOWN)  # along it
-    along = (40.0, 0.0) if way in (UP, DOWN) else (0.0, 40.0)
-    assert (told(pair, "x"), told(pair, "y")) == ([end[0] + along[0]], [end[1] + along[1]])
-
-
-# --- Chasing -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("facing", "bamboo", "end"),
-    [
-        (LEFT, (660.0, 512.0), (546.0, 512.0)),  # 510.5 + 35.5
-        (RIGHT, (362.0, 512.0), (475.0, 512.0)),
-        (UP, (512.0, 660.0), (512.0, 561.0)),  # 514 + 49 - 2
-        (DOWN, (512.0, 362.0), (512.0, 463.0)),
-        (LEFT, (660.0, 552.0), (546.0, 542.0)),  # within 30 px on y, it comes no nearer there
-    ],
-)
-def test_a_bamboo_comes_up_to_who_stands(
-    tmp_path: Path, facing: int, bamboo: tuple[float, float], end: tuple[float, float]
-) -> None:
-    pair = set_up(tmp_path, bamboo, characters="")
-    put(pair, facing=facing)  # it strikes behind its own back
-    for _ in range(7):
-        act(pair, ATTACK)
-    assert place_of(pair) == end
-
-
-# --- Flying and biting -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("knocked", "hp"), [(False, [100, 100, 100, 93]), (True, [93, 93, 93, 93])])
@@ -91,73 +42,34 @@ def test_a_kill_heals_past_full_hp_unless_that_is_a_cap(tmp_path: Path, cap: boo
 
 
 @pytest.mark.parametrize(
-    ("facing", "bamboo", "struck"),
+    ("what", "facing", "last", "outwards"),
     [
-        # Half of box and body: 39.5 + 12 or 25.5 + 12 on x, 25.5 + 25 or 39.5 + 25 on y.
-        (RIGHT, (512 + 38.5 + 51.25, 512.0), True),
-        (RIGHT, (512 + 38.5 + 51.5, 512.0), False),
-        (RIGHT, (580.0, 512 + 3.5 - 2 + 50.25), True),
-        (RIGHT, (580.0, 512 + 3.5 - 2 + 50.5), False),
-        (LEFT, (512 - 38.5 - 51.25, 512.0), True),
-        (LEFT, (512 - 38.5 - 51.5, 512.0), False),
-        (LEFT, (440.0, 512 + 24.5 - 2 - 50.25), True),
-        (LEFT, (440.0, 512 + 24.5 - 2 - 50.5), False),
-        (DOWN, (512 - 1.5 + 37.25, 570.0), True),
-        (DOWN, (512 - 1.5 + 37.5, 570.0), False),
-        (DOWN, (512.0, 512 + 36.5 - 2 + 64.25), True),
-        (DOWN, (512.0, 512 + 36.5 - 2 + 64.5), False),
-        (UP, (512 - 2.5 - 37.25, 460.0), True),
-        (UP, (512 - 2.5 - 37.5, 460.0), False),
-        (UP, (512.0, 512 - 28.5 - 2 - 64.25), True),
-        (UP, (512.0, 512 - 28.5 - 2 - 64.5), False),
+        # The blade. Half of box and body: 39.5 + 12 or 25.5 + 12 on x, 25.5 + 25 or 39.5 + 25 on y.
+        ("hits", RIGHT, (512 + 38.5 + 51.25, 512.0), (1, 0)),
+        ("hits", RIGHT, (580.0, 512 + 3.5 - 2 + 50.25), (0, 1)),
+        ("hits", LEFT, (512 - 38.5 - 51.25, 512.0), (-1, 0)),
+        ("hits", LEFT, (440.0, 512 + 24.5 - 2 - 50.25), (0, -1)),
+        ("hits", DOWN, (512 - 1.5 + 37.25, 570.0), (1, 0)),
+        ("hits", DOWN, (512.0, 512 + 36.5 - 2 + 64.25), (0, 1)),
+        ("hits", UP, (512 - 2.5 - 37.25, 460.0), (-1, 0)),
+        ("hits", UP, (512.0, 512 - 28.5 - 2 - 64.25), (0, -1)),
+        # The notice circle, 7 px below a bamboo, and the attack circle, 5 px below.
+        ("notices", UP, (834.0, 512.0), (1, 0)),  # 510.5 + 23.5 + 300
+        ("notices", UP, (512.0, 831.0), (0, 1)),  # 514 + 24 + 300 - 7
+        ("notices", UP, (512.0, 183.0), (0, -1)),  # 514 - 24 - 300 - 7
+        ("contacts", DOWN, (574.0, 512.0), (1, 0)),  # 510.5 + 23.5 + 40
+        ("contacts", DOWN, (512.0, 445.0), (0, -1)),  # 514 - 24 - 40 - 5
     ],
 )
-def test_the_blade_strikes_as_far_as_in_the_scenes(
-    tmp_path: Path, facing: int, bamboo: tuple[float, float], struck: bool
+def test_blade_and_circles_reach_as_far_as_in_the_scenes(
+    tmp_path: Path, what: str, facing: int, last: tuple[float, float], outwards: tuple[int, int]
 ) -> None:
-    pair = set_up(tmp_path, bamboo)
-    put(pair, facing=facing)
-    act(pair, ATTACK)
-    assert told(pair, "hits") == [struck]
-
-
-@pytest.mark.parametrize(
-    ("bamboo", "noticed"),
-    [
-        ((834.0, 512.0), True),  # 510.5 + 23.5 + 300
-        ((834.25, 512.0), False),
-        ((512.0, 831.0), True),  # 514 + 24 + 300 - 7
-        ((512.0, 831.25), False),
-        ((512.0, 183.0), True),  # 514 - 24 - 300 - 7
-        ((512.0, 182.75), False),
-    ],
-)
-def test_the_notice_circle_is_7_px_below_a_bamboo(
-    tmp_path: Path, bamboo: tuple[float, float], noticed: bool
-) -> None:
-    pair = set_up(tmp_path, bamboo)
-    act(pair, ATTACK)
-    assert told(pair, "notices") == [noticed]
-
-
-@pytest.mark.parametrize(
-    ("bamboo", "bitten"),
-    [
-        ((574.0, 512.0), True),  # 510.5 + 23.5 + 40
-        ((574.25, 512.0), False),
-        ((512.0, 445.0), True),  # 514 - 24 - 40 - 5
-        ((512.0, 444.75), False),
-    ],
-)
-def test_the_attack_circle_is_5_px_below_a_bamboo(
-    tmp_path: Path, bamboo: tuple[float, float], bitten: bool
-) -> None:
-    pair = set_up(tmp_path, bamboo)
-    act(pair, ATTACK)
-    assert told(pair, "contacts") == [bitten]
-
-
-# --- What stops whom ---------------------------------------------------------------------------------
+    for further in (0.0, 0.25):
+        bamboo = last[0] + further * outwards[0], last[1] + further * outwards[1]
+        pair = set_up(tmp_path / str(further), bamboo)
+        put(pair, facing=facing)
+        act(pair, ATTACK)
+        assert told(pair, what) == [further == 0]
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,6 @@ ROUNDING = 1e-6
 OFF_GRID = 7
 MIDDLE = 512.0  # of the 16 x 16 tiles of a `Map`
 
-# --- Bodies ------------------------------------------------------------------------------------------
-
 
 def boxes(worlds: Worlds, world: int) -> tuple[np.ndarray, np.ndarray]:
     """Return left, top, right and bottom of everybody's body, players first, and who lives."""
@@ -101,9 +99,6 @@ def test_nobody_gets_into_another_or_into_what_stops_it(tmp_path: Path) -> None:
                 before[world] = after
 
     check()
-
-
-# --- Chasing -----------------------------------------------------------------------------------------
 
 
 def test_who_chases_one_that_stands_arrives_and_bites(tmp_path: Path) -> None:

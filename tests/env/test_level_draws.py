@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from pneuma.config import SCALES, make_env_config
 from pneuma.env.worlds import Worlds
-
-from .arena import TOLD_ARRAYS, begin, bits
 
 LEVEL = "random:train:5"
 
@@ -23,25 +20,6 @@ def test_an_episode_draws_its_level_and_then_its_start() -> None:
     # The published stream of key 0 begins 0xE220…, 0x6E78…, 0x06C4…, 0xF88B…: as shares of 2**64
     # 0.883, 0.432, 0.026 and 0.971. Of 4 levels and 6 starts: 3.53, 2.59, 0.11, 5.83.
     assert drawn == [(3, 2), (0, 5)]
-
-
-def test_a_world_plays_as_on_its_level_alone() -> None:
-    company = begin(8, seed=1, level=LEVEL, random_levels=3, scale="raw", players=2)
-    alone = []
-    for world in range(8):
-        level = f"random:train:{5 + int(company.worlds['level'][world])}"
-        alone.append(Worlds(1, make_env_config({"level": level, "scale": "raw", "players": 2})))
-        alone[world].reset(starts=company.worlds["start"][world : world + 1].astype(np.int64))
-    generator = np.random.default_rng(0)
-    for _ in range(300):
-        actions = np.repeat(generator.integers(5, size=(8, 1)), 2, axis=1)
-        company.step(actions)
-        for world, worlds in enumerate(alone):
-            worlds.step(actions[world : world + 1])
-            for name in ("players", "monsters", *TOLD_ARRAYS):
-                here, there = getattr(worlds, name)[0], getattr(company, name)[world]
-                assert bits(here) == bits(there), name
-    assert len(set(company.worlds["level"].tolist())) == 3
 
 
 @pytest.mark.parametrize("scale", SCALES)

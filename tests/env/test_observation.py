@@ -1,75 +1,125 @@
-"""Observations: what stands where, in which order, and within which bounds."""
+"""Observations in every layout, order and scale, of all monsters or of some."""
 
 from __future__ import annotations
+
+import itertools
+from typing import Any
 
 import numpy as np
 import pytest
 
+from pneuma.config import OBSERVATIONS, ORDERS, SCALES
 from pneuma.env.worlds import Worlds
 
-from .arena import STAND, Place, play, stage
+from .arena import GODOT, RIGHT, STAND, THESIS, UP, Place, begin, play, stage
+
+WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
 
-def seen(worlds: Worlds) -> np.ndarray:
-    """Return the observation of the first world's only player."""
-    return np.asarray(worlds.observations[0, 0])
-
-
-def seen_monsters(worlds: Worlds) -> np.ndarray:
-    """Return the monsters' part, one row of four each."""
-    return seen(worlds)[4:].reshape(-1, 4)
-
-
-def look(arena: str, *monsters: Place, players: tuple[Place, ...] = ((0.0, 0.0),)) -> Worlds:
+def look(level: str, *monsters: Place, players: tuple[Place, ...] = ((0.0, 0.0),), **settings: Any) -> Worlds:
     """Set up a world in which nothing moves and observe it."""
-    worlds = stage(arena, *monsters, players=players, still=True)
+    worlds = stage(level, *monsters, players=players, still=True, settings=settings)
     play(worlds, STAND)
     return worlds
 
 
-# --- Values --------------------------------------------------------------------------------------
+def seen(worlds: Worlds) -> np.ndarray:
+    return np.asarray(worlds.observations[0, 0])
 
 
-def test_a_position_is_measured_from_the_middle_of_the_land() -> None:
-    # The shipped land spans x from -1536 to 1408 and y from -1088 to 1344: its middle is (-64, 128),
-    # its halves 1472 and 1216. Start 0 is at (204, -105).
-    worlds = Worlds(1)
-    worlds.reset(starts=np.array([0]))
-    assert seen(worlds)[:4] == pytest.approx([268 / 1472, -233 / 1216, 1.0, 0.0])
+def rows(worlds: Worlds) -> np.ndarray:
+    """Return the monsters' part of what the first player sees, a row each."""
+    head, width = WIDTHS[worlds.config.observation]
+    return seen(worlds)[head:].reshape(-1, width)
 
 
-def test_hp_and_xp_are_shares(arena: str) -> None:
-    worlds = stage(arena)
-    worlds.players["hp"], worlds.players["xp"] = 43, 3
-    play(worlds, STAND)
-    assert seen(worlds)[2:4] == pytest.approx([0.43, 3 / 4])  # of 100 HP, and of four monsters' XP
+def test_godot_sees_raw_pixels_and_points_in_fixed_order(arena: str) -> None:
+    worlds = stage(arena, (180.0, -240.0), (-300.0, 0.0), still=True, settings={"observation": "godot"})
+    worlds.players["hp"], worlds.players["xp"], worlds.monsters["hp"][0, 0] = 43, 3, 20
+    worlds.monster_stats["attack_squared"] = 0.0
+    play(worlds, UP)  # to (0, -40)
+    assert seen(worlds)[:4].tolist() == [0, -40, 43, 3]
+    # (180, -240) to (0, -40) is (-180, 200), 269.07 px; (-300, 0) to (0, -40) is (300, -40), 302.65 px.
+    expected = [
+        [180, -240, 20, -180 / 269.0725, 200 / 269.0725],
+        [-300, 0, 40, 300 / 302.6549, -40 / 302.6549],
+    ]
+    assert rows(worlds)[:2] == pytest.approx(np.array(expected), abs=1e-6)
 
 
-def test_a_monster_is_seen_by_distance_direction_and_hp(arena: str) -> None:
-    worlds = look(arena, (180.0, -240.0))
-    # (180, -240) is 300 = one notice radius away, along (0.6, -0.8).
-    assert seen_monsters(worlds)[0] == pytest.approx([1.0, 0.6, -0.8, 1.0])
-    worlds.monsters["hp"][0, 0] = 20
-    play(worlds, STAND)
-    assert seen_monsters(worlds)[0, 3] == 0.5
+def test_the_godot_environment_begins_with_74_published_numbers() -> None:
+    worlds = begin(1, env_id=GODOT)
+    assert seen(worlds)[:4].tolist() == [204, -105, 100, 0]
+    assert rows(worlds).shape == (14, 5)
+    # The first monster is at (-538, -531): (742, 426) to the player, 855.59 px.
+    assert rows(worlds)[0] == pytest.approx([-538, -531, 40, 742 / 855.593, 426 / 855.593], abs=1e-5)
+    assert rows(worlds)[13, :3].tolist() == [560, -141, 40]
 
 
-# --- Order ---------------------------------------------------------------------------------------
+def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None:
+    worlds = stage(zoo, (-300.0, 400.0), still=True, settings={"observation": "pygame", "magic": True})
+    worlds.players["hp"], worlds.players["energy"] = 43, 15
+    play(worlds, RIGHT)
+    worlds.players["x"], worlds.players["energy"] = 0.0, 15
+    worlds.observe()
+    # The map of 20 x 20 tiles is 1280 px wide and high. Of 100 HP, 60 energy.
+    assert seen(worlds)[:6] == pytest.approx([0.5, 0.5, 1, 0, 0.43, 0.25])
+    # The bamboo is 500 px away along (-0.6, 0.8); the dearest, the raccoon, is worth 25 XP.
+    assert rows(worlds)[0] == pytest.approx([500 / 1280, -0.6, 0.8, 1, 1 / 25])
 
 
-def test_the_nearest_comes_first(arena: str) -> None:
-    worlds = look(arena, (-400.0, 0.0), (0.0, 200.0), (-100.0, 0.0), (0.0, -300.0))
-    assert (seen_monsters(worlds)[:, 0] * 300).tolist() == pytest.approx([100, 200, 300, 400])
-    assert seen_monsters(worlds)[:, 1].tolist() == [-1, 0, 0, -1]  # each with its own direction
-    assert seen_monsters(worlds)[:, 2].tolist() == [0, 1, -1, 0]
+@pytest.mark.parametrize(
+    ("scale", "x", "y", "hp", "xp", "distance", "monster_hp"),
+    [
+        ("unit", -540 / 576, 270 / 576, 0.4, 3 / 4, 500 / 300, 0.5),
+        ("map", 100 / 1280, 910 / 1280, 0.4, 3 / 4, 500 / 1280, 0.5),
+        ("raw", -540, 270, 40, 3, 500, 20),
+    ],
+)
+def test_a_scale_holds_for_every_number(
+    arena: str, scale: str, x: float, y: float, hp: float, xp: float, distance: float, monster_hp: float
+) -> None:
+    worlds = look(arena, (-240.0, -130.0), players=((-540.0, 270.0),), scale=scale)
+    worlds.players["hp"], worlds.players["xp"] = 40, 3
+    worlds.monsters["hp"][0] = [20, 0, 0, 0]
+    worlds.observe()
+    assert seen(worlds)[:4] == pytest.approx([x, y, hp, xp], abs=1e-6)
+    assert rows(worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
 
 
-# --- Names and bounds ----------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("perceive", "distances"),
+    [
+        ("kind:spirit", [110]),
+        ("kind:squid,bamboo", [90, 300]),
+        ("kind:raccoon,spirit,squid", [110, 180, 300]),
+    ],
+)
+def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: list[float]) -> None:
+    places = (0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0)  # bamboo, spirit, raccoon, squid
+    worlds = look(zoo, *places, perceive=perceive, scale="raw")
+    assert rows(worlds)[:, 0].tolist() == pytest.approx(distances)
+    worlds = look(zoo, *places, perceive=perceive, scale="raw", order="fixed")
+    assert rows(worlds)[:, 0].tolist() == pytest.approx(sorted(distances))  # they stand in this order
+    assert worlds.space.contains(seen(worlds))
 
 
-def test_the_space_is_float32_and_finite() -> None:
-    space = Worlds(1).space
-    assert space.dtype == np.float32
-    assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
-    # No two places of 57 x 50 tiles of 64 px are further apart than hypot(3648, 3200) = 4852.6 px.
-    assert space.high[4] == pytest.approx(4852.6 / 300, abs=1e-3)
+@pytest.mark.parametrize("env_id", [THESIS, GODOT])
+@pytest.mark.parametrize(("layout", "scale", "order"), list(itertools.product(OBSERVATIONS, SCALES, ORDERS)))
+def test_no_observation_ever_leaves_its_space(env_id: str, layout: str, scale: str, order: str) -> None:
+    seen_as: dict[str, Any] = {"observation": layout, "scale": scale, "order": order}
+    two: dict[str, Any] = {"players": 2, "classes": ["base", "tank"], "start": "random", "episode_steps": 150}
+    worlds = begin(6, env_id=env_id, magic=True, **seen_as, **two)
+    for space in worlds.spaces:
+        assert space.dtype == np.float32 and np.isfinite(space.low).all() and np.isfinite(space.high).all()
+    generator = np.random.default_rng(2)
+    stride = generator.integers(7, size=(6, 2))
+    endings = 0
+    for _ in range(400):
+        stride = np.where(generator.random((6, 2)) < 0.1, generator.integers(7, size=(6, 2)), stride)
+        endings += worlds.step(stride)
+        for player, space in enumerate(worlds.spaces):
+            here = worlds.observations[:, player]
+            assert (here >= space.low).all() and (here <= space.high).all()
+        worlds.reset(worlds.worlds["ending"] != 0)
+    assert endings > 5

@@ -21,7 +21,6 @@ from pneuma.env.players import Hunter
 from pneuma.env.rules import (
     ATTACK,
     CLEARED,
-    DOWN,
     FLAME,
     HEAL,
     KILLED,
@@ -36,7 +35,6 @@ from pneuma.env.worlds import Worlds
 from .oracle import Oracle
 from .oracle_arrays import Pair
 from .oracle_cases import STEPS_OF_A_MOOD, Case, cases, choose_actions, hunt, make_worlds
-from .oracle_maps import Map
 from .oracle_moves import HAIR, Box
 from .oracle_parts import Player
 from .oracle_stage import FAR, HERE, QUIET, act, put, set_up, told
@@ -186,29 +184,12 @@ def test_a_spell_heals_before_the_bite_of_its_tick(tmp_path: Path, hp: float, le
     assert (told(pair, "hp"), told(pair, "contacts")) == ([left], [1])
 
 
-def test_a_kill_heals_before_the_lethal_bite_of_its_tick(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (512.0, 570.0), (472.0, 512.0))
-    pair.worlds.monsters["hp"][0, 0] = 1
-    put(pair, hp=5)
-    act(pair, ATTACK)  # 5 + 7 - 7
-    assert (told(pair, "hp"), told(pair, "hp_gained"), told(pair, "hp_lost")) == ([5], [7], [7])
-
-
 def test_death_at_sea_costs_nothing_and_ends_the_episode(tmp_path: Path) -> None:
     pair = set_up(tmp_path, (832.0, 300.0), coast="deadly", players=2)
     put(pair, x=(74.0, 69.0))  # the land begins at 64
     act(pair, LEFT, LEFT)  # 69, 64, 59; 64, 59
     assert (told(pair, "x"), told(pair, "present"), told(pair, "xp")) == ([59, 59], [2, 1], [0, 0])
     assert (told(pair, "hp_lost"), pair.worlds.ending(0)) == ([100, 100], "killed")
-
-
-def test_who_is_safe_loses_to_one_bite_a_tick_and_then_to_none(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, (550.0, 512.0), (474.0, 512.0), classes="warrior")
-    act(pair, RIGHT)  # away from the second, whose first bite came with that of the first
-    assert (told(pair, "hp"), told(pair, "contacts"), told(pair, "safe")) == ([93], [2], [18 - 7])
-    act(pair, LEFT)
-    act(pair, LEFT)
-    assert told(pair, "hp") == [93]
 
 
 def test_eight_players_fill_every_bit(tmp_path: Path) -> None:
@@ -233,28 +214,6 @@ def test_bitten_to_death_one_tick_before_the_sea_is_no_death_at_sea(tmp_path: Pa
     assert told(pair, "reward") == [-1]
 
 
-def test_a_bite_that_was_not_to_be_does_not_save_from_the_sea(tmp_path: Path) -> None:
-    # Were the second player not bitten to death in tick 1, his sword would send the first monster flying
-    # in tick 2, and it would bite the first player to death in tick 3, a tick before he drowns.
-    strong = "[weapons.blade]\nknock_back = 3000\n"
-    monsters = (163.5, 512.0), (257.5, 512.0)
-    pair = set_up(tmp_path, *monsters, characters=QUIET + strong, coast="deadly", players=2)
-    put(pair, x=(80.0, 227.5), y=512.0, facing=LEFT, hp=7, busy=(0, 1))
-    act(pair, LEFT, ATTACK)
-    assert (told(pair, "present"), told(pair, "died"), told(pair, "xp")) == ([3, 1], [1, 1], [0, -1])
-
-
-def test_a_bite_clock_of_the_dead_stops_whether_or_not_somebody_is_near(tmp_path: Path) -> None:
-    # Attack circle beyond the notice circle: the bamboo is not reminded of the dead by having noticed him.
-    wide = "[monsters.bamboo]\nspeed = 0\nnotice = 10\nattack = 100\n"
-    pair = set_up(tmp_path, (512.0, 671.0), characters=wide, players=2)
-    put(pair, hp=(7, 100))
-    act(pair, DOWN, ATTACK)  # within 100 px of its body in tick 8, the last
-    assert (told(pair, "present"), told(pair, "died")) == ([8, 8], [1, 0])
-    act(pair, DOWN, ATTACK)
-    assert pair.worlds.monsters["bite"][0, 0, 0] == 0
-
-
 def test_a_monster_right_at_the_hilt_flies_nowhere(tmp_path: Path) -> None:
     # Its flight is too short to be flown: with a longer one, the NaN of 0 / 0 once ended the process.
     own = "hilt = {down = 0, left = 0, up = 0, right = 0}\n"
@@ -262,17 +221,6 @@ def test_a_monster_right_at_the_hilt_flies_nowhere(tmp_path: Path) -> None:
     pair = set_up(tmp_path, HERE, characters=f"[weapons.blade]\n{own}{QUIET}{still}")
     act(pair, ATTACK)
     assert (told(pair, "hits"), pair.worlds.monsters["knock_x"].tolist()) == ([1], [[0.0]])
-
-
-def test_an_ended_world_stays_as_it_is_when_another_begins_anew(tmp_path: Path) -> None:
-    level = Map(starts=(HERE,), monsters=(("bamboo", 550.0, 512.0),))
-    case = Case({}, level, "[players.base]\nhp = 7\n", count=2, seed=0, moods=b"", breaks=b"")
-    pair = Pair(make_worlds(case, tmp_path / "case"))
-    pair.step(np.array([[ATTACK], [ATTACK]]))
-    assert pair.worlds.worlds["ending"].tolist() == [KILLED, KILLED]
-    pair.step(np.array([[ATTACK], [ATTACK]]))
-    pair.reset([1])
-    assert pair.worlds.observations[0].any()
 
 
 @pytest.mark.parametrize(("spell", "place", "cost"), [(FLAME, 5, 20.0), (HEAL, 6, 10.0)])

@@ -11,11 +11,7 @@ from pneuma.config import make_env_config
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 
-from .arena import (
-    ARENA,
-    GODOT,
-    THESIS,
-)
+from .arena import ARENA, GODOT, THESIS
 
 
 def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
@@ -24,18 +20,12 @@ def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
         worlds.step(player.act(worlds))
 
 
-# --- The random player ---------------------------------------------------------------------------
-
-
 def test_the_random_player_kills_fewer_than_three_on_average() -> None:
     worlds = Worlds(120)
     worlds.seed(range(120))
     worlds.reset(starts=np.arange(120) % 6)
     play_out(worlds, RandomPlayer(np.random.default_rng(0)))
     assert worlds.players["kills"].mean() < 3
-
-
-# --- The hunter ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

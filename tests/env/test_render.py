@@ -35,9 +35,6 @@ def count_colour(frame: np.ndarray, colour: str) -> int:
     return int((frame == sprites.rgb(colour)).all(axis=-1).sum())
 
 
-# --- What is drawn where -------------------------------------------------------------------------
-
-
 def test_player_is_drawn_where_the_state_says(arena: str) -> None:
     worlds = stage(arena)
     before = bare(worlds)
@@ -72,9 +69,6 @@ def test_ground_is_blue_exactly_where_the_coast_is() -> None:
     centres = Renderer(worlds).background[8::16, 8::16].astype(int)
     blue = centres[..., 2] - centres[..., 0] > 40
     np.testing.assert_array_equal(blue, worlds.level.terrain == rules.COAST)
-
-
-# --- Cameras -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

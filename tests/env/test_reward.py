@@ -1,26 +1,24 @@
-"""Rewards: every formula by hand on situations set up for it, and one for each player."""
+"""Rewards: every formula by hand, one for each player, and functions of a user's own."""
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from pneuma.config import make_env_config
 from pneuma.env.reward import load_reward
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
 
-from .arena import (
-    ATTACK,
-    STAND,
-    UP,
-    Place,
-    move_monster,
-    play,
-    stage,
-)
+from .arena import ATTACK, STAND, Place, move_monster, play, stage
+
+_NUMBERS = itertools.count()
 
 
 def rewards(worlds: Worlds) -> list[float]:
@@ -29,86 +27,50 @@ def rewards(worlds: Worlds) -> list[float]:
 
 
 def fight(arena: str, reward: str | Sequence[str], *monsters: Place, **settings: object) -> Worlds:
-    """Set up a player with 3 XP and 50 HP, facing right, and monsters that stay where they are."""
+    """Set up a player with 3 XP and 50 HP, facing right, and monsters that stay where they are.
+
+    The first dies of a blow: 1 XP and 7 HP.
+    """
     worlds = stage(arena, *monsters, still=True, settings={"reward": reward, **settings})
-    worlds.players["xp"], worlds.players["hp"] = 3, 50
+    worlds.players["xp"], worlds.players["hp"], worlds.monsters["hp"][0, 0] = 3, 50, 20
     return worlds
 
 
-def fly(worlds: Worlds, index: int, x: float, y: float, speed: float) -> None:
-    """Put a monster somewhere and let it fly along x, so many pixels a tick, for the next 30."""
-    move_monster(worlds, index, x, y)
-    monster = worlds.monsters[0, index]
-    monster["knocked"], monster["knock_x"], monster["knock_y"] = 30, speed, 0.0
+# --- Formulas ------------------------------------------------------------------------------------
 
-
-# --- Levels: XP and HP as they are ---------------------------------------------------------------
+PREY, BITER = (80.0, 0.0), (-40.0, 0.0)  # a bite of 7
+FAR = (400.0, 400.0)
 
 
 @pytest.mark.parametrize(
-    ("reward", "quiet", "bitten", "killing"),
+    ("reward", "monsters", "expected"),
     [
-        ("thesis", 3 - 0.5, 3 - 0.43, 4 - 0.57),
-        ("pygame", 3 + 0.5, 3 + 0.43, 4 + 0.57),
+        ("thesis", [], 3 - 0.5),
+        ("thesis", [BITER], 3 - 0.43),
+        ("thesis", [PREY], 4 - 0.57),
+        ("pygame", [], 3 + 0.5),
+        ("pygame", [BITER], 3 + 0.43),
+        ("pygame", [PREY], 4 + 0.57),
+        ("kills", [], 0.0),
+        ("kills", [PREY, BITER], 1 - 0.07),  # HP gained do not count
+        ("distance-sigmoid", [(-150.0, 0.0), FAR], 0.5),
+        ("distance-sigmoid", [(-100.0, 0.0), FAR], 0.5 + 0.5 / math.sqrt(2)),  # z = 1
+        ("distance-sigmoid", [(-25.0, 0.0), FAR], 0.5 + 2.5 / 2 / math.sqrt(7.25)),  # z = 2.5
+        ("distance-sigmoid", [(-250.0, 0.0), FAR], 0.5 - 2 / 2 / math.sqrt(5)),  # z = -2
     ],
 )
-def test_xp_and_the_share_of_hp_at_every_step(
-    arena: str, reward: str, quiet: float, bitten: float, killing: float
-) -> None:
-    worlds = fight(arena, reward)
-    play(worlds, UP)
-    assert rewards(worlds) == [quiet]
-
-    worlds = fight(arena, reward, (-40.0, 0.0))
-    play(worlds, STAND)  # a bite of 7
-    assert rewards(worlds) == [bitten]
-
-    worlds = fight(arena, reward, (80.0, 0.0))
-    worlds.monsters["hp"][0, 0] = 20
-    play(worlds, ATTACK)  # 1 XP and 7 HP
-    assert rewards(worlds) == [killing]
-    play(worlds, STAND)
-    assert rewards(worlds) == [killing]
-
-
-# --- Gains: what the step brought ----------------------------------------------------------------
-
-
-def test_kills_is_xp_gained_less_the_share_of_hp_lost(arena: str) -> None:
-    worlds = fight(arena, "kills", (80.0, 0.0), (-40.0, 0.0))
-    worlds.monsters["hp"][0, 0] = 20
-    play(worlds, ATTACK)  # 1 XP, and 7 HP lost; those gained do not count
-    assert rewards(worlds) == [1 - 0.07]
-    play(worlds, STAND)
-    assert rewards(worlds) == [0.0]
-
-
-@pytest.mark.parametrize(
-    ("distance", "closeness"),
-    [
-        (150.0, 0.5),
-        (100.0, 0.5 + 0.5 / math.sqrt(2)),  # z = 1
-        (200.0, 0.5 - 0.5 / math.sqrt(2)),
-        (25.0, 0.5 + 2.5 / 2 / math.sqrt(7.25)),  # z = 2.5
-        (250.0, 0.5 - 2 / 2 / math.sqrt(5)),  # z = -2
-    ],
-)
-def test_distance_sigmoid_pays_for_being_near(arena: str, distance: float, closeness: float) -> None:
-    worlds = fight(arena, "distance-sigmoid", (-distance, 0.0), (400.0, 400.0))
-    play(worlds, STAND)
-    assert rewards(worlds) == [pytest.approx(closeness, abs=1e-12)]
-
-
-# --- Godot: event by event -----------------------------------------------------------------------
+def test_formulas_by_hand(arena: str, reward: str, monsters: list[Place], expected: float) -> None:
+    worlds = fight(arena, reward, *monsters)
+    play(worlds, ATTACK)
+    assert rewards(worlds) == [pytest.approx(expected, abs=1e-12)]
 
 
 def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
     # Tick 1: both monsters notice, +2. Tick 5: the first has flown from 96.5 to 88.5, within the sword's 90,
     # and dies: the reward is set to 3 + 1 XP. Tick 6: the other comes within 40 px, +1.
-    worlds = fight(arena, "godot")
-    fly(worlds, 0, 96.5, 0.0, -2.0)
-    fly(worlds, 1, -73.5, 0.0, 2.0)
-    worlds.monsters["hp"][0, 0] = 20
+    worlds = fight(arena, "godot", (96.5, 0.0), (-73.5, 0.0))
+    flying = worlds.monsters[0, :2]
+    flying["knocked"], flying["knock_x"] = 30, (-2.0, 2.0)
     play(worlds, ATTACK)
     event = worlds.events[0, 0]
     assert (event["notices"], event["kills"], event["contacts"]) == (2, 1, 1)
@@ -118,16 +80,12 @@ def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
 @pytest.mark.parametrize(("cost", "paid"), [(0.0, 2.0), (1.0, 2.0), (2.0, 1.0)])
 def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost: float, paid: float) -> None:
     # A notice and a contact, +2, and the death by the bite: the reward is set to 3 XP less the cost.
-    worlds = fight(arena, "godot", (-40.0, 0.0), ending_cost=cost)
+    worlds = fight(arena, "godot", BITER, ending_cost=cost)
     worlds.players["hp"] = 7
     play(worlds, STAND)
     assert worlds.ending(0) == "killed"
-    assert rewards(worlds) == [paid]
-    assert worlds.players["xp"][0, 0] == 3 - cost
+    assert (rewards(worlds), worlds.players["xp"][0, 0]) == ([paid], 3 - cost)
     assert worlds.events["xp_gained"][0, 0] == -cost
-
-
-# --- What every formula leaves out ---------------------------------------------------------------
 
 
 def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
@@ -135,8 +93,7 @@ def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
     players = [(0.0, -300.0 + 150 * p) for p in range(5)]
     worlds = stage(arena, still=True, players=players, settings={"reward": names})
     worlds.players["xp"], worlds.players["hp"] = 2, 25
-    for monster in range(1, 4):
-        worlds.monsters["hp"][0, monster] = 0
+    worlds.monsters["hp"][0, 1:] = 0
     move_monster(worlds, 0, -150.0, 150.0)  # 150 px from player 3
     worlds.monster_stats["attack_squared"] = 0.0
     play(worlds, STAND)
@@ -144,7 +101,74 @@ def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
     assert rewards(worlds) == [2 - 0.25, 2 + 0.25, 0.0, pytest.approx(0.5), 1.0]
 
 
-# --- Rewards of one's own, in a process that goes on ----------------------------------------------
+# --- Functions of one's own ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the current folder, in which modules are looked for."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(folder: Path, body: str) -> str:
+    """Write a module with one reward, under a name that no other test has; return the reward's name."""
+    module = f"own_reward_{next(_NUMBERS)}"
+    lines = "\n".join("    " + line for line in body.splitlines())
+    text = f"import numpy as np\n\n\ndef pay(events, players, stats):\n{lines}\n"
+    (folder / f"{module}.py").write_text(text)
+    return f"{module}:pay"
+
+
+def test_it_is_computed_from_events_players_and_stats(folder: Path, arena: str) -> None:
+    body = (
+        "assert events.shape == players.shape == (1, 1) and stats.shape == (1,)\n"
+        'return 10 * events["hits"] - events["hp_lost"] / stats["hp"] + players["xp"]'
+    )
+    worlds = stage(arena, (80.0, 0.0), (-40.0, 0.0), still=True, settings={"reward": write(folder, body)})
+    worlds.players["xp"] = 3
+    play(worlds, ATTACK)
+    assert rewards(worlds) == [10 - 0.07 + 3]
+
+
+def test_it_cannot_change_the_world(folder: Path) -> None:
+    for body in ('players["hp"][:] = 0', 'events["kills"] += 1', 'stats["damage"] = 99'):
+        assert re.search(r"line 5: ValueError: .* is read-only", told_of(write(folder, body)))
+
+
+def told_of(reward: str) -> str:
+    """Return what is said of a reward when a world is made with it."""
+    with pytest.raises(UserError) as caught:
+        Worlds(2, make_env_config({"reward": reward}))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "line", "told"),
+    [
+        ("x = 1\nreturn events['kilss']", 6, "ValueError: no field of name kilss"),
+        ("return 1 / 0", 5, "ZeroDivisionError: division by zero"),
+        ("raise SystemError('a\\nb')", 5, "SystemError: a b"),
+        ("return np.ones(2)", 4, "returned shape (2,), where (2, 1) was asked for"),
+        ("return np.full((2, 1), np.nan)", 4, "returned a number that is not finite"),
+        ("return -events['distance']", 4, "events['distance'] is infinite where no monster lives"),
+    ],
+)
+def test_a_mistake_is_told_at_once_with_file_and_line(folder: Path, body: str, line: int, told: str) -> None:
+    name = write(folder, body)
+    message = told_of(name)
+    file = folder / f"{name.partition(':')[0]}.py"
+    assert message.startswith(f"reward '{name}': {file}, line {line}: ") and told in message
+    assert "\n" not in message
+
+
+def test_a_mistake_in_a_later_step_is_told_with_file_and_line(folder: Path, arena: str) -> None:
+    body = 'assert not events["hits"].any(), "somebody was hit"\nreturn np.zeros(events.shape)'
+    worlds = stage(arena, (54.0, 0.0), still=True, settings={"reward": (name := write(folder, body))})
+    with pytest.raises(UserError) as caught:
+        play(worlds, ATTACK)
+    file = folder / f"{name.partition(':')[0]}.py"
+    assert str(caught.value) == f"reward '{name}': {file}, line 5: AssertionError: somebody was hit"
 
 
 def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
@@ -169,8 +193,6 @@ def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path / "one")
     assert paid() == 1.5
-    first = sys.modules[name]
-    assert paid() == 1.5 and sys.modules[name] is first  # unchanged: as it was
     write("one", "300", "0.5")
     assert paid() == 300.5
     write("one", "300", "0.25")

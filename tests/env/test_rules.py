@@ -1,4 +1,7 @@
-"""The rules: moving among tiles."""
+"""The rules by hand: walking, the sword, magic, monsters, and what is told of a step.
+
+`test_bodies.py` has how far circles and swords reach; `test_oracle.py` all else, against the oracle.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,21 @@ from pneuma.env import rules
 from pneuma.env.worlds import Worlds
 
 from .arena import (
+    ATTACK,
     DOWN,
-    EAST,
+    FLAME,
+    HEAL,
     LEFT,
-    NORTH,
     RIGHT,
-    SOUTH,
+    STAND,
     UP,
-    WEST,
     Place,
+    monster_at,
+    monster_hp,
+    move_monster,
     play,
     player_at,
+    player_hp,
     stage,
 )
 
@@ -27,43 +34,138 @@ HALF_WIDTH, HALF_HEIGHT = 23.5, 24.0  # of a player's body of 47 x 48 px
 AT_X, AT_Y = -1.5, 2.0  # its centre from the player's place
 DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
 
-# --- Walking -------------------------------------------------------------------------------------
+# --- The sword -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("way", DIRECTIONS)
-def test_a_step_walks_40_px_the_way_it_says_and_turns_there(arena: str, way: int) -> None:
-    worlds = stage(arena, facing=(way + 1) % 4)
-    play(worlds, way)
-    dx, dy = DIRECTIONS[way]
-    assert player_at(worlds) == (40.0 * dx, 40.0 * dy)  # 300 px/s: 5 px a tick, 8 ticks
-    assert worlds.players["facing"][0, 0] == way
+def test_an_attack_lasts_three_steps_in_which_walking_does_nothing(arena: str) -> None:
+    worlds = stage(arena, facing=UP)
+    play(worlds, ATTACK, LEFT, DOWN)  # 0.4 s = 24 ticks = 3 steps
+    assert player_at(worlds) == (0.0, 0.0)
+    assert worlds.players["facing"][0, 0] == UP
+    play(worlds, LEFT)
+    assert player_at(worlds) == (-40.0, 0.0)
+    assert worlds.players["facing"][0, 0] == LEFT
 
 
-# --- Walls ---------------------------------------------------------------------------------------
+def test_the_sword_strikes_until_the_last_tick_of_a_swing(arena: str) -> None:
+    for tick, hp in ((24, 20), (25, 40)):
+        worlds = stage(arena, (500.0, 500.0), ticks=1, still=True)
+        play(worlds, ATTACK, *[UP] * (tick - 2))
+        move_monster(worlds, 0, 60.0, 0.0)  # comes within reach only now
+        play(worlds, RIGHT)
+        assert monster_hp(worlds) == hp, tick
 
 
-@pytest.mark.parametrize(
-    ("way", "before", "flush"),
-    [
-        (LEFT, (-545.0, 100.0), (WEST, 100.0)),
-        (RIGHT, (545.0, 100.0), (EAST, 100.0)),
-        (UP, (100.0, -545.0), (100.0, NORTH)),
-        (DOWN, (100.0, 545.0), (100.0, SOUTH)),
-        (RIGHT, (220.0, 30.0), (234.0, 30.0)),  # the obstacle's left edge at 256, less 22
-        (LEFT, (356.0, 30.0), (345.0, 30.0)),  # 320 + 25
-        (DOWN, (290.0, -41.0), (290.0, -26.0)),  # 0 - 26
-        (UP, (290.0, 101.0), (290.0, 86.0)),  # 64 + 22
-    ],
-)
-def test_coast_and_obstacles_stop_a_player_flush(arena: str, way: int, before: Place, flush: Place) -> None:
-    worlds = stage(arena, players=[before])
-    play(worlds, way)
-    assert player_at(worlds) == flush
-    play(worlds, way)  # nor does pushing on move the player
-    assert player_at(worlds) == flush
+def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
+    # The monster at (84, -26) is (30, -40) = 50 x (0.6, -0.8) from the hilt. 2 px a tick for 30 ticks:
+    # 60 x (0.6, -0.8) = (36, -48), so it lands at (120, -74).
+    worlds = stage(arena, (84.0, -26.0), ticks=1)
+    play(worlds, ATTACK)
+    assert monster_at(worlds) == pytest.approx((85.2, -27.6))
+    play(worlds, *[ATTACK] * 29)
+    assert monster_at(worlds) == pytest.approx((120.0, -74.0))
+    play(worlds, ATTACK)  # then it comes back, 2.5 px on each axis
+    assert monster_at(worlds) == pytest.approx((117.5, -71.5))
 
 
-# --- Any place, by geometry ----------------------------------------------------------------------
+# --- Magic ---------------------------------------------------------------------------------------
+# A base player has magic 4, 60 of energy and recovers 0.6 x 4 / 60 = 0.04 a tick. A flame burns 5 + 4 = 9 HP
+# and costs 20; healing gives 20 HP and costs 10; both take 24 ticks.
+
+
+def cast(level: str, *monsters: Place, facing: int = RIGHT, ticks: int = 8) -> Worlds:
+    """Set up a world with magic in which monsters neither move nor bite."""
+    worlds = stage(level, *monsters, facing=facing, ticks=ticks, still=True, settings={"magic": True})
+    worlds.monster_stats["damage"] = 0.0
+    return worlds
+
+
+@pytest.mark.parametrize("facing", DIRECTIONS)
+def test_a_flame_burns_the_320_x_64_px_ahead_and_nothing_else(arena: str, facing: int) -> None:
+    # A body is 24 x 50 px, 2 px below its place: half of it along the way faced, and half across.
+    along, across = (12.0, 25.0) if facing in (LEFT, RIGHT) else (25.0, 12.0)
+    x, y = DIRECTIONS[facing]
+    for inside, burnt in ((0.001, 31), (0.0, 40)):
+        for far, aside in (
+            (320 + along - inside, 0.0),
+            (-along + inside, 0.0),
+            (160.0, 32 + across - inside),
+            (160.0, -32 - across + inside),
+        ):
+            worlds = cast(arena, (x * far + y * aside, y * far + x * aside - 2), facing=facing)
+            play(worlds, FLAME, FLAME, FLAME)
+            assert monster_hp(worlds) == burnt, (far, aside)
+            assert worlds.monsters["knocked"][0, 0] == 0
+
+
+@pytest.mark.parametrize(("spell", "cost", "hp"), [(FLAME, 20, 85), (HEAL, 10, 100)])
+def test_a_spell_costs_energy_and_takes_24_ticks(arena: str, spell: int, cost: float, hp: float) -> None:
+    worlds = cast(arena, ticks=1)
+    worlds.players["hp"] = 85
+    play(worlds, spell)
+    assert player_hp(worlds) == hp  # healed up to full
+    assert worlds.players["energy"][0, 0] == pytest.approx(60 - cost + 0.04)
+    play(worlds, *[spell] * 23)
+    assert worlds.players["energy"][0, 0] == pytest.approx(60 - cost + 24 * 0.04)
+    play(worlds, RIGHT)
+    assert player_at(worlds) == (5.0, 0.0)
+
+
+# --- Monsters ------------------------------------------------------------------------------------
+
+
+def test_a_monster_comes_no_nearer_than_30_px_on_either_axis(arena: str) -> None:
+    # y: 100 - 28 x 2.5 = 30 after 28 ticks; x: 200 - 68 x 2.5 = 30 after 68.
+    worlds = stage(arena, (-200.0, 100.0), ticks=1, settings={"bodies": "pass"})
+    for ticks, place in ((28, (-130.0, 30.0)), (40, (-30.0, 30.0)), (10, (-30.0, 30.0))):
+        play(worlds, *[STAND] * ticks)
+        assert monster_at(worlds) == place
+
+
+def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) -> None:
+    worlds = stage(arena, (-40.0, 0.0), ticks=1)
+    hp = []
+    for _ in range(121):
+        play(worlds, STAND)
+        hp.append(player_hp(worlds))
+    assert hp == [93] * 60 + [86] * 60 + [79]
+
+
+def test_whoever_leaves_and_comes_back_is_bitten_at_once(arena: str) -> None:
+    worlds = stage(arena, (-40.0, 0.0), ticks=1, still=True)
+    hp = []
+    for x in (-40.0, -65.25, -65.0, -65.0):  # in, just out, in again, still in
+        move_monster(worlds, 0, x, 0.0)
+        play(worlds, STAND)
+        hp.append(player_hp(worlds))
+    assert hp == [93, 93, 86, 86]
+
+
+# --- A step --------------------------------------------------------------------------------------
+
+
+def told(worlds: Worlds) -> dict[str, float]:
+    """Return what was told to have happened in the last step."""
+    row = worlds.events[0, 0]
+    state_of_things = ("reward", "distance", "present")
+    return {name: float(row[name]) for name in row.dtype.names if row[name] and name not in state_of_things}
+
+
+def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
+    worlds = stage(arena, (80.0, 0.0), (40.0, 40.0), (-40.0, 0.0), (-200.0, 0.0), still=True)
+    worlds.players["hp"], worlds.monsters["hp"][0, 0] = 50, 20
+    play(worlds, ATTACK)
+    # Monster 0 dies of the sword before it senses anything. Monster 1 is struck, sees and touches, and
+    # flies before it can bite; monster 2 sees and bites, monster 3 sees: 50 + 7 - 7 = 50 HP.
+    assert told(worlds) == {
+        "hits": 2, "kills": 1, "xp_gained": 1, "hp_gained": 7, "notices": 3, "contacts": 2, "hp_lost": 7,
+    }  # fmt: skip
+    assert worlds.events["reward"][0, 0] == 1 - 0.5
+    play(worlds, ATTACK)
+    assert told(worlds) == {}
+
+
+# --- Walking, from any place, by geometry --------------------------------------------------------
 
 
 def boxes_that_block(worlds: Worlds) -> np.ndarray:

@@ -11,14 +11,9 @@ import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
-from pneuma.env.parallel import PneumaParallelEnv
-from pneuma.env.players import Hunter
-from pneuma.env.sb3 import PneumaVecEnv
-from pneuma.env.single import PneumaEnv
-from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, STATE_ARRAYS, THESIS, TOLD_ARRAYS, begin, bits, state_bits
+from .arena import GODOT, THESIS, Fighter, begin, bits, state_bits
 
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "thesis": (THESIS, {}),
@@ -46,14 +41,12 @@ def config_of(name: str) -> Any:
 
 
 def played(name: str, count: int, steps: int = 150) -> Worlds:
-    """Return worlds in the middle of their episodes: players hunt, every second one strays."""
+    """Return worlds in the middle of their episodes: players hunt, and stray."""
     env_id, settings = CONFIGS[name]
     worlds = begin(count, seed=60, env_id=env_id, **settings)
-    hunter, generator = Hunter(worlds), np.random.default_rng(1)
+    fighter = Fighter(worlds, seed=1)
     for _ in range(steps):
-        actions = hunter.act(worlds)
-        actions[::2] = generator.integers(5, size=actions[::2].shape)
-        worlds.step(actions)
+        worlds.step(fighter.act(worlds))
         worlds.reset(worlds.worlds["ending"] != 0)
     return worlds
 
@@ -72,12 +65,9 @@ def go_on(worlds: Worlds, world: int, actions: np.ndarray) -> list[bytes]:
         every = np.full(worlds.players.shape, 4, np.int64)
         every[world] = row
         worlds.step(every)
-        told += bits(*(getattr(worlds, name)[world] for name in (*STATE_ARRAYS, *TOLD_ARRAYS)))
+        told += state_bits(worlds, world)
         worlds.reset(worlds.worlds["ending"] != 0)
     return told
-
-
-# --- One world -----------------------------------------------------------------------------------
 
 
 @each_config
@@ -93,7 +83,7 @@ def test_a_world_goes_on_the_same_in_another_batch(name: str) -> None:
     assert go_on(fresh, 0, actions) == told
 
 
-def test_a_world_of_other_levels_or_characters_is_refused(pit: str) -> None:
+def test_a_world_of_other_levels_or_characters_is_refused() -> None:
     """Equal in numbers of players and monsters, and in the size of the grid."""
     worlds = begin(1)
     others = [
@@ -121,9 +111,6 @@ def test_what_is_seen_paid_and_allowed_may_differ() -> None:
     assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)
 
 
-# --- Copies of everything ------------------------------------------------------------------------
-
-
 @both_copies
 @each_config
 def test_copied_worlds_go_on_alike_and_apart(name: str, duplicate: Callable[[Worlds], Worlds]) -> None:
@@ -138,62 +125,3 @@ def test_copied_worlds_go_on_alike_and_apart(name: str, duplicate: Callable[[Wor
     assert copied.player_stats is copied._arrays.player_stats
     copied.monster_stats["damage"] = 0.0
     assert worlds.monster_stats["damage"].all()
-
-
-Play = Callable[[Any, np.ndarray], bytes]
-
-
-def play_single(env: PneumaEnv, actions: np.ndarray) -> bytes:
-    observation, reward, terminated, truncated, _ = env.step(actions[0])
-    if terminated or truncated:
-        observation, _ = env.reset()
-    return observation.tobytes() + repr((reward, terminated, truncated)).encode()
-
-
-def play_vector(env: PneumaVectorEnv, actions: np.ndarray) -> bytes:
-    return b"".join(np.asarray(part).tobytes() for part in env.step(actions)[:4])
-
-
-def play_learner(env: PneumaVecEnv, actions: np.ndarray) -> bytes:
-    *told, infos = env.step(actions)
-    return b"".join(np.asarray(part).tobytes() for part in told) + repr(infos).encode()
-
-
-def play_parallel(env: PneumaParallelEnv, actions: np.ndarray) -> bytes:
-    if not env.agents:
-        return repr(env.reset()).encode()
-    told = env.step({agent: actions[int(agent[-1])] for agent in env.agents})
-    return repr(told).encode()
-
-
-FACES: dict[str, tuple[Callable[[str], Any], Play]] = {
-    "single": (lambda level: PneumaEnv(level=level, episode_steps=30), play_single),
-    "godot": (lambda level: PneumaEnv(GODOT, level=level, episode_steps=30), play_single),
-    "vector": (lambda level: PneumaVectorEnv(3, level=level, episode_steps=30), play_vector),
-    "slots": (lambda level: PneumaVectorEnv(3, players=3, level=level, episode_steps=30), play_vector),
-    "learner": (
-        lambda level: PneumaVecEnv([1, 2, 3], make_env_config({"level": level, "episode_steps": 30})),
-        play_learner,
-    ),
-    "parallel": (lambda level: PneumaParallelEnv(players=3, level=level, episode_steps=30), play_parallel),
-}
-
-
-@both_copies
-@pytest.mark.parametrize("face", FACES)
-def test_copied_environments_go_on_alike_and_apart(
-    pit: str, face: str, duplicate: Callable[[Any], Any]
-) -> None:
-    make, play = FACES[face]
-    env = make(pit)
-    if isinstance(env, PneumaVecEnv):
-        env.reset()
-    else:
-        env.reset(seed=3)
-    generator = np.random.default_rng(0)
-    first, later = generator.integers(5, size=(25, 3)), generator.integers(5, size=(80, 3))
-    for actions in first:
-        play(env, actions)
-    copied = duplicate(env)
-    told = [play(copied, actions) for actions in later]
-    assert [play(env, actions) for actions in later] == told

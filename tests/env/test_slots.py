@@ -1,4 +1,4 @@
-"""Several players as slots: each an environment to learners, idle from its death to its world's end."""
+"""What each face alone has: idle slots, players who leave, and episodes as Stable-Baselines3 wants them."""
 
 from __future__ import annotations
 
@@ -7,76 +7,65 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
+from pneuma.env.parallel import parallel_env
+from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 
-from .arena import ATTACK, RIGHT
+from .arena import ATTACK, RIGHT, UP
+from .test_faces import MODES, N, assert_same, plan, step
 
-MODES = list(AutoresetMode)
 IDLE_MASK = [0, 0, 0, 0, 1]
 
 
-def endanger(worlds: Worlds, world: int, player: int) -> None:
-    """Put a monster beside a player with 7 HP who faces the other way."""
+def threaten(worlds: Worlds, hp: float = 7.0, world: int = 0, player: int = 0) -> None:
+    """Give a player so many HP and put a monster beside it, out of the sword's way."""
     row, monster = worlds.players[world, player], worlds.monsters[world, 0]
-    row["hp"], row["facing"] = 7, RIGHT
+    row["hp"], row["facing"] = hp, RIGHT
     monster["x"], monster["y"] = row["x"] - 40, row["y"]
 
 
-def two_worlds(mode: AutoresetMode, **settings: Any) -> PneumaVectorEnv:
-    """Return two worlds of two players each, as four slots."""
-    env = PneumaVectorEnv(4, autoreset_mode=mode, players=2, **settings)
-    env.reset(seed=0)
-    return env
-
-
-def stand(env: PneumaVectorEnv) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-    return env.step(np.full(env.num_envs, ATTACK))
-
-
-# --- Death and idleness --------------------------------------------------------------------------
+# --- Several players as slots --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mode: AutoresetMode) -> None:
-    env = two_worlds(mode, episode_steps=6)
-    endanger(env.state, 0, 1)
-    observations, rewards, terminated, truncated, infos = stand(env)
+    env = PneumaVectorEnv(4, autoreset_mode=mode, players=2, episode_steps=6)
+    env.reset(seed=0)
+    threaten(env.state, player=1)
+    stand = np.full(4, ATTACK)
+    observations, rewards, terminated, truncated, infos = env.step(stand)
     assert terminated.tolist() == [False, True, False, False] and not truncated.any()
     assert rewards.tolist() == [-1, 0, -1, -1]
     if mode == AutoresetMode.SAME_STEP:
         assert infos["_final_obs"].tolist() == [False, True, False, False]
-        assert infos["final_obs"][1][2] == 0.0
-        assert infos["final_info"]["ending"][1] == "killed"
+        assert infos["final_obs"][1][2] == 0.0 and infos["final_info"]["ending"][1] == "killed"
     else:
         assert infos["_ending"].tolist() == [False, True, False, False]
         assert observations[1, 2] == 0.0 and observations[1, 4] > 0.0  # without HP; it still sees
     for _ in range(4):  # steps 2 to 5
-        observations, rewards, terminated, truncated, infos = stand(env)
-        assert not (terminated | truncated).any()
-        assert rewards.tolist() == [-1, 0, -1, -1]
+        observations, rewards, terminated, truncated, infos = env.step(stand)
+        assert not (terminated | truncated).any() and rewards.tolist() == [-1, 0, -1, -1]
         assert (observations[1] == 0).all() and (observations[[0, 2, 3], 2] > 0).all()
         assert infos["action_mask"][1].tolist() == IDLE_MASK
         assert "ending" not in infos and "final_info" not in infos
-    observations, rewards, terminated, truncated, infos = stand(env)  # the time limit, for all who live
+    observations, rewards, terminated, truncated, infos = env.step(stand)  # the limit, for all who live
     assert not terminated.any() and truncated.tolist() == [True, False, True, True]
-    assert rewards.tolist() == [-1, 0, -1, -1]
     if mode == AutoresetMode.DISABLED:
         env.reset(options={"reset_mask": truncated})
     elif mode == AutoresetMode.NEXT_STEP:
-        observations, rewards, terminated, truncated, _ = stand(env)  # which resets and does nothing else
+        _, rewards, terminated, truncated, _ = env.step(stand)  # which resets and does nothing else
         assert rewards.tolist() == [0] * 4 and not (terminated | truncated).any()
     assert (env.state.players["hp"] == 100).all() and (env.state.worlds["steps"] == 0).all()
-    observations, rewards, *_ = stand(env)
-    assert rewards.tolist() == [-1] * 4 and (observations[:, 2] == 1).all()
 
 
 def test_every_death_ends_a_slot_exactly_once(pit: str) -> None:
     """Law: a slot's endings are as many as its player's deaths and its world's ends while it lived."""
-    env = PneumaVectorEnv(
-        12, autoreset_mode=AutoresetMode.SAME_STEP, players=3, level=pit, episode_steps=40, reward="pygame"
-    )
+    mode = AutoresetMode.SAME_STEP
+    env = PneumaVectorEnv(12, autoreset_mode=mode, players=3, level=pit, episode_steps=40, reward="pygame")
     env.reset(seed=0)
     generator = np.random.default_rng(0)
     idle = np.zeros(12, np.bool_)
@@ -94,3 +83,128 @@ def test_every_death_ends_a_slot_exactly_once(pit: str) -> None:
         assert np.array_equal(idle, (env.state.players["hp"] <= 0).ravel())
         deaths += int(terminated.sum())
     assert deaths > 50
+
+
+# --- PettingZoo's face ---------------------------------------------------------------------------
+
+
+def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
+    env = parallel_env(players=2, classes=["tank", "mage"], reward=["thesis", "pygame"], scale="raw")
+    observations, _ = env.reset(seed=0)
+    assert [float(observations[agent][2]) for agent in env.agents] == [150, 70]
+    highest = [float(env.observation_space(agent).high[2]) for agent in env.agents]
+    assert highest == [150 + 14 * 7, 70 + 14 * 7]  # each kill heals 7 HP, past full ones
+    assert not np.array_equal(observations["player_0"][:2], observations["player_1"][:2])
+    _, rewards, *_ = step(env, np.full(2, ATTACK))
+    assert rewards == {"player_0": -1.0, "player_1": 1.0}
+    with pytest.raises(ValueError, match="action None of player_1"):
+        env.step({"player_0": np.int64(ATTACK)})
+
+
+def test_players_leave_one_after_another(arena: str) -> None:
+    """The first is bitten to death at once, the second when the monster arrives, in tick 64."""
+    env = parallel_env(players=3, level=arena)
+    env.reset(seed=0)
+    players = env.worlds.players[0]
+    players["x"], players["y"], players["hp"] = (-300, -80, 400), (-60, 0, -300), (7, 7, 100)
+    players["facing"] = UP
+    env.worlds.monsters["x"][0, 0], env.worlds.monsters["y"][0, 0] = -300.0, 0.0
+    stand = np.full(3, ATTACK)
+    observations, rewards, terminations, truncations, infos = step(env, stand)
+    assert terminations == {"player_0": True, "player_1": False, "player_2": False}
+    assert not any(truncations.values())
+    assert rewards == {"player_0": 0.0, "player_1": -0.07, "player_2": -1.0}
+    del infos["player_0"]["action_mask"]
+    assert infos["player_0"] == {"ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0}
+    assert set(infos["player_1"]) == set(infos["player_2"]) == {"action_mask"}
+    assert observations["player_0"][2] == 0.0 and observations["player_0"][4] > 0.0  # HP; still sees
+    steps = 0
+    while "player_1" in env.agents:
+        told = step(env, stand)
+        assert all(set(part) == {"player_1", "player_2"} for part in told)
+        steps += 1
+    assert steps == 7 and env.agents == ["player_2"]
+
+
+# --- Stable-Baselines3's face --------------------------------------------------------------------
+
+
+def pit_actions(generator: np.random.Generator) -> np.ndarray:
+    """Return actions under which about every second player stays in the pit and dies."""
+    actions = generator.integers(5, size=N)
+    return actions if generator.random() < 0.5 else np.full(N, ATTACK)
+
+
+def test_it_steps_as_a_dummy_vec_env_of_single_environments(pit: str) -> None:
+    settings: dict[str, Any] = {"level": pit, "episode_steps": 20}
+    ours, theirs = PneumaVecEnv(N, seed=3, **settings), DummyVecEnv([lambda: PneumaEnv(**settings)] * N)
+    theirs.seed(3)
+    generator = np.random.default_rng(1)
+    assert ours.reset().tobytes() == np.asarray(theirs.reset()).tobytes()
+    truncated = []
+    for _ in range(300):
+        actions = pit_actions(generator)
+        *told, infos = ours.step(actions)
+        *expected, their_infos = theirs.step(actions)
+        for our, their in zip(told, expected, strict=True):
+            assert_same(our, their)
+        for done, info, their_info in zip(told[2], infos, their_infos, strict=True):
+            if not done:
+                assert info == {}
+                continue
+            assert np.array_equal(info["terminal_observation"], their_info["terminal_observation"])
+            for key in ("TimeLimit.truncated", "ending", "kills", "xp", "hp"):
+                assert info[key] == their_info[key], key
+            truncated.append(info["TimeLimit.truncated"])
+    assert 10 < sum(truncated) < len(truncated) - 10
+
+
+def test_the_episodes_it_notes_are_those_of_vec_monitor(pit: str) -> None:
+    env = PneumaVecEnv(N, seed=0, level=pit, episode_steps=20)
+    env.keep_finished = True
+    monitor = VecMonitor(env)
+    monitor.reset()
+    generator = np.random.default_rng(2)
+    theirs = []
+    for number in range(1, 201):
+        *_, infos = monitor.step(pit_actions(generator))
+        ended = [(slot, info["episode"]) for slot, info in enumerate(infos) if "episode" in info]
+        theirs += [(slot, N * number, episode["l"], episode["r"]) for slot, episode in ended]
+    ours = [(e["slot"], e["step"], e["length"], e["return"]) for e in env.finished]
+    assert len(ours) > 20
+    for our, their in zip(ours, theirs, strict=True):
+        assert our == pytest.approx(their, abs=1e-3)  # VecMonitor adds in float32
+
+
+def test_finished_lists_every_episode_with_what_the_exported_table_needs() -> None:
+    env = PneumaVecEnv([0, 1], episode_steps=3)
+    env.keep_finished = True
+    env.reset()
+    for number in range(6):
+        if number == 2:
+            threaten(env.state, world=1)
+        env.step(np.array([ATTACK, ATTACK]))
+    limit = {"ending": "time-limit", "kills": 0, "xp": 0.0, "hp": 100.0}
+    # Steps count over both worlds. Each episode is 3 steps at -1; the last of world 1's first is at 0.
+    assert env.finished == [
+        {"slot": 0, "episode": 0, "step": 6, "return": -3.0, "length": 3, **limit},
+        {"slot": 1, "episode": 0, "step": 6, "return": -2.0, "length": 3,
+         "ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0},
+        {"slot": 0, "episode": 1, "step": 12, "return": -3.0, "length": 3, **limit},
+        {"slot": 1, "episode": 1, "step": 12, "return": -3.0, "length": 3, **limit},
+    ]  # fmt: skip
+
+
+def test_a_learners_episode_counts_from_its_beginning(pit: str) -> None:
+    env = PneumaVecEnv(2, seed=1, level=pit, episode_steps=30)
+    env.reset()
+    for actions in plan(0, 6, 2):
+        env.step(actions)
+    env.restore(0, env.save(1))
+    endings = 0
+    for actions in plan(1, 100, 1):
+        observations, _, dones, infos = env.step(np.repeat(actions, 2))
+        assert np.array_equal(observations[0], observations[1])  # type: ignore[index]
+        assert infos[0].get("episode") == infos[1].get("episode")
+        endings += int(dones[0])
+    assert endings > 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -19,18 +19,15 @@ from pneuma.env.render import Renderer
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.watch import Window
-from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
-
-KEYED = Sequence[tuple[set[str], int]]
 
 
 class Keyboard:
     """Stands in for a window: somebody holds keys for so many frames each, then closes it."""
 
-    held: KEYED = ()
+    held: ClassVar[Sequence[tuple[set[str], int]]] = ()
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
         self.closed = False
@@ -55,9 +52,6 @@ def expected(level: str, seed: int, *actions: int) -> np.ndarray:
     return Renderer(worlds, "map").frame()
 
 
-# --- Frames of the faces -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [*ENVIRONMENTS, *MO_ENVIRONMENTS])
 def test_gymnasium_gets_frames_of_every_environment(name: str, arena: str) -> None:
     env = gymnasium.make(name, render_mode="rgb_array", level=arena, camera="follow")
@@ -71,18 +65,6 @@ def test_gymnasium_gets_frames_of_every_environment(name: str, arena: str) -> No
     env.close()
 
 
-def test_drawing_changes_nothing_in_the_world(arena: str) -> None:
-    drawn, plain = PneumaEnv(level=arena, render_mode="rgb_array"), PneumaEnv(level=arena)
-    drawn.reset(seed=1)
-    plain.reset(seed=1)
-    for action in [RIGHT, ATTACK, RIGHT] * 10:
-        drawn.render()
-        seen, reward, *_ = drawn.step(np.int64(action))
-        other, same, *_ = plain.step(np.int64(action))
-        assert np.array_equal(seen, other) and reward == same
-    assert plain.render() is None
-
-
 def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena: str) -> None:
     env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array", camera="follow")
     env.reset(seed=0)
@@ -90,9 +72,6 @@ def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena:
     painter = Renderer(env.state, "follow")
     for slot, frame in enumerate(env.render()):
         assert np.array_equal(frame, painter.frame(slot // 2, slot % 2))
-
-
-# --- The window ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -138,9 +117,6 @@ def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPa
         Window((64, 64), "none")
 
 
-# --- Episodes ------------------------------------------------------------------------------------
-
-
 def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None:
     watched, played = (begin(1, seed=3, episode_steps=60) for _ in range(2))
     frames = sum(1 for _ in watch.episode_frames(watched, Hunter(watched).act, Renderer(watched)))
@@ -154,32 +130,13 @@ def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None
     assert watched.ending(0) == played.ending(0) == "time-limit"
 
 
-def test_an_episode_that_goes_on_is_shown_for_two_seconds_after_the_last_kill(arena: str) -> None:
+def test_keys_walk_and_attack_and_the_world_waits_without(
+    monkeypatch: pytest.MonkeyPatch, arena: str
+) -> None:
+    held = [({"right"}, 3), (set(), 20), ({"up"}, 2), ({"left", "attack"}, 1), ({"leave"}, 1)]
+    monkeypatch.setattr(Keyboard, "held", held)
+    monkeypatch.setattr(watch, "Window", Keyboard)
     worlds = begin(1, level=arena)
-    worlds.monsters["hp"] = 0.0
-    worlds.worlds["monsters_left"] = 0
-    frames = sum(1 for _ in watch.episode_frames(worlds, Hunter(worlds).act, Renderer(worlds)))
-    assert frames == 1 + 2 * 30 and worlds.ending(0) == "running"
-    assert watch.agent_steps(worlds) == 15
-
-
-# --- Playing -------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def play(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[tuple[int, int]]]:
-    """Let somebody hold keys in a world, each for so many frames."""
-
-    def held(worlds: Worlds, *keys: tuple[set[str], int]) -> list[tuple[int, int]]:
-        monkeypatch.setattr(Keyboard, "held", keys)
-        monkeypatch.setattr(watch, "Window", Keyboard)
-        return watch.play(worlds, "test")
-
-    return held
-
-
-def test_keys_walk_and_attack_and_the_world_waits_without(play: Callable[..., Any], arena: str) -> None:
-    worlds = begin(1, level=arena)
-    play(worlds, ({"right"}, 3), (set(), 20), ({"up"}, 2), ({"left", "attack"}, 1), ({"leave"}, 1))
+    watch.play(worlds, "test")
     assert player_at(worlds) == (30.0, -20.0)  # 10 px a frame of 2 ticks
     assert worlds.players["busy"][0, 0] == 22 and worlds.worlds["steps"][0] == 6

@@ -8,55 +8,23 @@ import numpy as np
 import pytest
 
 from pneuma.config import EnvConfig, make_env_config
-from pneuma.env.players import Hunter
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.errors import UserError
 
-from .arena import (
-    ATTACK,
-    RIGHT,
-    STATE_ARRAYS,
-    TOLD_ARRAYS,
-    UP,
-    begin,
-    bits,
-    play,
-    player_hp,
-    stage,
-)
-
-
-class Mixed:
-    """Lets the hunter play every second world and plays the others at random, in long strides."""
-
-    def __init__(self, worlds: Worlds, seed: int) -> None:
-        self.hunter = Hunter(worlds)
-        self.generator = np.random.default_rng(seed)
-        self.stride = np.zeros(worlds.players.shape, np.int64)
-
-    def act(self, worlds: Worlds) -> np.ndarray:
-        anew = self.generator.random(self.stride.shape) < 0.2
-        self.stride = np.where(anew, self.generator.integers(5, size=self.stride.shape), self.stride)
-        actions = self.hunter.act(worlds)
-        actions[::2] = self.stride[::2]
-        return actions
-
-
-# --- Laws ----------------------------------------------------------------------------------------
+from .arena import RIGHT, STATE_ARRAYS, Fighter, begin, bits, play, state_bits
 
 
 def test_every_world_is_alone_as_in_company() -> None:
     company = begin(6, seed=40)
     alone = [begin(1, seed=40 + i) for i in range(6)]
-    mixed = Mixed(company, seed=3)
+    fighter = Fighter(company, seed=3)
     for _ in range(400):
-        actions = mixed.act(company)
+        actions = fighter.act(company)
         company.step(actions)
         over = company.worlds["ending"] != 0
         for i, world in enumerate(alone):
             world.step(actions[i : i + 1])
-            for name in (*STATE_ARRAYS, *TOLD_ARRAYS):
-                assert bits(getattr(world, name)) == bits(getattr(company, name)[i : i + 1]), name
+            assert state_bits(world) == state_bits(company, slice(i, i + 1))
             world.reset(over[i : i + 1])
         company.reset(over)
 
@@ -64,15 +32,11 @@ def test_every_world_is_alone_as_in_company() -> None:
 def test_what_a_mask_leaves_out_is_not_reset() -> None:
     worlds = begin(6)
     play(worlds, RIGHT, RIGHT)
-    before = {name: getattr(worlds, name).copy() for name in STATE_ARRAYS}
     mask = np.array([True, False, False, True, False, True])
+    before = bits(*(getattr(worlds, name)[~mask] for name in STATE_ARRAYS))
     worlds.reset(mask)
-    for name in STATE_ARRAYS:
-        assert bits(getattr(worlds, name)[~mask]) == bits(before[name][~mask])
+    assert bits(*(getattr(worlds, name)[~mask] for name in STATE_ARRAYS)) == before
     assert worlds.worlds["steps"].tolist() == [0, 2, 2, 0, 2, 0]
-
-
-# --- Start places --------------------------------------------------------------------------------
 
 
 def test_starts_are_drawn_uniformly_in_one_world_after_another() -> None:
@@ -89,31 +53,6 @@ def test_a_chosen_start_is_taken_and_draws_no_number() -> None:
     assert worlds.players["x"][:, 0].tolist() == [-47, -918, -517, -239, 389, 204]
     assert worlds.players["y"][:, 0].tolist() == [201, -35, 897, -798, 348, -105]
     assert (worlds.worlds["draws"] == 0).all()
-
-
-# --- Several players -----------------------------------------------------------------------------
-
-
-def test_one_players_death_does_not_end_the_world_and_the_others_does(arena: str) -> None:
-    worlds = stage(arena, (-300.0, 0.0), players=[(-300.0, -60.0), (-80.0, 0.0)], facing=UP)
-    worlds.players["hp"][0] = [7, 7]
-    play(worlds, ATTACK)  # the first is 60 + 5 - 26 = 39 px off: bitten at once
-    assert worlds.ending(0) == "running"
-    assert (player_hp(worlds, 0), player_hp(worlds, 1)) == (0, 7)
-    assert worlds.worlds["players_left"][0] == 1
-    steps = 0
-    while worlds.ending(0) == "running":
-        play(worlds, ATTACK)
-        steps += 1
-    # The monster went for the first in tick 1, upwards only. From tick 2 on it goes for the second, whose
-    # body begins at x = -105, and bites from 40 px: after (300 - 145) / 2.5 = 62 ticks, so in tick 64, the
-    # last of the 8th step, the 7th of this loop.
-    assert steps == 7
-    assert worlds.ending(0) == "killed"
-    assert worlds.events["reward"][0].tolist() == [0, 0]
-
-
-# --- What is written by hand ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,274 @@
+"""Levels: the shipped one, folders of tables, maps of Tiled's, and what is said of bad ones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneuma.config import make_env_config
+from pneuma.env import rules
+from pneuma.env.level import Level, load_level, room_for_bodies
+from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
+
+from .arena import Place, begin, layer, write_level
+
+CODES = {390: "bamboo", 391: "spirit"}
+SOLID, COAST = rules.SOLID, rules.COAST
+
+# Places by facts.md, section 1.
+STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
+MONSTERS = [
+    (-538, -531), (-724, -311), (-566, 124), (-1211, 187), (-1233, -351), (-922, -786), (-741, 577),
+    (-164, 554), (758, 192), (763, -713), (-158, -96), (967, -238), (294, -594), (560, -141),
+]  # fmt: skip
+
+
+def load(path: Path) -> Level:
+    return load_level(str(path), CODES)
+
+
+def complaint(**settings: Any) -> str:
+    """Return what is said of a world that cannot be made."""
+    with pytest.raises(UserError) as caught:
+        Worlds(1, make_env_config(settings))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_the_shipped_level_has_the_published_places() -> None:
+    thesis = load_level("thesis", CODES)
+    assert thesis.starts.tolist() == [list(place) for place in STARTS]
+    assert list(thesis.monsters) == [("bamboo", *place) for place in MONSTERS]
+
+
+def test_an_unknown_level_is_answered_with_the_nearest_name() -> None:
+    with pytest.raises(UserError, match=re.escape("unknown level 'thesiss' (did you mean thesis?)")):
+        load_level("thesiss", CODES)
+
+
+# --- Folders -------------------------------------------------------------------------------------
+
+# 4 x 3 tiles of 64 px around the origin: x from -128 to 128, y from -96 to 96.
+GROUND = np.array([[1, 1, 1, 1], [1, 2, 2, 1], [0, 0, 1, 1]])
+ISLE = {
+    "ground.csv": layer(GROUND),
+    "obstacles.csv": layer(np.full((3, 4), -1)),
+    "objects.csv": "code,x,y\n400,-96,-64\n390,96,64\n",
+}
+
+
+def write_folder(folder: Path, **files: str) -> Path:
+    """Write the isle with other files; `level` stands for level.toml, the others for tables."""
+    folder.mkdir(exist_ok=True)
+    named = {f"{name}.{'toml' if name == 'level' else 'csv'}": text for name, text in files.items()}
+    for name, text in {**ISLE, **named}.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+def test_a_folder_needs_no_header(tmp_path: Path) -> None:
+    level = load(write_folder(tmp_path / "Isle"))
+    assert (level.title, level.tile, level.left, level.top) == ("Isle", 64.0, -128.0, -96.0)
+    assert level.starts.tolist() == [[-96.0, -64.0]] and level.monsters == (("bamboo", 96.0, 64.0),)
+    assert np.array_equal(level.ground, GROUND)
+    assert np.array_equal(level.terrain == COAST, GROUND == 0)
+
+
+def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacles_blocks(
+    tmp_path: Path,
+) -> None:
+    header = 'title = "Other"\ncoast = [0, 2]\norigin = [1, 0.5]\ntile = 80\n'
+    objects = "code,x,y\n400,-40,0\n391,200,0\n"
+    folder = write_folder(
+        tmp_path, level=header, objects=objects, obstacles="-1,-1,-1,-1\n-1,-1,-1,-1\n7,-1,-1,0\n"
+    )
+    (folder / "ground.csv").write_text("1,1,1,1\n1,1,1,1\n0,2,1,1\n")
+    level = load(folder)
+    assert (level.title, level.left, level.top) == ("Other", -80.0, -40.0)
+    assert level.terrain[2].tolist() == [COAST, COAST, rules.OPEN, SOLID]
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ({"ground": "1,1,1,1\n1,x,1,1\n1,1,1,1\n"}, "ground.csv, row 2, column 2: 'x' is not a tile code"),
+        ({"obstacles": "-1,-1\n-1\n"}, "obstacles.csv, row 2: 1 tiles, where row 1 has 2"),
+        ({"obstacles": "-1\n" * 1001}, "obstacles.csv: a layer has 1 to 1000 tiles a side"),
+        ({"obstacles": "-1,-1\n"}, ": ground of (3, 4) tiles, and obstacles of (1, 2)"),
+        ({"objects": "400,0,0\n"}, "objects.csv: the first line must be code,x,y"),
+        ({"objects": "code,x,y\n400,0\n"}, "objects.csv, row 2: expected numbers in the columns code,x,y"),
+        ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv, row 2: unknown code 399; known are 400, 390"),
+        ({"objects": "code,x,y\n390,0,0\n"}, ": no start place"),
+        ({"objects": "code,x,y\n" + "400,0,0\n" * 300_000}, ": more than 1000 start places and monsters"),
+        ({"level": "tile = 4\n"}, "level.toml, line 1: tile = 4 is not allowed"),
+        ({"level": "coats = [0]\n"}, "level.toml, line 1: unknown key 'coats' (did you mean coast?)"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_told_with_file_and_row(tmp_path: Path, files: dict[str, str], told: str) -> None:
+    folder = write_folder(tmp_path, **files)
+    assert complaint(level=str(folder)).startswith(f"{folder}{'' if told.startswith(':') else '/'}{told}")
+
+
+# --- Maps of Tiled's -----------------------------------------------------------------------------
+
+TILED = """<?xml version="1.0" encoding="UTF-8"?>
+<map version="1.10" orientation="orthogonal" width="4" height="3" tilewidth="64" tileheight="64" infinite="0">
+<properties><property name="title" value="Far &amp; away"/></properties>
+<tileset firstgid="1001" source="things.tsx"/>
+<tileset firstgid="1" name="ground"><tile id="2"><objectgroup><object id="1" x="0" y="0"/></objectgroup></tile></tileset>
+<layer id="1" name="Ground" width="4" height="3"><data encoding="csv">
+2,2,2,2,
+2,3,3,2,
+1,1,2,2
+</data></layer>
+<group name="g"><layer id="2" name="obstacles" width="4" height="3"><data encoding="csv">
+0,0,0,0,
+0,0,1396,3221225474,
+0,0,0,0
+</data></layer>
+<objectgroup id="9" name="who"><object id="5" name="start" x="32" y="32"/>
+<object id="6" type="Bamboo" x="160" y="30" width="24" height="60"/></objectgroup></group>
+</map>
+"""  # noqa: E501
+
+
+def write_map(folder: Path, *changes: tuple[str, str]) -> Path:
+    text = TILED
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "isle.tmx"
+    path.write_text(text)
+    return path
+
+
+def test_a_map_is_read_with_each_tilesets_own_codes(tmp_path: Path) -> None:
+    level = load(write_map(tmp_path))
+    assert (level.title, level.tile, level.left, level.top) == ("Far & away", 64.0, -128.0, -96.0)
+    assert np.array_equal(level.ground, GROUND)
+    assert np.argwhere(level.terrain == SOLID).tolist() == [[1, 2], [1, 3]]  # the second one flipped
+    assert np.argwhere(level.terrain == COAST).tolist() == [[2, 0], [2, 1]]
+    assert level.starts.tolist() == [[-96.0, -64.0]] and level.monsters == (("bamboo", 44.0, -36.0),)
+
+
+def test_a_maps_objects_may_be_tiles_and_its_coast_other_codes(tmp_path: Path) -> None:
+    changes = [
+        ("</properties>", '<property name="coast" value="0, 2"/></properties>'),
+        ('name="start" x="32" y="32"', 'class="START" gid="7" x="0" y="64" width="64" height="64"'),
+    ]
+    level = load(write_map(tmp_path, *changes))
+    assert level.starts.tolist() == [[-96.0, -64.0]]  # placed by its lower left corner
+    assert (level.terrain == COAST).sum() == 4  # and what stands there is under water
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("</map>", "", ": not XML: "),
+        ('infinite="0"', 'infinite="1"', ": not a finite orthogonal map of Tiled's"),
+        ('"orthogonal"', '"isometric"', ": not a finite orthogonal map of Tiled's"),
+        ('tileheight="64"', 'tileheight="32"', ": tiles must be square"),
+        ('tilewidth="64"', 'tilewidth="x"', ": tilewidth = 'x' is not allowed: a number"),
+        ('name="obstacles"', 'name="Trees"', ": no layer of tiles named obstacles"),
+        ('encoding="csv"', 'encoding="base64"', ": not stored as CSV; set Tile Layer Format to CSV"),
+        ('firstgid="1"', 'firstgid="2"', ": its tiles belong to no tileset"),
+        ('id="9"', 'id="9" offsetx="8"', ", objectgroup 'who': shifted or turned against the tiles"),
+        ('name="start"', 'name="tree"', ", object 'tree': neither a start nor a monster"),
+        ('x="32"', 'x="nan"', ", object 'start': x = 'nan' is not allowed"),
+        ("Far &amp; away", '"/><property name="coast" value="sea', ": coast = "),
+    ],
+)  # fmt: skip
+def test_maps_that_cannot_be_read_are_told_why(tmp_path: Path, old: str, new: str, told: str) -> None:
+    path = write_map(tmp_path, (old, new))
+    message = complaint(level=str(path))
+    assert message.startswith(str(path)) and told in message
+
+
+# --- Room for bodies -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("margin", [0.5, 29.0, 40.0, 70.0, 100.0])
+@pytest.mark.parametrize("coast", [True, False])
+def test_there_is_room_where_no_closed_tile_comes_nearer_than_the_margin(
+    tmp_path: Path, coast: bool, margin: float
+) -> None:
+    """Compare with every tile against every half tile, and the tiles beyond the grid closed."""
+    level = load_level("thesis", CODES)
+    if not coast:  # land up to the edge of the grid
+        folder = Path(write_level(tmp_path, [(0.0, 0.0)], [(200.0, 200.0)]))
+        (folder / "ground.csv").write_text(layer(np.ones((20, 20), np.int64)))
+        level = load(folder)
+    rows, columns = level.terrain.shape
+    closed = np.pad(level.terrain != rules.OPEN, 3, constant_values=True)
+    closed_row, closed_column = np.nonzero(closed)
+    top, left = (closed_row - 3) * 64.0, (closed_column - 3) * 64.0
+    cell_top, cell_left = np.arange(2 * rows) * 32.0, np.arange(2 * columns) * 32.0
+    near_y = (top < cell_top[:, None] + 32 + margin) & (top + 64 > cell_top[:, None] - margin)
+    near_x = (left < cell_left[:, None] + 32 + margin) & (left + 64 > cell_left[:, None] - margin)
+    meets = near_y.astype(np.int32) @ near_x.T.astype(np.int32)  # (2 rows, 2 columns)
+    assert np.array_equal(room_for_bodies(level, margin), (meets == 0).astype(np.uint8))
+    assert (meets == 0).any() and (meets > 0).any()
+
+
+# --- Where bodies begin, and walk ----------------------------------------------------------------
+
+ORIGIN = (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("starts", "monsters", "obstacles", "told", "allowed"),
+    [
+        # 8 px inside two obstacles, from x = 64 and from y = 64: no step would ever get it out.
+        ([(300.0, 300.0), (48.5, 48.0)], [(-200.0, -200.0)], [(11, 10), (10, 11)],
+         "start place 1 at (48.5, 48) has a body of 47 x 48 px, which overlaps the tile in row 11, column 12",
+         {"trees": "pass"}),
+        ([(560.0, 0.0)], [(-200.0, -200.0)], [], "the tile in row 10, column 20", {"coast": "deadly"}),
+        ([(200.0, 200.0)], [(-380.0, 32.0)], [(3, 10)], "(bamboo) at (-380, 32) has a body of 24 x 50",
+         {"terrain_stops": "players"}),
+        ([ORIGIN], [(200.0, 0.0), (33.0, 0.0)], [], "(bamboo) at (33, 0) begins inside start place 0",
+         {"bodies": "pass"}),
+        ([ORIGIN], [(200.0, 0.0), (223.0, 49.0)], [], "(bamboo) at (200, 0) begins inside monster 1",
+         {"bodies": "pass"}),
+        ([ORIGIN, (46.0, 47.0)], [(200.0, 0.0)], [], "start place 0 at (0, 0) begins inside start place 1",
+         {"bodies": "pass"}),
+    ],
+)  # fmt: skip
+def test_bodies_that_begin_in_what_stops_them_are_refused(
+    tmp_path: Path, starts: list[Place], monsters: list[Place], obstacles: list[tuple[int, int]], told: str,
+    allowed: dict[str, Any],
+) -> None:  # fmt: skip
+    """A pixel less and they touch: 34 px to the right of a player, 24 x 50 px for two bamboos, 47 x 48."""
+    settings: dict[str, Any] = {"level": write_level(tmp_path / "in", starts, monsters, obstacles)}
+    settings["players"] = len(starts)
+    assert told in complaint(**settings)
+    begin(1, **settings, **allowed)
+    if "bodies" in allowed:
+        last = starts if len(starts) > 1 else monsters
+        last[-1] = (last[-1][0] + 1, last[-1][1])
+        begin(1, **{**settings, "level": write_level(tmp_path / "apart", starts, monsters)})
+
+
+@pytest.mark.parametrize(("tile", "door"), [(64, 1), (48, 1), (47, 2), (32, 2), (24, 2), (23, 3)])
+def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door: int) -> None:
+    """Two rooms of 6 x 12 tiles, a start and a monster, and a door so many tiles high between."""
+    made: Callable[[int], Path] = lambda gap: write_hall(tmp_path / f"hall{gap}", tile, gap)  # noqa: E731
+    assert begin(1, level=str(made(door))).level.monsters
+    assert "the bamboo at " in (told := complaint(level=str(made(door - 1))))
+    assert told.endswith("is walled in or off the land, for a body of 47 x 48 px")
+
+
+def write_hall(folder: Path, tile: int, door: int) -> Path:
+    blocks = np.full((14, 15), -1)
+    blocks[[0, -1]] = blocks[:, [0, 7, -1]] = 395
+    blocks[4 : 4 + door, 7] = -1
+    objects = f"code,x,y\n400,{2.5 * tile},{4.5 * tile}\n390,{12.5 * tile},{9.5 * tile}\n"
+    header = f"tile = {tile}\norigin = [0, 0]\n"
+    write_folder(folder, obstacles=layer(blocks), objects=objects, level=header)
+    (folder / "ground.csv").unlink()
+    return folder
