@@ -25,10 +25,9 @@ study: install  ## Run the activation study (thesis Fig. 6.5) in the arena at it
 	$(BIN)/pneuma study plot activation --world arena --results "$(RESULTS)"
 
 figures: RESULTS = results
-figures: install  ## Draw everything in paper_figures/, and write the verdicts into README.md and docs/findings.md
+figures: install  ## Draw everything in paper_figures/, the verdicts among it
 	$(call takes_results_alone)
 	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)" --beside published-logs=author-logs
-	$(BIN)/python -m pneuma.figures.findings README.md docs/findings.md --results "$(RESULTS)" --picture paper_figures
 
 # --- The reproduction ---------------------------------------------------------------------------
 #

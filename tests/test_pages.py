@@ -67,6 +67,13 @@ def test_a_mistake_in_a_page_is_seen(line: str, told: str) -> None:
     assert _mistake(line) == told
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_what_a_page_links_to_is_there(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    near = [link for link in links if "://" not in link]
+    assert [link for link in near if not (page.parent / link).exists()] == []
+
+
 def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"Save this as `horizon.toml`:\n\n((?: {4}.*\n)+)", text)

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, doctor, env, import_, report, runs, search, study
-from pneuma.cli.plain_text import plain
-from pneuma.errors import UserError
+from pneuma.cli import bench, env, misc, runs, search, study
+from pneuma.errors import UserError, plain
 
 app = typer.Typer(
     name="pneuma",
@@ -31,13 +30,13 @@ app.add_typer(runs.app, name="run")
 app.add_typer(search.app, name="search")
 app.add_typer(env.app, name="env")
 app.add_typer(bench.app, name="bench")
-app.add_typer(import_.app, name="import")
-app.command("report", short_help="Write all evidence as one HTML page.")(report.report)
-app.command("doctor", short_help="Say what is installed here, and whether it works.")(doctor.doctor)
+app.command("report", short_help="Write all evidence as one HTML page.")(misc.report)
+app.command("doctor", short_help="Say what is installed here, and whether it works.")(misc.doctor)
 
-
-RENAMED = {"--setting": "--world"}
-"""Options of earlier versions, and what they are called now."""
+logs = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
+logs.callback()(lambda: None)  # keeps the command's name, though it is alone
+logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")(misc.tensorboard)
+app.add_typer(logs, name="import")
 
 
 def _print_version(wanted: bool) -> None:
@@ -62,10 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         return _refuse(str(error))
     except typer.TyperException as error:
-        option = str(getattr(error, "option_name", ""))
-        return _refuse(
-            f"{option} is called {RENAMED[option]} now" if option in RENAMED else error.format_message()
-        )
+        return _refuse(error.format_message())
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
         return 130

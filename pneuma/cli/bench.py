@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, print_json, read_count, say
+from pneuma.cli import options as opt
+from pneuma.cli.output import print_json, say
 
 app = typer.Typer(
     help="Measure speed on this machine, and calibrate the statistics.",
@@ -16,7 +17,7 @@ app = typer.Typer(
 
 
 @app.command(short_help="Measure the environment in agent steps a second.")
-def env(json: Json = False) -> None:
+def env(json: opt.Json = False) -> None:
     """Measure the environment's faces in agent steps a second, and starting, on one core."""
     from pneuma.bench.env import bench_env
 
@@ -35,7 +36,7 @@ def env(json: Json = False) -> None:
 
 
 @app.command(short_help="Compare the engines in steps a second.")
-def engines(json: Json = False) -> None:
+def engines(json: opt.Json = False) -> None:
     """Compare the engines in steps a second on one core; takes about two minutes."""
     from pneuma.bench.engines import WORKERS, bench_engines
 
@@ -54,16 +55,15 @@ def engines(json: Json = False) -> None:
 @app.command(short_help="Simulate lists of claims whose truth is known.")
 def calibration(
     lists: Annotated[
-        str,
-        typer.Option("--lists", metavar="N", help="How many lists of claims to simulate in each setting."),
+        str, opt.option("--lists", "N", "How many lists of claims to simulate in each setting.")
     ] = "2000",
-    json: Json = False,
+    json: opt.Json = False,
 ) -> None:
     """Simulate lists of claims whose truth is known; say how often a verdict or an interval is wrong."""
     from pneuma.bench.calibration import bench_calibration
 
     tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
-    for table, row in bench_calibration(read_count("--lists", lists)):
+    for table, row in bench_calibration(opt.read_count("--lists", lists)):
         tables[table].append(row)
         say(_told(table, row), aside=json)
     return print_json({"schema": 1, **tables}) if json else None

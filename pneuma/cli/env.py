@@ -9,14 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, Results, print_json, read_path, read_settings_options, say
+from pneuma.cli import options as opt
+from pneuma.cli.output import print_json, print_table, say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
 
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
-RESULTS = Path("results")
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
     "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
@@ -28,15 +28,12 @@ ABOUT = {
 EnvName = Annotated[str, typer.Argument(metavar="ID", help="An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
 EnvSettings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set one of the environment's arguments (may be repeated)."
-    ),
+    opt.Several, opt.option("--set", "KEY=VALUE", "Set one of the environment's arguments (may be repeated).")
 ]
 
 
 @app.command("list")
-def list_(json: Json = False) -> None:
+def list_(json: opt.Json = False) -> None:
     """List the environments and what they are."""
     import gymnasium
 
@@ -49,22 +46,25 @@ def list_(json: Json = False) -> None:
         with closing(gymnasium.make(name).unwrapped) as env:
             seen = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
-        rows.append({"id": name, "about": about, "observation": seen, "actions": actions})
+        rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
     if json:
         return print_json({"schema": 1, "environments": rows})
-    for row in rows:
-        print(
-            f"{row['id']:<26} observation {row['observation']:<12} {row['actions']} actions  {row['about']}"
-        )
+    print_table(
+        [""] * 4,
+        [
+            (row["id"], f"observation {row['observation']}", f"{row['actions']} actions", row["about"])
+            for row in rows
+        ],
+    )
     return None
 
 
 @app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[str | None, typer.Argument(metavar="[ID]", help="The environment to check.")] = None,
-    all_: Annotated[bool, typer.Option("--all", help="Check every environment.")] = False,
+    all_: Annotated[bool, opt.flag("--all", "Check every environment.")] = False,
     set_: EnvSettings = None,
-    json: Json = False,
+    json: opt.Json = False,
 ) -> int:
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
     from pneuma.algorithms import MAILMAN
@@ -74,7 +74,7 @@ def check(
 
     if all_ and name is not None:
         raise UserError(f"--all {name}: give one or the other")
-    settings = read_settings_options(set_)
+    settings = opt.read_settings_options(set_)
     left: tuple[str, ...] = ()
     names = REGISTERED if all_ or name is None and not settings else (name or ENVIRONMENTS[0],)
     if len(names) > 1 and settings:
@@ -97,22 +97,14 @@ def check(
 @app.command()
 def render(
     name: EnvName,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", parser=read_path, help="A .png, or a .gif or .mp4 of an episode."
-        ),
-    ],
+    out: Annotated[Path, opt.path_option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
     player: Annotated[
-        str,
-        typer.Option("--player", metavar="random|hunter|RUN_ID", help="Who plays the episode."),
+        str, opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.")
     ] = "random",
     camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="map|follow",
-            help="The whole map, or a view of one player (default: map for a picture, follow for a video).",
+        opt.Text,
+        opt.option(
+            "--camera", "map|follow", "The whole map (usual for a picture), or one player (for a video)."
         ),
     ] = None,
     scale: Annotated[
@@ -125,13 +117,11 @@ def render(
             help="Pixels for each of the 16 x 16 dots of a tile (default: 4 to follow, else about 900 px).",
         ),
     ] = None,
-    no_hud: Annotated[bool, typer.Option("--no-hud", help="Leave out the strip of numbers.")] = False,
+    no_hud: Annotated[bool, opt.flag("--no-hud", "Leave out the strip of numbers.")] = False,
     seed: Seed = 0,
     set_: EnvSettings = None,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Open the level and characters files that a run of RUN_ID names.")
-    ] = False,
-    results: Results = RESULTS,
+    trust: opt.Trust = False,
+    results: opt.Results = opt.RESULTS,
 ) -> None:
     """Draw the world as a picture, or an episode as a video.
 
@@ -146,7 +136,7 @@ def render(
     moving = out.suffix.lower() != ".png"
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
-    chosen = read_settings_options(set_)
+    chosen = opt.read_settings_options(set_)
     settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     with _blaming_rewards(worlds):
@@ -159,7 +149,7 @@ def render(
 @app.command()
 def play(
     name: EnvName = "pneuma/Pneuma-v0",
-    camera: Annotated[str, typer.Option("--camera", metavar="map|follow", help="What to see.")] = "follow",
+    camera: Annotated[str, opt.option("--camera", "map|follow", "What to see.")] = "follow",
     seed: Seed = 0,
     set_: EnvSettings = None,
 ) -> None:
@@ -170,7 +160,7 @@ def play(
     """
     from pneuma.env.watch import play as play_world
 
-    worlds = _worlds(name, read_settings_options(set_), seed)
+    worlds = _worlds(name, opt.read_settings_options(set_), seed)
     with _blaming_rewards(worlds):
         scores = play_world(worlds, name, camera)
     for kills, steps in scores:

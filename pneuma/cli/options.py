@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import os
-import sys
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -17,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from pneuma.errors import UserError, unknown_name
+from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
@@ -28,17 +27,34 @@ def read_path(text: str) -> Path:
     return Path(os.path.expanduser(text))
 
 
-def _option(name: str, metavar: str, told: str) -> Any:
+def option(name: str, metavar: str, told: str) -> Any:
+    """Return an option of a text, which becomes a value by the functions below."""
     return typer.Option(name, metavar=metavar, help=told)
 
 
+def flag(name: str, told: str) -> Any:
+    """Return an option that is there or not."""
+    return typer.Option(name, help=told)
+
+
+def path_option(name: str, metavar: str, told: str) -> Any:
+    """Return an option of a path."""
+    return typer.Option(name, metavar=metavar, parser=read_path, help=told)
+
+
+RESULTS = Path("results")
+"""The usual results folder."""
+
 Text = str | None
-"""An option that may be left out; its text becomes a value by the functions below."""
+"""An option that may be left out."""
 Several = list[str] | None
 """An option that may be repeated."""
 
 StudyName = Annotated[
     str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
+]
+RunName = Annotated[
+    str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
 ]
 Results = Annotated[
     Path,
@@ -46,40 +62,42 @@ Results = Annotated[
         "--results", metavar="DIR", parser=read_path, envvar="PNEUMA_RESULTS", help="Where runs are kept."
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but results and mistakes.")]
-Trust = Annotated[
-    bool, typer.Option("--trust", help="Use the reward, level and characters files that the run names.")
-]
+Json = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
+Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
+Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]
+RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
 _AMOUNT = "How much to run: quick for plan and run, else as last run"
-Preset = Annotated[Text, _option("--preset", "|".join(PRESETS), f"{_AMOUNT}.")]
-StudyPreset = Annotated[Text, _option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
-_SEEDS = _option(
+Preset = Annotated[Text, option("--preset", "|".join(PRESETS), f"{_AMOUNT}.")]
+StudyPreset = Annotated[Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
+_SEEDS = option(
     "--seeds", "N|LIST", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
 )
 Seeds = Annotated[Text, _SEEDS]
 OwnSeeds = Annotated[str, _SEEDS]
 """The same of commands with seeds of their own where none are given."""
-Steps = Annotated[Text, _option("--steps", "N", "Steps of each run, rounded up to whole horizons.")]
+Steps = Annotated[Text, option("--steps", "N", "Steps of each run, rounded up to whole horizons.")]
 EngineName = Annotated[
-    Text, _option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
+    Text, option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
 ]
-Workers = Annotated[Text, _option("--workers", "N", "Runs trained at once (default: one a core).")]
-Conditions = Annotated[Several, _option("--condition", "NAME", "Only this condition (may be repeated).")]
+Workers = Annotated[Text, option("--workers", "N", "Runs trained at once (default: one a core).")]
+Conditions = Annotated[Several, option("--condition", "NAME", "Only this condition (may be repeated).")]
 Settings = Annotated[
-    Several, _option("--set", "KEY=VALUE", "Set a field of the run in every condition (may be repeated).")
+    Several, option("--set", "KEY=VALUE", "Set a field of the run in every condition (may be repeated).")
 ]
 _WORLDS = "|".join(WORLDS)
 WorldName = Annotated[
-    Text,
-    _option("--world", _WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT})."),
+    Text, option("--world", _WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT}).")
 ]
-NamedWorld = Annotated[
-    Text, _option("--world", _WORLDS, f"One world alone (default with NAME: {TEXT}; without: all).")
+OneWorld = Annotated[
+    Text, option("--world", _WORLDS, "One world alone (default: of a study its first, else all).")
 ]
-"""Of commands that take all studies where none is named."""
-OnlyWorld = Annotated[Text, _option("--world", _WORLDS, "One world alone (default: all).")]
-"""Of a command that judges all there is."""
+"""Of commands that show all worlds, or all studies where none is named."""
+Formats = Annotated[
+    Several,
+    option("--format", "|".join(FIGURE_FORMATS), "Of figures (repeatable; default: png and svg)."),
+]
+FigureFolder = Annotated[Path | None, path_option("--out", "DIR", "Draw a figure into this folder.")]
+Outcome = Annotated[str, option("--outcome", "NAME", "What to look at: one of docs/outcomes.md.")]
 
 Answer = TypeVar("Answer")
 
@@ -96,11 +114,7 @@ class Selecting:
     set_: Settings = None
 
     def read(self) -> Selection | None:
-        """Return what they select; None when none of them was given.
-
-        Raises:
-            UserError: naming the option, the value and what is allowed.
-        """
+        """Return what they select; None when none of them was given."""
         if not any(value is not None and value != [] for value in vars(self).values()):
             return None
         return Selection(
@@ -118,26 +132,19 @@ class Placing:
     """The options that say where runs are trained."""
 
     executor: Annotated[
-        str,
-        _option("--executor", "|".join(EXECUTORS), "Where runs are trained, as docs/scaling.md says."),
+        str, option("--executor", "|".join(EXECUTORS), "Where runs are trained, as docs/scaling.md says.")
     ] = LOCAL
     address: Annotated[
-        Text, _option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
+        Text, option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
     ] = None
     slurm: Annotated[
         Several,
-        _option("--slurm", "KEY=VALUE", "What jobs of --executor slurm ask for: partition, time, mem, …"),
+        option("--slurm", "KEY=VALUE", "What jobs of --executor slurm ask for: partition, time, mem, …"),
     ] = None
-    detach: Annotated[
-        bool, typer.Option("--detach", help="Leave once jobs of --executor slurm are submitted.")
-    ] = False
+    detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False
 
     def read(self) -> Place:
-        """Return the place.
-
-        Raises:
-            UserError: naming the option, the value and what is allowed.
-        """
+        """Return the place."""
         executor, address, slurm = self.executor, self.address, self.slurm or []
         if executor not in EXECUTORS:
             raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
@@ -145,55 +152,38 @@ class Placing:
             raise UserError(f"--address {address}: goes with --executor {RAY}")
         if (slurm or self.detach) and executor != SLURM:
             raise UserError(f"{'--slurm ' + slurm[0] if slurm else '--detach'}: goes with --executor {SLURM}")
-        return Place(executor, address, slurm=tuple(map(_read_slurm, slurm)), detach=self.detach)
-
-
-def _read_slurm(text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip() or not value.strip():
-        raise UserError(f"--slurm {text}: must be KEY=VALUE, as in --slurm partition=short")
-    return key.strip().replace("-", "_"), value.strip()
-
-
-def read_selection(*options: Any) -> Selection | None:
-    """Return what the selecting options select; None when none of them was given."""
-    return Selecting(*options).read()
+        asked = (_key_and_value("--slurm", text, "partition=short") for text in slurm)
+        return Place(
+            executor, address, tuple((key.replace("-", "_"), value) for key, value in asked), self.detach
+        )
 
 
 Selected = Selection | None
-"""What `selects` hands to a command; None when no selecting option was given."""
+"""A parameter `selection`: what the selecting options come to; None when none of them was given."""
+_GROUPS: dict[str, type[Selecting | Placing]] = {"selection": Selecting, "place": Placing}
 
 
-def selects(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that select runs; it gets what they come to as its `selection`."""
-    return _with_options(command, "selection", Selecting)
-
-
-def places(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that say where runs are trained; it gets that as its `place`."""
-    return _with_options(command, "place", Placing)
-
-
-def _with_options(
-    command: Callable[..., Answer], name: str, options: type[Selecting | Placing]
-) -> Callable[..., Answer]:
-    """Put options in the place of a command's parameter, which then is what they read as.
+def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Give a command the options that its parameters `selection` and `place` are read from.
 
     Typer makes a command's options from its signature, so they are put there.
     """
     signature = inspect.signature(command, eval_str=True)
-    added = inspect.signature(options, eval_str=True).parameters
+    groups = {name: _GROUPS[name] for name in signature.parameters if name in _GROUPS}
+    added = {
+        name: list(inspect.signature(group, eval_str=True).parameters.values())
+        for name, group in groups.items()
+    }
 
     @functools.wraps(command)
     def run(**given: Any) -> Answer:
-        told = options(**{key: given.pop(key) for key in added}).read()
-        return command(**{name: told}, **given)
+        read = {
+            name: group(**{own.name: given.pop(own.name) for own in added[name]}).read()
+            for name, group in groups.items()
+        }
+        return command(**read, **given)
 
-    parameters = [
-        own
-        for parameter in signature.parameters.values()
-        for own in (added.values() if parameter.name == name else (parameter,))
-    ]
+    parameters = [own for one in signature.parameters.values() for own in added.get(one.name, [one])]
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {own.name: own.annotation for own in parameters}
     return run
@@ -219,17 +209,6 @@ def read_count(option: str, text: str) -> int:
     if not (1 <= number < 2**53 and number.is_integer()):
         raise UserError(f"{option} {text}: must be a whole number of at least 1, as in 1e5")
     return int(number)
-
-
-def read_seconds(option: str, text: str) -> float:
-    """Read a positive number of seconds."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = -1.0
-    if not 0 < seconds < float("inf"):
-        raise UserError(f"{option} {text}: must be a positive number of seconds")
-    return seconds
 
 
 def read_seeds_option(text: str) -> tuple[int, ...]:
@@ -269,14 +248,15 @@ def selecting_words(selection: Selection) -> list[str]:
 
 def read_settings_options(texts: Sequence[str] | None) -> dict[str, Any]:
     """Read every `--set KEY=VALUE`."""
-    return dict(_read_setting(text) for text in texts or ())
+    pairs = (_key_and_value("--set", text, "learning_rate=1e-3") for text in texts or ())
+    return {key: _read_value(value) for key, value in pairs}
 
 
-def _read_setting(text: str) -> tuple[str, Any]:
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip():
-        raise UserError(f"--set {text}: must be KEY=VALUE, as in --set learning_rate=1e-3")
-    return key.strip(), _read_value(value.strip())
+def _key_and_value(option: str, text: str, example: str) -> tuple[str, str]:
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not (key and equals):
+        raise UserError(f"{option} {text}: must be KEY=VALUE, as in {option} {example}")
+    return key, value
 
 
 def _read_value(text: str) -> Any:
@@ -287,42 +267,3 @@ def _read_value(text: str) -> Any:
         except (ValueError, RecursionError):
             continue
     return text
-
-
-def print_json(document: object) -> None:
-    """Print the one JSON document of a command; numbers that JSON has not, as NaN, are null in it."""
-    print(dumps(_without_nan(document), indent=2, allow_nan=False))
-
-
-def print_listed(kind: str, tables: Mapping[str, Mapping[str, Any]], json: bool) -> None:
-    """Print names, titles and sections of shipped files, whose contents are given by their names."""
-    rows = [{kind: name, "title": t["title"], "section": t.get("section", "")} for name, t in tables.items()]
-    if json:
-        many = {"study": "studies", "search": "searches"}[kind]
-        return print_json({"schema": 1, many: rows})
-    for row in rows:
-        section = f"thesis section {row['section']}" if row["section"] else ""
-        print(f"{row[kind]:<18} {row['title']:<44} {section}")
-    return None
-
-
-def _without_nan(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _without_nan(own) for key, own in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(own) for own in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def say(text: str, aside: bool = False, quiet: bool = False) -> None:
-    """Print a line for people; aside is on standard error, where standard output is for a document.
-
-    Nobody need read standard error for a command to go on.
-    """
-    if quiet:
-        return
-    try:
-        print(text, file=sys.stderr if aside else sys.stdout)
-    except OSError:  # nobody reads any more, or the terminal was closed
-        if not aside:
-            raise

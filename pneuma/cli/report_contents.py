@@ -22,8 +22,8 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.cli.options import selecting_words
-from pneuma.cli.plain_text import command
-from pneuma.cli.study_records import RunState, known_studies, recorded_selection, run_states, study_record
+from pneuma.cli.output import command
+from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import (
@@ -54,16 +54,7 @@ MOST_ROWS = 1000
 
 
 def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> Report:
-    """Return the report on some studies, or on all shipped and all that were run here.
-
-    Args:
-        store: the results folder.
-        names: of studies; none for all.
-        tell: is told of progress.
-
-    Raises:
-        UserError: for a name that is no study's.
-    """
+    """Return the report on some studies, or on all shipped and all that were run here."""
     studies = _studies(store, names)
     unjudged = ""
     try:
@@ -111,14 +102,12 @@ def _section(store: Store, study: str) -> StudySection:
     parts = [_part(store, study, world) for world in worlds]
     if shipped:
         return StudySection(study, shipped.title, shipped.section, shipped.about, parts)
-    return StudySection(study, _recorded_title(store, study, worlds), "", "", parts)
-
-
-def _recorded_title(store: Store, study: str, worlds: Sequence[str]) -> str:
+    title = study
     for world in worlds:
         with suppress(UserError):  # which its part tells of
-            return str(study_record(store, in_world(study, world), None)["title"])
-    return study
+            title = str(study_record(store, in_world(study, world), None)["title"])
+            break
+    return StudySection(study, title, "", "", parts)
 
 
 # --- One study in one world ------------------------------------------------------------------------
@@ -145,10 +134,13 @@ def _part(store: Store, study: str, world: str) -> Part:
         name,
         _where(record, title),
         _notes(record, [state.status for state in states]),
-        "" if done == len(states) else _same_again(study, record, states),
+        "" if done == len(states) else _same_again(study, record),
         _extent(record),
         conditions=_conditions(study, name, record),
-        runs=[_run(state) for state in states],
+        runs=[
+            (own.run["run_id"], own.run["condition"], own.run["seed"], own.status, _engine(own.run))
+            for own in states
+        ],
     )
     return _with_data(store, part, record) if done else part
 
@@ -162,17 +154,15 @@ def _where(record: Mapping[str, Any], usual: str) -> str:
     return f"In {titles.get(names[0] if len(names) == 1 else '', ', '.join(names))}" if names else usual
 
 
-def _run(state: RunState) -> tuple[str, str, int, str, str]:
-    run = state.run
-    engine = str(run["run"].get("engine") or "unknown")
-    return run["run_id"], run["condition"], run["seed"], state.status, engine
+def _engine(run: Mapping[str, Any]) -> str:
+    return str(run["run"].get("engine") or "unknown")
 
 
 def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
     """Add what only finished runs have: figures, numbers, and what produced them."""
     try:
         data = open_study(store, record)
-        notes = list(part.notes)
+        notes = [*part.notes]
         if step := common_step(data):
             told = f"numbers and effects are of runs as they stood at {step:,} steps, figures of whole runs"
             notes.append(f"Budgets are unlike: {told}.")
@@ -240,35 +230,16 @@ def _command(study: str, world: str) -> str:
     return command("study", "run", name, *world_option(world))
 
 
-def _same_again(study: str, record: Mapping[str, Any], states: Sequence[RunState]) -> str:
-    """Return the command that trains what a record's runs lack; '' of a study that is no file."""
-    if study not in spec.list_studies() and not record.get("path"):
+def _same_again(study: str, record: Mapping[str, Any]) -> str:
+    """Return the command that trains what a record's runs lack; '' where none is known."""
+    if not record.get("selection") or (study not in spec.list_studies() and not record.get("path")):
         return ""
     try:
-        made_by = recorded_selection(record) if "selection" in record else _lacking(study, record, states)
-        options = selecting_words(made_by)
-    except (KeyError, UserError):  # a stranger's
+        options = shlex.join(selecting_words(execute.recorded_selection(record)))
+    except (KeyError, TypeError, ValueError, AttributeError):  # it may be untrusted
         return ""
     world = str(record.get("world"))
-    return " ".join([_command(study, world if world in WORLDS else TEXT), shlex.join(options)]).strip()
-
-
-def _lacking(study: str, record: Mapping[str, Any], states: Sequence[RunState]) -> plan.Selection:
-    """Return what selects the runs that a shipped study's published table lacks.
-
-    Raises:
-        KeyError: where no one selection does.
-    """
-    lacking = [state.run for state in states if state.status not in FINISHED]
-    selection = plan.Selection(
-        seeds=tuple(sorted({run["seed"] for run in lacking})),
-        steps=min(run["run"]["steps"] for run in lacking),  # before they were rounded up to whole horizons
-        conditions=tuple(dict.fromkeys(run["condition"] for run in lacking)),
-    )
-    planned = plan.make_plan(spec.load_study(study, record.get("world")), selection)
-    if {cell.run_id for cell in planned.cells} != {run["run_id"] for run in lacking}:
-        raise KeyError("selection")
-    return selection
+    return f"{_command(study, world if world in WORLDS else TEXT)} {options}".strip()
 
 
 # --- Settings and provenance -----------------------------------------------------------------------

@@ -1,23 +1,24 @@
-"""`pneuma run …`: list stored runs, show what produced one, and export its policy."""
+"""`pneuma run …`: list stored runs, show what produced one, fork it, and export its policy."""
 
 from __future__ import annotations
 
 import json as json_module
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pneuma.algorithms import TABULAR
-from pneuma.cli.fork import fork
-from pneuma.cli.options import Json, Results, print_json, read_path
-from pneuma.cli.out_files import check_file, write_file
-from pneuma.cli.plain_text import plain
-from pneuma.config import Run, make_run
-from pneuma.errors import UserError
+from pneuma.cli import options as opt
+from pneuma.cli.output import check_file, print_json, print_table, write_file
+from pneuma.cli.study_run import train
+from pneuma.config import FORK_RESETS, make_run
+from pneuma.errors import UserError, plain
 from pneuma.study import stored_runs
+from pneuma.study.executors.base import Supervision
+from pneuma.study.fork import Change, plan_fork
 from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import ListedRun, StoredRun
@@ -27,18 +28,9 @@ app = typer.Typer(
     help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
 )
 
-app.command("fork", short_help="Go on from a checkpoint with something changed.")(fork)
-
-RESULTS = Path("results")
-EXPORTS = (".zip", ".onnx")
-
-RunName = Annotated[
-    str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
-]
-
 
 @app.command("list", short_help="List the stored runs.")
-def list_(results: Results = RESULTS, json: Json = False) -> None:
+def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
     runs = stored_runs.list_runs(Store(results))
     if json:
@@ -46,20 +38,21 @@ def list_(results: Results = RESULTS, json: Json = False) -> None:
     if not runs:
         none = "" if results.is_dir() else ": there is no such folder"
         print(f"No run is stored in {results} yet{none}.")
+    rows = []
     for run in runs:
-        held = ", ".join(f"{plain(h.study)}/{plain(h.condition)}" for h in run.holders) or "of no study"
+        held = ", ".join(f"{own.study}/{own.condition}" for own in run.holders) or "of no study"
         seed = "?" if run.seed is None else run.seed
-        step = f"{run.status.step:>12,} steps"
-        print(f"{run.run_id:<16}  {plain(run.status.name):<9} {step}  seed {seed:<6} {held}")
+        rows.append((run.run_id, run.status.name, f"{run.status.step:>12,} steps", f"seed {seed}", held))
+    print_table([""] * 5, rows)
     return None
 
 
 @app.command(short_help="Show what produced a stored run.")
 def show(
-    name: RunName,
-    all_: Annotated[bool, typer.Option("--all", help="Show every field, defaults too.")] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    name: opt.RunName,
+    all_: Annotated[bool, opt.flag("--all", "Show every field, defaults too.")] = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
@@ -84,28 +77,51 @@ def show(
     for study, word in _unlike_most(store, run).items():
         print(f"  unlike     {word} than most runs of study {plain(study)}: its bits could differ")
     print("\nFiles")
-    for file in run.files:
-        print(f"  {plain(file.name):<24} {file.size_bytes:>12,} bytes  {file.state}")
+    print_table([""] * 3, [(f"  {f.name}", f"{f.size_bytes:>12,} bytes", f.state) for f in run.files])
     return None
+
+
+@app.command(short_help="Go on from a checkpoint with something changed.")
+def fork(
+    name: opt.RunName,
+    at: Annotated[str, opt.option("--at", "STEP", "Go on from the checkpoint nearest before this step.")],
+    set_: opt.Settings = None,
+    reset: Annotated[
+        str, opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")
+    ] = "",
+    seeds: opt.OwnSeeds = "3",
+    workers: opt.Workers = None,
+    trust: opt.Trust = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
+) -> int:
+    """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
+
+    The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
+    `export` take its name.
+    """
+    store, change = Store(results), Change(opt.read_settings_options(set_), reset)
+    parent, step = stored_runs.find_run(store, name), opt.read_count("--at", at)
+    plan = plan_fork(store, parent, step, change, opt.read_seeds_option(seeds), trust)
+    plan = replace(plan, notes=tuple(map(plain, plan.notes)))
+    how = Supervision(workers=opt.read_workers(workers))
+    return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
+
+
+# --- export ----------------------------------------------------------------------------------------
 
 
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
-    name: RunName,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", parser=read_path, help="A .zip for Stable-Baselines3, or an .onnx."
-        ),
-    ],
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Open the run's own level and characters files, for its bounds.")
-    ] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    name: opt.RunName,
+    out: Annotated[Path, opt.path_option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
+    trust: opt.Trust = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
-    check_file(out, EXPORTS)
+    check_file(out, (".zip", ".onnx"))
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
     data, note = _exported(store, run, out.suffix.lower(), trust)
@@ -120,22 +136,19 @@ def export(
     return None
 
 
-# --- Export ----------------------------------------------------------------------------------------
-
-
 def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
     """Return the file's contents, and what a person should know about them."""
-    if not run.status.finished:
-        raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
     from pneuma.engines import export as exports
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
+    if not run.status.finished:
+        raise UserError(f"run {run.run_id} is {plain(run.status.name)}: it has no final policy to export")
     if POLICY_FILE not in [file.name for file in run.files]:
         raise UserError(f"run {run.run_id} {plain(run.status.name)}: it left no policy to export")
-    data = store.read_file(run.run_id, POLICY_FILE)
-
+    if not run.settings:
+        raise UserError(f"run {run.run_id}: run.json: holds no configuration")
     try:
-        settings, policy = _resolved(run), read_sound_policy(data)
+        settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
     except UserError as error:
         raise UserError(f"run {run.run_id}: {error}") from None
     if suffix == ".onnx":
@@ -150,12 +163,6 @@ def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[b
         "space in the file has no bounds, so load it without env=, or export again with --trust"
     )
     return exports.to_sb3(policy, settings, space), "" if bounded else note
-
-
-def _resolved(run: StoredRun) -> Run:
-    if not run.settings:
-        raise UserError("run.json: holds no configuration")
-    return make_run(run.settings)
 
 
 # --- Showing ---------------------------------------------------------------------------------------

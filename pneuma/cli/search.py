@@ -1,27 +1,41 @@
-"""`pneuma search …`: what searches there are, and what they found."""
+"""`pneuma search …`: searches for hyperparameters, what they found, and their winners on fresh seeds."""
 
 from __future__ import annotations
 
-import sys
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli import search_run
-from pneuma.cli.figure_files import Formats, draw_files, read_formats
-from pneuma.cli.options import Json, Results, WorldName, print_json, print_listed, read_path
-from pneuma.cli.plain_text import command, plain
-from pneuma.cli.search_run import SearchName, search_document, told_value
-from pneuma.cli.study_output import check_choice
-from pneuma.errors import counted
-from pneuma.study.spec import studies_folder
+from pneuma.cli import options as opt
+from pneuma.cli.output import (
+    check_file,
+    command,
+    draw_files,
+    print_json,
+    print_listed,
+    print_table,
+    read_formats,
+    say,
+    tell_written,
+    write_file,
+)
+from pneuma.cli.progress import ProgressDisplay
+from pneuma.cli.study_run import train_cells
+from pneuma.errors import UserError, counted, plain, unknown_name
+from pneuma.study import execute, plan, spec
+from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Store
-from pneuma.worlds import TEXT, world_option
+from pneuma.worlds import TEXT, split_world, world_option
 
 if TYPE_CHECKING:
-    from pneuma.search.space import Parameter
+    from pneuma.search.promote import Gain, Winner
+    from pneuma.search.spec import Budget, Search
+    from pneuma.search.trials import Task, Told
 
 app = typer.Typer(
     help="Find hyperparameters over several seeds, and confirm them on fresh ones.",
@@ -29,24 +43,23 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-RESULTS = Path("results")
-PLOTS = ("history", "importances", "slices", "parallel", "front")
 
-app.command(short_help="Search for hyperparameters, or go on with a search.")(search_run.run)
-app.command(short_help="Train winners of searches on fresh seeds.")(search_run.promote)
+SearchName = Annotated[
+    str, typer.Argument(metavar="NAME", help="A search's name, or the path of a search file (….toml).")
+]
+
+
+# --- What there is --------------------------------------------------------------------------------
 
 
 @app.command("list")
-def list_(json: Json = False) -> None:
+def list_(json: opt.Json = False) -> None:
     """List the shipped searches."""
-    from pneuma.schema import read_toml
-
-    files = sorted((studies_folder() / "search").glob("*.toml"))
-    return print_listed("search", {path.stem: read_toml(path).data for path in files}, json)
+    return print_listed("search", "searches", spec.studies_folder() / "search", json)
 
 
 @app.command()
-def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
+def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) -> None:
     """Show what a search varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
@@ -58,8 +71,7 @@ def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
     if search.about:
         print(f"\n{plain(search.about)}")
     print("\nSpace:")
-    for parameter in search.space.parameters:
-        print(f"  {plain(parameter.name):<22} {plain(_domain(parameter))}")
+    print_table(("", ""), [(f"  {own.name}", str(own)) for own in search.space.parameters])
     print("\nObjectives:")
     for own in search.objectives:
         print(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
@@ -74,7 +86,9 @@ def show(name: SearchName, world: WorldName = None, json: Json = False) -> None:
 
 
 @app.command()
-def status(name: SearchName, world: WorldName = None, results: Results = RESULTS, json: Json = False) -> None:
+def status(
+    name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
+) -> None:
     """Show how far a search is, and the best that it has found."""
     from pneuma.search.storage import journal_path, read_record
 
@@ -82,27 +96,28 @@ def status(name: SearchName, world: WorldName = None, results: Results = RESULTS
     searched = read_record(store, name, world)
     search, budget, best = searched.task.search, searched.task.budget, searched.best
     if json:
-        document = search_document(searched.task, searched.trials, store)
+        document = _document(searched.task, searched.trials, store)
         seeds, steps = list(budget.seeds), budget.steps
         return print_json({**document, "seeds": seeds, "steps": steps, "trials_asked": budget.trials})
     print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
     for own in search.objectives:
         print(plain(f"Value: {own.direction} the {own.over_seeds} over seeds of {own.outcome}"))
     among = best if isinstance(best, list) else [best]
+    rows = []
     for trial in searched.trials:
-        mark, note = "*" if trial.number in among else " ", f"  ({trial.note})" if trial.note else ""
         params = ", ".join(
             f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
             for key, value in trial.params.items()
         )
-        print(plain(f"  {mark} {trial.number:>4}  {trial.state:<9} {told_value(trial):<16} {params}{note}"))
+        mark, note = "*" if trial.number in among else "", f"({trial.note})" if trial.note else ""
+        rows.append((f"{mark:>3}", f"{trial.number:>4}", trial.state, _value(trial), params, note))
+    print_table([""] * 6, rows)
     if isinstance(best, int):
         told = command("search", "promote", name, *world_option(world or TEXT), "--results", store.root)
         print(f"Best (*): trial {best}. Confirm it with: {told}")
     else:
-        print(
-            f"Pareto front (*): trials {', '.join(map(str, best))}." if best else "No trial is complete yet."
-        )
+        front = f"Pareto front (*): trials {', '.join(map(str, best))}." if best else ""
+        print(front or "No trial is complete yet.")
     print(f"Its runs: {command('study', 'status', f'search-{search.name}', '--results', store.root)}")
     print(f"Look closer with: optuna-dashboard {plain(str(journal_path(store, search.name)))}")
     return None
@@ -112,54 +127,272 @@ def status(name: SearchName, world: WorldName = None, results: Results = RESULTS
 def plot(
     name: SearchName,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            parser=read_path,
-            help="Where to write (default: RESULTS/figures).",
-        ),
+        Path | None, opt.path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
     ] = None,
-    what: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--what", metavar="|".join(PLOTS), help="Which figures (may be repeated; default: all)."
-        ),
-    ] = None,
-    world: WorldName = None,
-    format: Formats = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    world: opt.WorldName = None,
+    format: opt.Formats = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Draw a search by Optuna's plots: history, importances, slices, parallel coordinates, Pareto front."""
-    formats = read_formats(format)
-    for value in what or ():
-        check_choice("--what", value, PLOTS)
+    formats = read_formats(format, out, always=True)
     from pneuma.figures.search import NEEDS, draw_search
     from pneuma.search.storage import read_record
 
-    store, wanted = Store(results), tuple(what or PLOTS)
+    store = Store(results)
     searched = read_record(store, name, world)
-    paths = draw_files(store, out, lambda folder: draw_search(searched, folder, wanted, formats))
+    paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats))
     drawn = {path.stem.rpartition("-")[2] for path in paths}
-    lacking = [own for own in wanted if own not in drawn] if what or not paths else []
-    if lacking:
-        told = "; ".join(f"{own} needs {NEEDS[own]}" for own in lacking)
-        print(f"not drawn: {told}", file=sys.stderr)
+    for what, needed in NEEDS.items():
+        if what not in drawn:
+            say(f"Note: {what} is not drawn; it needs {needed}.", aside=True)
+    return tell_written(paths, json)
+
+
+# --- run ------------------------------------------------------------------------------------------
+
+
+@app.command(short_help="Search for hyperparameters, or go on with a search.")
+@opt.grouped
+def run(
+    name: SearchName,
+    preset: opt.Preset = None,
+    trials: Annotated[
+        opt.Text, opt.option("--trials", "N", "How many trials, those stored among them.")
+    ] = None,
+    seeds: Annotated[
+        opt.Text,
+        opt.option("--seeds", "N|LIST", "Seeds of each trial: a count N (seeds 1000, 1001, …) or a list."),
+    ] = None,
+    steps: opt.Steps = None,
+    engine: opt.EngineName = None,
+    set_: opt.Settings = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
+    place: Place = HERE,
+    retry_failed: opt.RetryFailed = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
+) -> int:
+    """Search for hyperparameters, going on where the search was stopped."""
+    from pneuma.config import Run, read_field
+    from pneuma.search import storage
+    from pneuma.search.space import FIXABLE
+    from pneuma.search.spec import load_search
+    from pneuma.search.trials import Task, Unfinished, best_number
+
+    over = {**opt.read_settings_options(set_), **({"engine": engine} if engine else {})}
+    for key in over:
+        if key not in FIXABLE.names:
+            raise unknown_name("key of --set", key, FIXABLE.names)
+    over = {key: read_field(Run, key, value) for key, value in over.items()}
+    search = load_search(name, world)
+    budget = _budget(search, preset or "quick", trials, seeds, steps)
+    file = str(Path(name).resolve()) if name.endswith(".toml") else ""
+    task = Task(search.with_settings(over, over) if over else search, budget, file, over)
+    if place.detach:
+        raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
+    store, how = Store(results), Supervision(workers=opt.read_workers(workers, place), place=place)
+    if note := storage.replaced_note(store, task):
+        say(f"Note: {note}.", aside=True, quiet=quiet)
+    told: list[Told] = []
+    train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
+    code = 0
+    try:
+        for ended in storage.run_search(task, store, train_trials):
+            for trial in ended[len(told) :]:
+                note = f" ({trial.note})" if trial.note else ""
+                say(f"trial {trial.number}: {trial.state}, {_value(trial)}{note}", aside=True, quiet=quiet)
+            told = [*ended]
+            best = best_number(told, task.search)
+            found = f"best {_value(told[best])}, trial {best}" if isinstance(best, int) else f"front: {best}"
+            say(f"{len(told)}/{budget.trials} trials; {found}", aside=True, quiet=quiet)
+    except Unfinished as error:
+        say(f"Stopped: {error}", aside=True)
+        code = 1
+    except KeyboardInterrupt as left:
+        stopped = str(left) if isinstance(left, Detached) else "Stopped."
+        say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
+        code = 130
     if json:
-        return print_json({"schema": 1, "figures": [str(path) for path in paths]})
-    for path in paths:
-        print(f"wrote {plain(str(path))}")
-    return None
+        print_json(_document(task, told, store))
+    elif not code:
+        at = (task.search.name, "--results", store.root)
+        say(f"See its trials with: {command('search', 'status', *at)}", quiet=quiet)
+        say(f"Draw it with: {command('search', 'plot', *at)}", quiet=quiet)
+    return code
 
 
-def _domain(parameter: Parameter) -> str:
-    from pneuma.search.space import Range
+def _budget(search: Search, preset: str, trials: opt.Text, seeds: opt.Text, steps: opt.Text) -> Budget:
+    """Return a search's budget: its preset's, with what the options give in its place."""
+    from pneuma.search import FIRST_SEED
+    from pneuma.search.spec import Budget
 
-    domain = parameter.domain
-    if isinstance(domain, Range):
-        told = f"{domain.low:g} to {domain.high:g}{', logarithmic' if domain.log else ''}"
-    else:
-        told = "one of " + ", ".join(domain.settings_of)
-    when = " and ".join(f"{k} is {' or '.join(map(str, v))}" for k, v in parameter.when.items())
-    return told + (f", where {when}" if when else "")
+    if preset not in search.presets:
+        raise unknown_name(f"preset of search {search.name}", preset, search.presets)
+    own = search.presets[preset]
+    first = FIRST_SEED if seeds is not None and not {",", "."} & {*seeds} else 0
+    return Budget(
+        own.trials if trials is None else opt.read_count("--trials", trials),
+        own.seeds if seeds is None else tuple(first + seed for seed in opt.read_seeds_option(seeds)),
+        own.steps if steps is None else opt.read_count("--steps", steps),
+    )
+
+
+def train(
+    planned: plan.Plan, *, store: Store, how: Supervision, retry_failed: bool, quiet: bool, noted: set[str]
+) -> None:
+    """Train what a plan of trials lacks, and note what is to be known that was not `noted` before.
+
+    Raises:
+        Unfinished: where a run did not come to its end.
+    """
+    from pneuma.search.trials import Unfinished
+
+    todo = execute.prepare(planned, store, retry_failed, how)
+    for note in dict.fromkeys(todo.notes):
+        say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
+        noted.add(note)
+    if todo.runs:
+        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
+            execute.execute(planned, todo.runs, store, how, display.update)
+    for cell in planned.cells:
+        status = store.status(cell.run_id)
+        if not status.finished:
+            again = "; --retry-failed tries again" if status.failed else ""
+            raise Unfinished(f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id}){again}")
+
+
+def _document(task: Task, trials: Sequence[Told], store: Store) -> dict[str, Any]:
+    """Return what a search came to, as JSON has it."""
+    from pneuma.search.storage import journal_path, trial_document
+    from pneuma.search.trials import best_number
+
+    return {
+        "schema": 1,
+        "search": task.search.name,
+        "trials": [trial_document(trial, task.search) for trial in trials],
+        "best": best_number(trials, task.search),
+        "journal": str(journal_path(store, task.search.name)),
+    }
+
+
+def _value(trial: Told) -> str:
+    """Return a trial's value or values for people."""
+    return "no value" if trial.state == "failed" else ", ".join(f"{value:.4g}" for value in trial.values)
+
+
+# --- promote --------------------------------------------------------------------------------------
+
+
+@app.command(short_help="Train winners of searches on fresh seeds.")
+def promote(
+    names: Annotated[
+        list[str],
+        typer.Argument(metavar="NAME…", help="Searches, or their files; several must be tuned alike."),
+    ],
+    seeds: opt.OwnSeeds = "10",
+    steps: opt.Steps = None,
+    trial: Annotated[
+        int | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
+    ] = None,
+    out: Annotated[
+        Path | None, opt.path_option("--out", "FILE", "Write the study to a .toml file; train nothing.")
+    ] = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
+) -> int:
+    """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
+    from pneuma.search.promote import find_winners, gains, winners_study
+    from pneuma.search.storage import read_record
+
+    if trial is not None and len(names) > 1:
+        raise UserError(f"--trial {trial}: is of one search; name one")
+    store, fresh = Store(results), opt.read_seeds_option(seeds)
+    searches = [read_record(store, name, world) for name in names]
+    winners = find_winners(searches, trial, fresh)
+    for name, winner in zip(names, winners, strict=True):
+        _refuse_untrusted(winner, name)
+    budget = searches[0].task.budget.steps if steps is None else opt.read_count("--steps", steps)
+    text = winners_study(winners, fresh, budget).encode()
+    chosen = [
+        {"search": own.searched.task.search.name, "trial": own.trial.number, "params": own.trial.params}
+        for own in winners
+    ]
+    if out is not None:
+        check_file(out, (".toml",))
+        if out.exists():
+            raise UserError(f"--out {out}: is there already; name another, or remove it first")
+        write_file(out, text)
+        say(f"wrote {plain(str(out))}", aside=json)
+        say(f"Train it with: {command('study', 'run', out, '--results', results)}", aside=json)
+        if json:
+            print_json({"schema": 1, "study": str(out), "winners": chosen})
+        return 0
+    split = [split_world(own.task.search.name) for own in searches]  # the end of a name tells a study's world
+    there = [] if split[0][1] == TEXT else [split[0][1]]
+    path = store.root / "searches" / f"{'-'.join(['promoted', *there, *(name for name, _ in split)])}.toml"
+    store.check_writable()
+    store.write(path, text)
+    say(f"wrote {plain(str(path))}", aside=True, quiet=quiet)
+    planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
+    how = Supervision(workers=opt.read_workers(workers))
+    _, code = train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet)
+    if code:
+        say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
+        return code
+    found = [gains(winner, planned, store) for winner in winners]
+    ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
+    diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
+    if json:
+        rows = [
+            {**own, "objectives": {name: asdict(gain) for name, gain in gained.items()}}
+            for own, gained in zip(chosen, found, strict=True)
+        ]
+        document = {"study": str(path), "seeds": list(fresh), "run_ids": ends, "diverged": diverged}
+        print_json({"schema": 1, **document, "winners": rows})
+        return 0
+    for winner, gained in zip(winners, found, strict=True):
+        _print_gains(winner, gained, len(fresh))
+    for arm, count in diverged.items():
+        if count:
+            print(f"{count} of {arm}'s {len(fresh)} runs diverged, and count as in a search")
+    return 0
+
+
+def _refuse_untrusted(winner: Winner, name: str) -> None:
+    """Refuse what a record, or a file that it alone names, would have run or read: both may be untrusted."""
+    from pneuma.study.identity import own_things
+
+    task = winner.searched.task
+    for settings in (task.search.space.fixed, winner.trial.settings):
+        for key, deed in own_things(settings).items():
+            if key in task.over or not name.endswith(".toml"):
+                raise UserError(f"search {task.search.name} would {deed}: say so in its file, and name that")
+
+
+def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
+    search = winner.searched.task.search
+    print(f"Trial {winner.trial.number} of search {search.name} on {seeds} fresh seeds:")
+    for objective in search.objectives:
+        own = gains[objective.name]
+        low, high = map(_signed, own.interval)
+        print(f"  {objective.over_seeds} over seeds of {plain(objective.outcome)}:")
+        print_table(
+            ("", "", ""),
+            (
+                ("    in the search", f"{own.seen:.4f}", ""),
+                ("    on fresh seeds", f"{own.fresh:.4f}", f"(base: {own.fresh_baseline:.4f})"),
+                ("    difference of means", _signed(own.difference), f"(95 % interval {low} to {high})"),
+                ("    luck", _signed(own.luck), "(by how much the search's seeds had flattered it)"),
+            ),
+        )
+
+
+def _signed(value: float) -> str:
+    """Return a difference with its sign; "not told" where it is not known."""
+    return "not told" if math.isnan(value) else f"{value:+.4f}"

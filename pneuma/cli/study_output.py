@@ -1,19 +1,22 @@
-"""`pneuma study export` and `publish`: what people take away from a study, beside figures."""
+"""`pneuma study plot`, `export` and `publish`: what people take away from a study."""
 
 from __future__ import annotations
 
+import shlex
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pneuma.analysis import (
     ACTION_QUANTITIES,
+    BAND_NAMES,
+    CURVE_QUANTITIES,
     EDGED_BANDS,
     EPISODE_QUANTITIES,
-    EXPORT_FORMATS,
     EXPORT_SUFFIXES,
     EXPORT_TABLES,
     EXPORTED_BAND,
@@ -21,90 +24,204 @@ from pneuma.analysis import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
-from pneuma.cli.options import (
-    Json,
-    Results,
-    Selected,
-    StudyName,
-    WorldName,
+from pneuma.cli import options as opt
+from pneuma.cli.output import (
+    check_choice,
+    check_folder,
+    draw_files,
     print_json,
-    read_path,
+    read_formats,
     say,
-    selects,
+    tell_written,
+    write_file,
 )
-from pneuma.cli.out_files import check_folder, write_file
-from pneuma.cli.plain_text import plain
-from pneuma.cli.study_records import study_record
-from pneuma.errors import UserError, unknown_name
+from pneuma.cli.study_records import (
+    each_study,
+    known_studies,
+    nothing_yet,
+    open_data,
+    study_record,
+    tell_left_out,
+)
+from pneuma.errors import UserError, plain
+from pneuma.figures import FIGURE_KINDS
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     from pneuma.analysis.published import PublishedTable
     from pneuma.analysis.tables import StudyData
 
-RESULTS = Path("results")
+EVERY_QUANTITY, ACTIONS = "all", "actions"
 
 
-@selects
-def export(
-    name: StudyName,
-    table: Annotated[str, typer.Option("--table", metavar="|".join(EXPORT_TABLES), help="What to export.")],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", parser=read_path, help="The file to write; - for standard output."
-        ),
-    ],
-    format: Annotated[
-        str | None,
-        typer.Option(
-            "--format", metavar="|".join(EXPORT_FORMATS), help="Its format (default: by the file's ending)."
+# --- plot -----------------------------------------------------------------------------------------
+
+
+@opt.grouped
+def plot(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
+    ] = None,
+    figure: Annotated[
+        str, opt.option("--figure", "|".join(FIGURE_KINDS), "Curves over steps, or what the runs came to.")
+    ] = FIGURE_KINDS[0],
+    quantity: Annotated[
+        opt.Several,
+        opt.option(
+            "--quantity",
+            "NAME",
+            "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
         ),
     ] = None,
     band: Annotated[
-        str | None,
-        typer.Option(
+        opt.Text,
+        opt.option(
             "--band",
-            metavar="|".join(EDGED_BANDS),
-            help=f"Of curves: what low and high are (default: {EXPORTED_BAND}).",
+            "|".join(BAND_NAMES),
+            "What the band shows (default: ci).",
         ),
     ] = None,
     window: Annotated[
-        str | None,
-        typer.Option(
-            "--window", metavar="|".join(WINDOWS), help="Of curves: which episodes a point averages."
+        opt.Text, opt.option("--window", "|".join(WINDOWS), "Which episodes a point averages.")
+    ] = None,
+    beside: Annotated[
+        opt.Text, opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
+    ] = None,
+    format: opt.Formats = None,
+    out: Annotated[
+        Path | None, opt.path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
+    ] = None,
+    selection: opt.Selected = None,
+    world: opt.OneWorld = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+) -> None:
+    """Draw a study: curves over its steps, or what its runs came to."""
+    of_curves = {"quantity": quantity, "band": band, "window": window, "beside": beside}
+    check_choice("--figure", figure, FIGURE_KINDS)
+    check_choice("--band", band or BAND_NAMES[0], BAND_NAMES)
+    check_choice("--window", window or WINDOWS[0], WINDOWS)
+    for each in quantity or ():
+        check_choice("--quantity", each, (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY))
+    if idle := next((key for key, value in of_curves.items() if value and figure == "summary"), None):
+        raise UserError(f"--{idle}: is of --figure curves; a summary has one look")
+    formats, store = read_formats(format, out, always=True), Store(results)
+    if not names and (lacking := nothing_yet(store, world)):
+        raise UserError(lacking)
+    from pneuma.analysis.run_index import open_study
+    from pneuma.figures.curves import draw_study, file_stem, settle
+    from pneuma.figures.index import INDEX, encode_index, index_entries, read_present
+    from pneuma.figures.panels import stem_of
+    from pneuma.figures.summary import draw_summary, shown_outcome
+
+    target = out or store.root / "figures"
+    owners = {entry["file"]: entry.get("from") for entry in read_present(target)}
+    other = open_study(store, study_record(store, beside, None)) if beside else None
+    chosen = [*opt.selecting_words(selection), *(["--world", world] if world else [])] if selection else []
+    entries: list[dict[str, Any]] = []
+
+    def draw_one(name: str, folder: Path) -> None:
+        data = open_study(store, study_record(store, name, selection, world))
+        tell_left_out(data)
+        settled = None
+        if figure == "curves":
+            settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
+
+        def stem() -> str:
+            return file_stem(data, settled, beside) if settled else stem_of(data, "summary")
+
+        own = f"study {data.study}"
+        while not all(owners.setdefault(f"{stem()}.{form}", own) == own for form in formats):
+            data.figure += f"-{data.study}"  # the name is another study's figure's
+        if settled:
+            drawn = {"figure": figure, **asdict(settled)}
+            paths = draw_study(data, folder, formats=formats, beside=other, **asdict(settled))
+        else:
+            drawn = {"figure": figure, "outcome": shown_outcome(data)}
+            paths = draw_summary(data, folder, formats)
+        words = ["pneuma", "study", "plot", name, *(["--beside", beside] if beside else []), *chosen]
+        entries.extend(index_entries(paths, shlex.join([*words, *_options(drawn, formats)]), data, drawn))
+
+    def draw(folder: Path) -> list[Path]:
+        if names:
+            for name in names:
+                draw_one(name, folder)
+        else:
+            each_study(known_studies(store, world), lambda name: draw_one(name, folder))
+        (folder / INDEX).write_bytes(encode_index([*read_present(target), *entries]))
+        return [*(folder / entry["file"] for entry in entries), folder / INDEX]
+
+    tell_written([path for path in draw_files(store, out, draw) if path.name != INDEX], json)
+
+
+def _options(drawn: dict[str, Any], formats: tuple[str, ...]) -> list[str]:
+    """Return the options that draw a figure again as it was drawn."""
+    singles = [key for key in ("figure", "band", "window") if key in drawn]
+    several = {"quantity": drawn.get("quantities", ()), "format": formats}
+    return [word for key in singles for word in (f"--{key}", drawn[key])] + [
+        word for key, values in several.items() for value in values for word in (f"--{key}", value)
+    ]
+
+
+def _quantities(data: StudyData, names: list[str]) -> list[str]:
+    """Return the quantities that a person asks for, all and actions spelled out."""
+    from pneuma.analysis.curves import curve_names
+
+    stand_for = {EVERY_QUANTITY: curve_names(data), ACTIONS: list(ACTION_QUANTITIES)}
+    return [quantity for name in names for quantity in stand_for.get(name, [name])]
+
+
+# --- export ---------------------------------------------------------------------------------------
+
+
+@opt.grouped
+def export(
+    name: opt.StudyName,
+    table: Annotated[str, opt.option("--table", "|".join(EXPORT_TABLES), "What to export.")],
+    out: Annotated[
+        Path,
+        opt.path_option(
+            "--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."
+        ),
+    ],
+    band: Annotated[
+        opt.Text,
+        opt.option(
+            "--band", "|".join(EDGED_BANDS), f"Of curves: what low and high are (else {EXPORTED_BAND})."
         ),
     ] = None,
-    selection: Selected = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-    json: Json = False,
+    window: Annotated[
+        opt.Text, opt.option("--window", "|".join(WINDOWS), "Of curves: which episodes a point averages.")
+    ] = None,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Write a study's records as one tidy table."""
     check_choice("--table", table, EXPORT_TABLES)
-    for option, value, allowed in (("--band", band, EDGED_BANDS), ("--window", window, WINDOWS)):
+    for key, value, allowed in (("--band", band, EDGED_BANDS), ("--window", window, WINDOWS)):
         if value is not None:
-            check_choice(option, value, allowed)
+            check_choice(key, value, allowed)
             if table != "curves":
-                raise UserError(f"{option} {value}: goes with --table curves alone")
-    form = format or EXPORT_SUFFIXES.get(out.suffix, "csv" if str(out) == "-" else "")
-    if not form:
-        endings = ", ".join(EXPORT_SUFFIXES)
-        raise UserError(f"--out {out}: its ending tells no format; end it in {endings}, or give --format")
-    check_choice("--format", form, EXPORT_FORMATS)
-    if json and str(out) == "-":
+                raise UserError(f"{key} {value}: goes with --table curves alone")
+    printed = str(out) == "-"
+    if out.is_dir():
+        raise UserError(f"--out {out}: is a folder; name a file")
+    if not printed and out.suffix not in EXPORT_SUFFIXES:
+        raise UserError(f"--out {out}: its ending tells no format; end it in {', '.join(EXPORT_SUFFIXES)}")
+    if json and printed:
         raise UserError("--json: standard output is for the table; name a file by --out")
     data = open_data(Store(results), name, selection, world, mixed=table in PUBLISHED_TABLES)
     from pneuma.analysis.export import encode_table, lacks_window
 
-    if out.is_dir():
-        raise UserError(f"--out {out}: is a folder; name a file")
-    if str(out) != "-":
-        check_folder("--out", out.parent)
+    if not printed:
+        check_folder(f"--out {out}", out.parent)
     if window and (lacking := lacks_window(data, window)):
         say(f"Note: {', '.join(lacking)}: not held with the window {window}, and left out.", aside=True)
+    form = "csv" if printed else EXPORT_SUFFIXES[out.suffix]
     encoded, rows = encode_table(data, table, form, window, band or EXPORTED_BAND)
-    if str(out) == "-":
+    if printed:
         sys.stdout.buffer.write(encoded)
         return None
     write_file(out, encoded)
@@ -114,27 +231,23 @@ def export(
     return None
 
 
-@selects
+# --- publish --------------------------------------------------------------------------------------
+
+
+@opt.grouped
 def publish(
-    name: StudyName,
-    selection: Selected = None,
-    world: WorldName = None,
+    name: opt.StudyName,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
     curves: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,…|none", help="Keep curves of these quantities alone; left out: of all."),
+        opt.Text,
+        opt.option("--curves", "NAME,…|none", "Keep curves of these quantities alone; left out: of all."),
     ] = None,
     rounding: Annotated[
-        bool, typer.Option("--round", help="Keep curves to a thousandth of their range: a third of the size.")
+        bool, opt.flag("--round", "Keep curves to a thousandth of their range: a third of the size.")
     ] = False,
-    replace: Annotated[
-        bool,
-        typer.Option(
-            "--replace",
-            help="Let published runs leave the table that are not selected, and curves that are not named.",
-        ),
-    ] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them.
 
@@ -145,63 +258,35 @@ def publish(
     kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, world)
-    from pneuma.analysis.published import published_path, times_path
+    from pneuma.analysis.published import published_path, read_published, times_path
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import open_study
 
     path = published_path(store, record["study"])
-    own = _published_before(store, record["study"], replace)
+    own = read_published(store, record["study"]) if path.exists() else None
     data = open_study(store, record, mixed=own is not None, others=False)
-    new = len(data.runs) - len(data.published)
+    new, staying = len(data.runs) - len(data.published), len(data.published)
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
-    leaving = own.finished - {run.run_id for run in data.runs} if own else frozenset()
-    if own and not replace:
-        _refuse_losses(data, own, leaving, kept)
+    if own:
+        _refuse_losses(data, own, path, kept)
     tell_left_out(data)
     encoded = encode_study(data, kept, rounding, own)
     store.write(path, encoded)
     store.write(times_path(store, data.study), encode_times(data))
-    staying = len(data.published)
     if json:
-        counts = {"runs": new, "staying": staying, "leaving": len(leaving)}
         document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
-        return print_json({**document, **counts})
+        return print_json({**document, "runs": new, "staying": staying})
     more = f", {staying} as they were published before" if staying else ""
     print(f"wrote {plain(str(path))}: {new} runs from here{more}; {len(encoded) / 1000:.0f} kB")
     return None
 
 
-def _published_before(store: Store, study: str, replace: bool) -> PublishedTable | None:
-    """Return what was published of a study before; None where that cannot be read and is to be replaced.
-
-    Raises:
-        UserError: for such a table otherwise: what runs it holds, and would lose, nobody can tell.
-    """
-    from pneuma.analysis.published import published_path, read_published
-
-    path = published_path(store, study)
-    try:
-        return read_published(store, study) if path.exists() else None
-    except UserError:
-        if replace:
-            return None
-        raise UserError(
-            f"{path}: damaged, or of another version; take it from version control again, or publish the "
-            "runs that are here alone in its place by --replace"
-        ) from None
-
-
-def _refuse_losses(
-    data: StudyData, own: PublishedTable, leaving: frozenset[str], kept: Collection[str] | None
-) -> None:
-    """Refuse to let published runs, or curves that are not named, leave the table.
-
-    Raises:
-        UserError: naming what would be lost.
-    """
-    selected = leaving & {run["run_id"] for run in data.record["runs"]}
-    if selected:
+def _refuse_losses(data: StudyData, own: PublishedTable, path: Path, kept: Collection[str] | None) -> None:
+    """Refuse to let published runs, or curves that are not named, leave the table."""
+    leaving = own.finished - {run.run_id for run in data.runs}
+    mend = f"; or remove {path}, and publish anew what is here"
+    if leaving & {run["run_id"] for run in data.record["runs"]}:
         raise UserError(
             f"study {data.study}: the curves of its table have points up to step {own.budget:,}, these need "
             f"{data.budget:,}, and not all runs of the table are here: publish those of most steps first"
@@ -209,13 +294,13 @@ def _refuse_losses(
     if leaving:
         raise UserError(
             f"study {data.study}: {len(leaving)} published runs are not in this selection; select them too "
-            "(--preset, --condition, --seeds), or let them leave the table by --replace"
+            f"(--preset, --condition, --seeds){mend}"
         )
     dropped = [name for name in own.quantities if kept is not None and name not in kept]
     if dropped:
         raise UserError(
             f"study {data.study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
-            "out; name them too, or let them leave the table by --replace"
+            f"out; name them too{mend}"
         )
 
 
@@ -225,38 +310,5 @@ def _read_curves(told: str | None) -> tuple[str, ...] | None:
         return None
     names = [] if told == "none" else [name.strip() for name in told.split(",")]
     for name in names:
-        check_choice("--curves", name, (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, "actions"))
-    return tuple(own for name in names for own in (ACTION_QUANTITIES if name == "actions" else (name,)))
-
-
-def open_data(
-    store: Store, name: str, selection: Selected, world: str | None, *, mixed: bool = True
-) -> StudyData:
-    """Open a study's data, as `open_study` does, and say how many runs of the selection are left out."""
-    record = study_record(store, name, selection, world)
-    from pneuma.analysis.run_index import open_study
-
-    data = open_study(store, record, mixed=mixed)
-    tell_left_out(data)
-    return data
-
-
-def tell_left_out(data: StudyData) -> None:
-    """Say how many runs of a selection are not shown, or not here, if any."""
-    of = f"of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
-    if 0 < len(data.published) < len(data.runs):
-        say(f"Note: {len(data.published)} {of} are not here, but published.", aside=True)
-    if data.left_out:
-        say(f"Note: {data.left_out} {of} are not here, not finished or damaged, and left out.", aside=True)
-
-
-def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
-    """Refuse a value of an option that is none of those allowed."""
-    if value not in allowed:
-        raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
-
-
-def tell_written(files: Iterable[Path]) -> None:
-    """Say which files were written."""
-    for path in files:
-        print(f"wrote {plain(str(path))}")
+        check_choice("--curves", name, (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS))
+    return tuple(own for name in names for own in (ACTION_QUANTITIES if name == ACTIONS else (name,)))

@@ -1,17 +1,19 @@
-"""Which runs a study's name stands for: its latest selection, one of its own, or what is published."""
+"""Which runs a study's name stands for: those of its latest record here, of a new selection, or published."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from pneuma.cli.options import say
-from pneuma.errors import UserError, unknown_name
+from pneuma.cli.output import say
+from pneuma.errors import UserError, plain, unknown_name
 from pneuma.study import execute, plan, spec
-from pneuma.study.identity import own_things
 from pneuma.study.store import FINISHED, Status, Store
 from pneuma.worlds import check_world, split_world
+
+if TYPE_CHECKING:
+    from pneuma.analysis.tables import StudyData
 
 Read = TypeVar("Read")
 
@@ -19,26 +21,54 @@ Read = TypeVar("Read")
 def study_record(
     store: Store, name: str, selection: plan.Selection | None, world: str | None = None
 ) -> dict[str, Any]:
-    """Return a study's latest record, or the one of a selection; what that leaves open is the latest's.
+    """Return a study's latest record, the runs that a selection picks from it, or those that it plans anew.
 
-    A study that was never run here is the published one, where there is one. A world has records and
-    published tables of its own.
+    Conditions and seeds alone pick; a preset, steps, an engine or fields plan what `study run` would train.
+    A study that was never run here is the published one, where there is one. A world has records of its own.
 
     Raises:
         UserError: for a study that is nowhere, or a selection or world that it does not have.
     """
-    stem = _record_name(name, world)
+    check_world(world)
+    if is_shipped(name):
+        stem = spec.load_study(name, world).name
+    else:
+        stem = spec.name_in_world(Path(name).stem if name.endswith(".toml") else name, world)
+    chosen = selection or plan.Selection()
+    options = {"--preset": chosen.preset, "--steps": chosen.steps, "--engine": chosen.engine}
+    given = [option for option, value in {**options, "--set": chosen.settings}.items() if value]
     record = _own_record(store, name, stem) or _published_record(store, stem)
-    if record is None and selection is None:
+    if given and _is_asked_for(name) and (record or {}).get("source") != "tensorboard":
+        return execute.selection_record(plan.make_plan(spec.load_study(name, world), chosen))
+    if record is None:
         raise _unknown(store, name, stem, world)
-    if selection is None:
-        return record or {}
-    if record is not None and _only_picks(record, selection, _is_asked_for(name)):
-        return _pick(record, selection)
-    study = spec.load_study(name, world)
-    latest = recorded_selection(record) if record and "selection" in record else plan.Selection()
-    planned = plan.make_plan(study, selection.over(latest))
-    return execute.selection_record(planned)
+    if given:
+        what, mend = "is no shipped study", ", or name its file (….toml)"
+        if record.get("source") == "tensorboard":
+            what, mend = "was imported", ""
+        raise UserError(f"{given[0]}: study {stem} {what}: --condition and --seeds alone pick{mend}")
+    return _pick(record, chosen) if selection else record
+
+
+def open_data(
+    store: Store, name: str, selection: plan.Selection | None, world: str | None, *, mixed: bool = True
+) -> StudyData:
+    """Open a study's data, as `open_study` does, and say how many runs of the selection are left out."""
+    record = study_record(store, name, selection, world)
+    from pneuma.analysis.run_index import open_study
+
+    data = open_study(store, record, mixed=mixed)
+    tell_left_out(data)
+    return data
+
+
+def tell_left_out(data: StudyData) -> None:
+    """Say how many runs of a selection are not shown, or not here, if any."""
+    of = f"of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
+    if 0 < len(data.published) < len(data.runs):
+        say(f"Note: {len(data.published)} {of} are not here, but published.", aside=True)
+    if data.left_out:
+        say(f"Note: {data.left_out} {of} are not here, not finished or damaged, and left out.", aside=True)
 
 
 def is_shipped(name: str) -> bool:
@@ -47,18 +77,16 @@ def is_shipped(name: str) -> bool:
 
 
 def known_studies(store: Store, world: str | None = None) -> list[str]:
-    """Return the names of the studies that were run, imported or published here, sorted.
-
-    Only those of a world, where one is named.
+    """Return the names of the studies that were run, imported or published here, of a world if one is named.
 
     What looks like a study's file is none of them: such a name is for a person to give.
     """
+    check_world(world)
     names = set(store.studies())
     if (store.root / "published").is_dir():
         from pneuma.analysis.published import published_studies
 
         names |= {*published_studies(store)}
-    check_world(world)
     return sorted(
         name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
     )
@@ -71,7 +99,7 @@ def nothing_yet(store: Store, world: str | None = None) -> str:
     return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
 
 
-def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[tuple[str, Read]]:
+def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[Read]:
     """Read studies that nobody named one by one; of those that cannot be read only say so.
 
     Raises:
@@ -80,7 +108,7 @@ def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[tuple[
     found, hindered = [], []
     for name in names:
         try:
-            found.append((name, read(name)))
+            found.append(read(name))
         except UserError as error:
             hindered.append(error)
     if hindered and not found:
@@ -120,11 +148,7 @@ class RunState(NamedTuple):
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
-    """Return how every run of a record stands, here or in the published table of its study.
-
-    Raises:
-        UserError: when the published table is damaged.
-    """
+    """Return how every run of a record stands, here or in the published table of its study."""
     taken: dict[str, Status] = {}
     if (store.root / "published").is_dir():
         from pneuma.analysis.run_index import RunIndex
@@ -143,28 +167,14 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     return states
 
 
-def _record_name(name: str, world: str | None) -> str:
-    """Return what the record of a study is called.
-
-    Raises:
-        UserError: for a world that there is not, or that a shipped study is not run in.
-    """
-    check_world(world)
-    if is_shipped(name):
-        return spec.load_study(name, world).name
-    stem = Path(name).stem if name.endswith(".toml") else name
-    return spec.name_in_world(stem, world)
-
-
 def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
     """Return the record of what was run here; None without one, or where it is damaged, which is told.
 
     Raises:
         UserError: where that is the record of another file of the same name.
     """
-    record = store.selection(stem)
-    if record is None and store.selection_path(stem).exists() and _has_table(store, stem):
-        path = store.selection_path(stem)
+    record, path = store.selection(stem), store.selection_path(stem)
+    if record is None and path.exists() and _has_table(store, stem):
         say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", aside=True)
     if record is not None and name.endswith(".toml"):
         execute.check_same_file(record, Path(name), store)
@@ -191,74 +201,9 @@ def _has_table(store: Store, study: str) -> bool:
 def _is_asked_for(name: str) -> bool:
     """Tell whether a name is a study that may be loaded: a shipped one, or a file that a person names.
 
-    A file that a record names may be a stranger's, and loading it would run the reward that it names.
+    A file that a record names may be untrusted, and loading it would run the reward that it names.
     """
     return name.endswith(".toml") or is_shipped(name)
-
-
-def _only_picks(record: Mapping[str, Any], selection: plan.Selection, asked_for: bool) -> bool:
-    """Tell whether a selection is to be picked from a record's runs, not planned.
-
-    Raises:
-        UserError: where an option would need a plan that cannot or must not be made.
-    """
-    others = {
-        "--preset": selection.preset,
-        "--steps": selection.steps,
-        "--engine": selection.engine,
-        "--set": selection.settings,
-    }
-    given = [option for option, value in others.items() if value]
-    source = record.get("source", "runs")
-    if source != "tensorboard" and asked_for:
-        own = _brought_along(record, selection)
-        if own and given:
-            raise UserError(
-                f"{given[0]}: the record of study {record['study']} would {' and '.join(own)}: give that by "
-                "--set yourself, or pick with --condition and --seeds alone"
-            )
-        return not given and (source != "runs" or bool(own))
-    if given:
-        what = "was imported" if source == "tensorboard" else "is no shipped study"
-        mend = "" if source == "tensorboard" else ", or name its file (….toml)"
-        raise UserError(
-            f"{given[0]}: study {record['study']} {what}: --condition and --seeds alone pick{mend}"
-        )
-    return True
-
-
-def _brought_along(record: Mapping[str, Any], selection: plan.Selection) -> list[str]:
-    """Return what a record's settings, and nothing that a person gives, would run or read."""
-    if selection.preset or "selection" not in record:
-        return []
-    settings = recorded_selection(record).settings or {}
-    given = selection.settings or {}
-    return [said for key, said in own_things(settings).items() if given.get(key) != settings[key]]
-
-
-def recorded_selection(record: Mapping[str, Any]) -> plan.Selection:
-    """Return the selection of a record, which may be a stranger's.
-
-    Raises:
-        UserError: for one that makes no sense.
-    """
-    try:
-        latest = execute.recorded_selection(record)
-    except (KeyError, TypeError, ValueError):
-        latest = None
-    if latest is None or not _makes_sense(latest):
-        raise UserError(f"the record of study {record['study']} is damaged: run the study again")
-    return latest
-
-
-def _makes_sense(selection: plan.Selection) -> bool:
-    return (
-        all(isinstance(text, str | None) for text in (selection.preset, selection.engine))
-        and isinstance(selection.steps, int | None)
-        and all(isinstance(name, str) for name in selection.conditions)
-        and all(isinstance(seed, int) for seed in selection.seeds or ())
-        and isinstance(selection.settings, dict | None)
-    )
 
 
 def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any]:

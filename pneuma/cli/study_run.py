@@ -5,41 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli.options import (
-    Json,
-    Quiet,
-    Results,
-    Selected,
-    StudyName,
-    Workers,
-    WorldName,
-    places,
-    print_json,
-    read_seconds,
-    read_workers,
-    say,
-    selects,
-)
-from pneuma.cli.plain_text import command, plain
+from pneuma.cli import options as opt
+from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.progress import ProgressDisplay, duration
-from pneuma.errors import UserError
+from pneuma.errors import UserError, plain
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Place, Supervision
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_value
 
-RESULTS = Path("results")
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that a cell should not have when a study has been run."""
 
 Unpublished = Annotated[
-    bool,
-    typer.Option("--unpublished", help="Leave out runs that are finished in a published table of RESULTS."),
+    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table of RESULTS.")
 ]
 
 STOPPED = 130
@@ -52,23 +35,28 @@ _TOLD = {
 """The states of a plan's runs, for people."""
 
 
-@selects
-@places
+@opt.grouped
 def plan_(
-    name: StudyName,
-    selection: Selected = None,
-    world: WorldName = None,
-    workers: Workers = None,
+    name: opt.StudyName,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
     place: Place = HERE,
+    calibrate: Annotated[
+        bool,
+        opt.flag(
+            "--calibrate", "Train for seconds what no stored run tells the pace of (else a table does)."
+        ),
+    ] = False,
     unpublished: Unpublished = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Say what is stored and what would be trained, and about how long that takes; none is trained."""
     from pneuma.study import estimate
 
     planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
-    at_once = read_workers(workers, place)
+    at_once = opt.read_workers(workers, place)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     if unpublished:
@@ -103,13 +91,14 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
         print(f"Note: {note}.")
     for key, values in plan.differing_fields(planned).items():
         print(f"Conditions differ in {key}: {by_value(values)}")
-    width = max(len(condition) for condition in planned.conditions)
+    rows = []
     for condition in planned.conditions:
         own = [cell for cell in planned.cells if cell.condition == condition]
         expected = sum(seconds.get(cell.run_id, 0.0) for cell in own)
         time = f", {duration(expected)} of one core" if expected else ""
-        size = f"{len(own):>3} x {own[0].run.steps:>11,} steps"
-        print(f"{condition:<{width}} {size}  {_counts(states[cell.run_id] for cell in own)}{time}")
+        counts = _counts(states[cell.run_id] for cell in own)
+        rows.append((condition, f"{len(own):>3} x {own[0].run.steps:>11,} steps", f"{counts}{time}"))
+    print_table(("", "", ""), rows)
     print(f"{_counts(states.values())}.")
 
 
@@ -118,55 +107,69 @@ def _counts(states: Iterable[str]) -> str:
     return ", ".join(f"{counts[state]} {told}" for state, told in _TOLD.items() if counts[state])
 
 
-@selects
-@places
+@opt.grouped
 def run(
-    name: StudyName,
-    selection: Selected = None,
-    world: WorldName = None,
-    workers: Workers = None,
+    name: opt.StudyName,
+    selection: opt.Selected = None,
+    world: opt.WorldName = None,
+    workers: opt.Workers = None,
     place: Place = HERE,
     checkpoint_seconds: Annotated[
-        str,
-        typer.Option("--checkpoint-seconds", metavar="S", help="Time between two checkpoints of a run."),
-    ] = "15",
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try runs again that crashed before.")
-    ] = False,
+        float,
+        typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
+    ] = 15.0,
+    retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
-    results: Results = RESULTS,
-    json: Json = False,
-    quiet: Quiet = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
     planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
-    supervision = Supervision(
-        workers=read_workers(workers, place),
-        checkpoint_seconds=read_seconds("--checkpoint-seconds", checkpoint_seconds),
-        keep_checkpoints=planned.study.keep_checkpoints,
-        place=place,
-    )
     store = Store(results)
     if unpublished:
         planned = replace(planned, published=_published(store, planned))
-    return train(planned, store, supervision, retry_failed, json, quiet)
+    how = Supervision(
+        workers=opt.read_workers(workers, place),
+        checkpoint_seconds=checkpoint_seconds,
+        keep_checkpoints=planned.study.keep_checkpoints,
+        place=place,
+    )
+    return train(planned, store, how, retry_failed, json, quiet)
 
 
 def train(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> int:
     """Train what a plan lacks, showing how far it is; return the exit code."""
-    try:
-        results, code = train_cells(planned, store, how, retry_failed, json, quiet)
-    except Detached:  # as was asked
-        results, code = _as_stored(planned, store), 0
+    results, code = train_cells(planned, store, how, retry_failed, json, quiet)
     if json:
         rows = [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
         print_json({"schema": 1, "study": planned.study.name, "runs": rows})
     return code
 
 
-def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> list[execute.CellResult]:
+def train_cells(
+    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
+) -> tuple[list[execute.CellResult], int]:
+    """Train what a plan lacks and tell how it went; return the cells' results and the exit code."""
+    todo = execute.prepare(planned, store, retry_failed, how)
+    for note in (*planned.notes, *todo.notes):
+        say(f"Note: {note}.", aside=True, quiet=quiet)
+    try:
+        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
+            results = execute.execute(planned, todo.runs, store, how, display.update)
+    except Detached as left:  # as --detach asks, or by Ctrl-C
+        say(str(left), aside=True)
+        return _as_stored(planned, store, () if left.asked else todo.runs), 0 if left.asked else STOPPED
+    except KeyboardInterrupt:
+        say("Stopped. The same command goes on where every run was stopped.", aside=True)
+        return _as_stored(planned, store, todo.runs), STOPPED
+    _tell_results(planned, results, store, json, quiet)
+    return results, int(any(result.status.name in UNWELL for result in results))
+
+
+def _as_stored(planned: plan.Plan, store: Store, todo: Container[str]) -> list[execute.CellResult]:
     """Return how cells of a plan that was left stand; of what was `todo`, what is done was trained."""
     states = [(cell, store.status(cell.run_id)) for cell in planned.cells]
     return [
@@ -174,32 +177,6 @@ def _as_stored(planned: plan.Plan, store: Store, todo: Container[str] = ()) -> l
         for cell, status in states
         if status.finished or cell.run_id not in planned.published
     ]
-
-
-def train_cells(
-    planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
-) -> tuple[list[execute.CellResult], int]:
-    """Train what a plan lacks and tell how it went; return the cells' results and the exit code.
-
-    Raises:
-        Detached: where the runs were left to go on, as --detach asks.
-    """
-    todo = execute.prepare(planned, store, retry_failed, how)
-    for note in (*planned.notes, *todo.notes):
-        say(f"Note: {note}.", aside=True, quiet=quiet)
-    try:
-        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
-            results = execute.execute(planned, todo.runs, store, how, display.update)
-    except Detached as left:
-        say(str(left), aside=True)
-        if left.asked:
-            raise
-        return _as_stored(planned, store, todo.runs), STOPPED
-    except KeyboardInterrupt:
-        say("Stopped. The same command goes on where every run was stopped.", aside=True)
-        return _as_stored(planned, store, todo.runs), STOPPED
-    _tell_results(planned, results, store, json, quiet)
-    return results, int(any(result.status.name in UNWELL for result in results))
 
 
 def _published(store: Store, planned: plan.Plan) -> frozenset[str]:

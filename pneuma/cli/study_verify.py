@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneuma.cli.options import Json, OnlyWorld, Results, print_json, read_path
-from pneuma.cli.plain_text import plain
+from pneuma.cli import options as opt
+from pneuma.cli.output import print_json, print_table
 from pneuma.cli.study_records import nothing_yet
-from pneuma.errors import unknown_name
+from pneuma.errors import plain, unknown_name
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS, check_world
 
@@ -22,25 +22,22 @@ if TYPE_CHECKING:
     from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Comparison, Verdict
 
-RESULTS = Path("results")
-
-_HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "95 % interval", "seeds")
+_HEAD = ("claim", "section", *WORLDS, "logs", "numbers of", "effect", "95 % interval", "seeds")
 
 
 def verify(
     claims: Annotated[
         list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
     ] = None,
-    world: OnlyWorld = None,
+    world: opt.OneWorld = None,
     file: Annotated[
-        Path | None,
-        typer.Option("--claims", metavar="FILE", parser=read_path, help="Other claims than the thesis's."),
+        Path | None, opt.path_option("--claims", "FILE", "Other claims than the thesis's.")
     ] = None,
     design: Annotated[
-        bool, typer.Option("--design", help="Say what the seeds of each claim can tell, and read no runs.")
+        bool, opt.flag("--design", "Say what the seeds of each claim can tell, and read no runs.")
     ] = False,
-    results: Results = RESULTS,
-    json: Json = False,
+    results: opt.Results = opt.RESULTS,
+    json: opt.Json = False,
 ) -> None:
     """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
     check_world(world)
@@ -55,9 +52,9 @@ def verify(
         return _check_design(known, claims or (), world, json)
     every = judge(known, Store(results))
     shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
+    alpha = known.head.alpha
     if json:
-        alpha, contrasts = known.head.alpha, known.contrasts
-        head = {"schema": 1, "claims_hash": known.digest, "alpha": alpha, "contrasts": contrasts}
+        head = {"schema": 1, "claims_hash": known.digest, "alpha": alpha, "contrasts": known.contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
     if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
@@ -65,9 +62,7 @@ def verify(
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(
-        f"At most {known.head.alpha:.0%} chance of any false verdict among all, by Bonferroni's correction."
-    )
+    print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction.")
     return None
 
 
@@ -138,7 +133,7 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
         if (not claims or own.claim.name in claims) and world in (None, own.world)
     ]
     if json:
-        rows = [
+        documents = [
             {
                 "claim": own.claim.name,
                 "world": own.world,
@@ -150,18 +145,14 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
             for own in plans
         ]
         head = {"schema": 1, "claims_hash": known.digest, "alpha": known.head.alpha}
-        return print_json({**head, "pilot": known.pilot is not None, "design": rows})
-    lines: list[tuple[str, ...]] = [
-        ("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", "")
-    ]
+        return print_json({**head, "pilot": known.pilot is not None, "design": documents})
+    rows = []
     for own in plans:
         numbers = (own.detectable, own.plausible, own.provable, own.claim.of("margin", own.outcome))
         cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
         seeds = "/".join(map(str, own.seeds))
-        lines.append(
-            (plain(own.claim.name), own.world, own.outcome, seeds, *cells, own.reason or "decidable")
-        )
-    _print_columns(lines)
+        rows.append((own.claim.name, own.world, own.outcome, seeds, *cells, own.reason or "decidable"))
+    print_table(("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", ""), rows)
     if known.pilot is None:
         print("\nThe list has no pilot: every claim is admitted.")
         return None
@@ -175,12 +166,6 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
 _PLANNED = ("outcome", "a", "b", "alpha", "spread", "detectable", "provable", "plausible", "reason")
 
 
-def _print_columns(rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-
-
 # --- For people ----------------------------------------------------------------------------------
 
 
@@ -191,14 +176,12 @@ def _print_table(shown: Sequence[Verdict]) -> None:
     by_claim: dict[str, dict[str, Verdict]] = {}
     for one in shown:
         by_claim.setdefault(one.claim.name, {})[one.place] = one
-    _print_columns([_HEAD, *(_row(places) for places in by_claim.values())])
+    print_table(_HEAD, [_row(places) for places in by_claim.values()])
     counts: dict[str, Counter[str]] = {}
     for one in shown:
         counts.setdefault(one.place, Counter())[one.standing] += 1
     print()
-    _print_columns(
-        [("", *STANDINGS), *((at, *(str(own[word]) for word in STANDINGS)) for at, own in counts.items())]
-    )
+    print_table(("", *STANDINGS), [(at, *(own[word] for word in STANDINGS)) for at, own in counts.items()])
 
 
 def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
@@ -226,7 +209,7 @@ def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
     ]
     verdicts = [_verdict(places.get(place)) for place in WORLDS]
     return (
-        plain(some.claim.name),
+        some.claim.name,
         some.claim.section,
         *verdicts,
         *(numbers[0] if numbers else [""] * 4),
@@ -241,13 +224,9 @@ def _verdict(one: Verdict | None) -> str:
 
 
 def _numbers(own: Comparison) -> tuple[str, str, str]:
-    contrast = own.contrast
-    interval = contrast.interval
-    seeds = (
-        f"{contrast.seeds[0]}" if not contrast.seeds[1] else f"{contrast.seeds[0]} and {contrast.seeds[1]}"
-    )
+    contrast, interval = own.contrast, own.contrast.interval
     between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""
-    return f"{contrast.effect:.3g}", between, seeds
+    return f"{contrast.effect:.3g}", between, " and ".join(str(count) for count in contrast.seeds if count)
 
 
 def _kind_of(reason: str) -> str:

@@ -27,9 +27,8 @@ from pneuma.figures.panels import (
     round_ticks,
     set_shares,
 )
-from pneuma.figures.style import GREY, INK, SIZES, condition_looks, house_style, save_figure, short_names
+from pneuma.figures.style import GREY, INK, condition_looks, house_style, save_figure, short_names
 
-SIZE = SIZES["page"]
 PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
 """Heights of the panels: the usual one, the greatest with which a figure fits a page, and a condition's."""
 MOST_ROWS = 24
@@ -80,7 +79,7 @@ def draw_collapse(
     onsets = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
     held = _held(data, onsets)
     names, parts = short_names(list(shown["condition"]))
-    with house_style(SIZE.type_points):
+    with house_style():
         figure = Figure(layout="constrained")
         mosaic = _mosaic(list(held))
         panels = figure.subplot_mosaic(mosaic, width_ratios=[1.0] * len(mosaic[0]))
@@ -96,8 +95,8 @@ def draw_collapse(
             *_caption(data, shares, len(known) - len(shown)),
             parts and f"Rows: {parts}.",
         ]
-        put_texts(figure, SIZE, inches, headline_of(data, headline), caption=caption)
-        return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
+        put_texts(figure, inches, headline_of(data, headline), caption=caption)
+        return save_figure(figure, folder, stem, formats)
 
 
 def _held(data: StudyData, onsets: Mapping[str, float]) -> dict[str, list[Fall]]:

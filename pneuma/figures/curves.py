@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
 from pneuma.analysis.curves import Curve, curve_names, study_curves
 from pneuma.analysis.references import have_one_return, shared_levels
@@ -42,10 +42,14 @@ from pneuma.figures.panels import (
     stem_of,
 )
 from pneuma.figures.style import (
+    COLUMNS,
     INK,
+    LINE_INCHES,
     MOST_IN_A_PANEL,
-    SIZES,
-    Size,
+    PANEL_INCHES,
+    TYPE_POINTS,
+    WIDTH,
+    characters,
     condition_looks,
     house_style,
     save_figure,
@@ -53,13 +57,11 @@ from pneuma.figures.style import (
 )
 
 _, TRAILING_WINDOW = WINDOWS
-USUAL_BAND = {"pneuma": "ci", "thesis": "minmax"}
-"""Of each layout; the author's own script drew the least and the greatest."""
+AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
+"""How the author's own script drew: the least and the greatest."""
 USUAL_QUANTITIES = ("share_killed", "return")
 MOST_CURVES = 40
 """Conditions of which curves still fit a page; of more there is shown what they came to."""
-MOST_ON_A_SLIDE = 6
-"""Rows of small panels that a figure of fixed height has room for; of usual ones, half as many."""
 MOST_OTHERS = 24
 """Panels up to which all other means stand behind each; of more they would be a grey blur."""
 LONGEST_INCHES = 7.6
@@ -74,8 +76,6 @@ class Drawing:
     quantities: tuple[str, ...]
     band: str
     window: str
-    layout: str
-    size: str
 
 
 def draw_study(
@@ -86,8 +86,6 @@ def draw_study(
     formats: tuple[str, ...] = ("png", "svg"),
     *,
     quantities: Sequence[str] = (),
-    layout: str = "pneuma",
-    size: str = "page",
     shown: str = "",
     beside: StudyData | None = None,
 ) -> list[Path]:
@@ -96,69 +94,49 @@ def draw_study(
     Args:
         data: the study.
         folder: where to write.
-        band: one of `BANDS`; the layout's usual one when left out.
-        window: one of the study's windows; the layout's usual one when left out.
+        band: one of `BANDS`; Student's interval when left out.
+        window: one of the study's windows; its first when left out.
         formats: of `FIGURE_FORMATS`.
         quantities: of `curve_names`; when left out, the share killed and the return, or of these what there
             is, and the first of them alone where each condition has a panel. Where returns are of unlike
             rewards, the length of episodes stands in their place.
-        layout: 'pneuma', or 'thesis' for one panel of the return as in the thesis's figures.
-        size: one of `SIZES`.
         shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
         beside: another study, or imported logs, whose runs are drawn as dashed lines, each its own.
 
     Raises:
         UserError: for a quantity or window that the study's data does not have, data without curves, or
-            more panels than a slide has room for, or another study beside a panel for each condition.
+            another study beside a panel for each condition.
     """
     many = len(data.conditions) > MOST_IN_A_PANEL
     if beside and many:
         raise UserError(f"{beside.study} cannot be drawn beside {data.study}: each condition has a panel")
-    drawing = settle(data, band, window, quantities=quantities, layout=layout, size=size)
+    drawing = settle(data, band, window, quantities=quantities)
     curves = study_curves(data, drawing.quantities, drawing.window)
-    how = SIZES[size]
-    with house_style(how.type_points):
-        draw = _draw_small_panels if many else _draw_panels
-        figure, inches, entries, named = draw(data, curves, drawing, how, beside)
+    with house_style():
+        if many:
+            figure, inches, entries, named = _draw_small_panels(data, curves, drawing)
+        else:
+            figure, inches, entries, named = _draw_panels(data, curves, drawing, beside)
         caption = [*notes_of(data), *_caption(data, curves, drawing), named]
         drawn = [curve for group in curves.values() for curve in group]
-        put_texts(
-            figure, how, inches, headline_of(data, shown), entries, caption, _meaning(drawn, drawing.band)
-        )
+        put_texts(figure, inches, headline_of(data, shown), entries, caption, _meaning(drawn, drawing.band))
         stem = file_stem(data, drawing, beside.study if beside else None)
-        return save_figure(figure, folder, stem, formats, how.dots_per_inch)
+        return save_figure(figure, folder, stem, formats)
 
 
 def settle(
-    data: StudyData,
-    band: str | None = None,
-    window: str | None = None,
-    *,
-    quantities: Sequence[str] = (),
-    layout: str = "pneuma",
-    size: str = "page",
+    data: StudyData, band: str | None = None, window: str | None = None, quantities: Sequence[str] = ()
 ) -> Drawing:
-    """Return how `draw_study` draws, given the same.
-
-    Raises:
-        UserError: as it does.
-    """
-    wanted = data.checked_window(window or _usual_window(layout))
-    names = tuple(dict.fromkeys(quantities)) or _usual(data, layout)
+    """Return how `draw_study` draws, given the same."""
+    wanted = data.checked_window(window)
+    names = tuple(dict.fromkeys(quantities)) or _usual(data)
     if not set(names) & set(EPISODE_QUANTITIES):
         wanted = data.windows[0]  # nothing that is drawn is read in a window of one's choice
-    return Drawing(names, band or USUAL_BAND[layout], wanted, layout, size)
+    return Drawing(names, band or BAND_NAMES[0], wanted)
 
 
-def _usual_window(layout: str) -> str | None:
-    """Return the usual window of a layout; None: the study's first."""
-    return TRAILING_WINDOW if layout == "thesis" else None
-
-
-def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
+def _usual(data: StudyData) -> tuple[str, ...]:
     """Return what is drawn where nothing is asked for."""
-    if layout == "thesis":
-        return ("return",)
     known = curve_names(data)
     wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "length")
     names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
@@ -167,16 +145,12 @@ def _usual(data: StudyData, layout: str) -> tuple[str, ...]:
 
 def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
     """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
-    usual = settle(data, layout=drawing.layout)
-    differs = [name for name in (drawing.layout, drawing.size) if name not in ("pneuma", "page")]
-    if drawing.band != usual.band:
-        differs.append(drawing.band)
-    usual_windows = (_usual_window(drawing.layout), data.windows[0])
-    if drawing.window != next(filter(None, usual_windows)) and {*drawing.quantities} & {*EPISODE_QUANTITIES}:
-        differs.append(drawing.window.removesuffix("%"))
+    usual, differs = settle(data), []
     if drawing.quantities != usual.quantities:
         every = list(drawing.quantities) == curve_names(data)
-        differs = ["all" if every else "-".join(drawing.quantities), *differs]
+        differs.append("all" if every else "-".join(drawing.quantities))
+    differs += [drawing.band] * (drawing.band != usual.band)
+    differs += [drawing.window.removesuffix("%")] * (drawing.window != data.windows[0])
     return stem_of(data, *differs, *(["beside", beside] if beside else []))
 
 
@@ -187,13 +161,10 @@ Drawn = tuple[Figure, float, dict[str, Any], str]
 """A figure, the height of its panels in inches, its legend's entries, and what names in it consist of."""
 
 
-def _draw_panels(
-    data: StudyData, curves: Curves, drawing: Drawing, size: Size, beside: StudyData | None
-) -> Drawn:
+def _draw_panels(data: StudyData, curves: Curves, drawing: Drawing, beside: StudyData | None) -> Drawn:
     """Draw a panel of all conditions for each quantity, and each run of other curves beside them."""
-    rows = -(-len(curves) // size.columns)
+    rows = -(-len(curves) // COLUMNS)
     columns = -(-len(curves) // rows)
-    _check_room(2 * rows, size)
     figure = Figure(layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     labels = {name: label_of(data, name) for name in data.conditions if data.of_condition(name)}
@@ -217,7 +188,7 @@ def _draw_panels(
     players_last = dict(
         sorted(entries.items(), key=lambda entry: entry[0].startswith(("random player", "scripted hunter")))
     )
-    return figure, rows * size.panel_height * (1.2 if columns == 1 else 1), players_last, ""
+    return figure, rows * PANEL_INCHES * (1.2 if columns == 1 else 1), players_last, ""
 
 
 def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]) -> None:
@@ -237,24 +208,13 @@ def _curves_beside(beside: StudyData, drawing: Drawing) -> dict[str, list[Curve]
     }
 
 
-def _check_room(rows: int, size: Size) -> None:
-    if size.height is not None and rows > MOST_ON_A_SLIDE:
-        raise UserError(
-            f"so many panels do not fit a height of {size.height} inches: ask for fewer quantities or "
-            "conditions, or for --size page, which is as high as it needs"
-        )
-
-
-def _draw_small_panels(
-    data: StudyData, curves: Curves, drawing: Drawing, size: Size, _: StudyData | None
-) -> Drawn:
+def _draw_small_panels(data: StudyData, curves: Curves, drawing: Drawing) -> Drawn:
     """Draw a panel for each condition and quantity, those of a quantity below each other."""
     conditions = [curve.condition for curve in next(iter(curves.values()))]
-    columns = min(range(2 * size.columns, size.columns - 1, -1), key=lambda each: -len(conditions) % each)
+    columns = min(range(2 * COLUMNS, COLUMNS - 1, -1), key=lambda each: -len(conditions) % each)
     rows = -(-len(conditions) // columns)
-    _check_room(rows * len(curves), size)
     names, parts = short_names(conditions)
-    width = size.characters(0.83 * size.type_points, 0.9 * size.width / columns)
+    width = characters(0.83 * TYPE_POINTS, 0.9 * WIDTH / columns)
     titles = [
         "\n".join(textwrap.wrap(label_of(data, name, names[name]).replace(" = ", "="), width))
         for name in conditions
@@ -271,7 +231,7 @@ def _draw_small_panels(
             _draw_around(axes, data, name, group)
             axes.set_title(title, fontsize="small", weight="normal", pad=2)
         _align([*block], len(conditions), columns, quantity.label)
-    title_inches = 0.85 * size.line_inches * (1 + max(title.count("\n") for title in titles))
+    title_inches = 0.85 * LINE_INCHES * (1 + max(title.count("\n") for title in titles))
     panel_inches = max(0.3, min(0.75, LONGEST_INCHES / rows - title_inches))
     inches = rows * len(curves) * (panel_inches + title_inches) + 0.4
     entries: dict[str, Any] = {}

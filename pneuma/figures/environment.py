@@ -84,5 +84,5 @@ def draw_screens(folder: Path) -> list[Path]:
             axes = figure.add_axes((0, 0, 1, 1))
             axes.imshow(frame, interpolation="none")
             axes.axis("off")
-            paths += save_figure(figure, folder, stem, ("png",), dots_per_inch=200)
+            paths += save_figure(figure, folder, stem, ("png",))
     return paths

@@ -18,10 +18,9 @@ from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import headline_of, label_rows, notes_of, put_texts, round_ticks, runs_told
-from pneuma.figures.style import COLOURS, GREY, INK, SIZES, house_style, save_figure
+from pneuma.figures.style import COLOURS, GREY, INK, house_style, save_figure
 from pneuma.values import shown_level, shown_value
 
-SIZE = SIZES["page"]
 ROW_INCHES, AROUND_INCHES = 0.17, 0.75
 """Heights of a row, and of a map's title, ticks and label together."""
 
@@ -68,7 +67,7 @@ def draw_robustness(
     """
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
-    with house_style(SIZE.type_points):
+    with house_style():
         figure = Figure(layout="constrained")
         panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for axes, found in zip(panels, maps, strict=False):
@@ -83,8 +82,8 @@ def draw_robustness(
             for label, look in LOOKS.items()
         }
         headline = headline_of(data, "does the contrast hold elsewhere?")
-        put_texts(figure, SIZE, rows * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
-        return save_figure(figure, folder, stem, formats, SIZE.dots_per_inch)
+        put_texts(figure, rows * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
+        return save_figure(figure, folder, stem, formats)
 
 
 def _draw_map(axes: Axes, found: Map) -> None:

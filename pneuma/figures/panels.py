@@ -21,7 +21,7 @@ from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
-from pneuma.figures.style import CAPTION, GREY, MARKERS, Size, clean
+from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, MARKERS, TYPE_POINTS, WIDTH, characters, clean
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
 
@@ -128,19 +128,18 @@ def runs_told(counts: Iterable[int]) -> str:
     return str(known[0]) if len(known) == 1 else f"{known[0]} to {known[-1]}"
 
 
-def caption_lines(sentences: Iterable[str], size: Size) -> list[str]:
+def caption_lines(sentences: Iterable[str]) -> list[str]:
     """Return as many sentences as three lines have room for, wrapped."""
     lines: list[str] = []
     for sentence in filter(None, sentences):
         told = " ".join([*lines, sentence])
-        longer = textwrap.wrap(told, size.characters(CAPTION * size.type_points))
+        longer = textwrap.wrap(told, characters(CAPTION * TYPE_POINTS))
         lines = longer if len(longer) <= CAPTION_LINES else lines
     return lines
 
 
 def put_texts(
     figure: Figure,
-    size: Size,
     panels_inches: float,
     headline: str,
     entries: Mapping[str, Any] | None = None,
@@ -151,27 +150,26 @@ def put_texts(
 
     Args:
         figure: with constrained layout.
-        size: of the figure.
-        panels_inches: height of the panels, where it is free.
+        panels_inches: height of the panels.
         headline: the first line.
         entries: artists of the legend, by their label.
         caption: sentences, those that matter most first.
         legend_title: what lines and bands are.
     """
-    points, line, edge = size.type_points, size.line_inches, 0.07 / size.width
-    heading = textwrap.wrap(headline, size.characters(1.2 * points))
-    labels = {"\n".join(textwrap.wrap(label, size.characters(points) - 8)): artist
+    points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / WIDTH
+    heading = textwrap.wrap(headline, characters(1.2 * points))
+    labels = {"\n".join(textwrap.wrap(label, characters(points) - 8)): artist
               for label, artist in (entries or {}).items()}  # fmt: skip
     longest = max((len(label) for label in labels), default=0)
-    columns = max(1, size.characters(points) // (longest + 8))  # a handle is as wide as eight letters
+    columns = max(1, characters(points) // (longest + 8))  # a handle is as wide as eight letters
     rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
-    title = textwrap.wrap(legend_title, size.characters(0.9 * points)) if labels else []
+    title = textwrap.wrap(legend_title, characters(0.9 * points)) if labels else []
     rows += len(title)
-    below_lines = caption_lines(caption, size)
+    below_lines = caption_lines(caption)
     above = line * (1.2 * len(heading) + rows) + 0.1
     below = CAPTION * line * len(below_lines) + 0.08
-    height = size.height or above + panels_inches + below
-    figure.set_size_inches(size.width, height)
+    height = above + panels_inches + below
+    figure.set_size_inches(WIDTH, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
     figure.text(edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * points, va="top")

@@ -3,8 +3,8 @@
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
 The environment's own figures, the thesis's tables of hyperparameters, and of every published study in
-RESULTS/published its curves, what they came to, collapses, maps and numbers. Beside them an index: which
-command drew each, from which runs; and the same for people.
+RESULTS/published its curves, what they came to, collapses, maps and numbers; and the verdicts on all claims
+by them. Beside these an index: which command drew each file, from which runs; and the same for people.
 """
 
 from __future__ import annotations
@@ -28,15 +28,22 @@ from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.figures import FIGURE_LAYOUTS
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import MOST_CURVES, TRAILING_WINDOW, USUAL_QUANTITIES, draw_study, settle
+from pneuma.figures.curves import (
+    AS_IN_THESIS,
+    MOST_CURVES,
+    TRAILING_WINDOW,
+    USUAL_QUANTITIES,
+    draw_study,
+    settle,
+)
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, index_entries, read_index
 from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.panels import stem_of
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
+from pneuma.figures.verdicts import published_claims, write_verdicts
 from pneuma.study.files import write_whole
 from pneuma.study.provenance import available_cores
 from pneuma.values import shown_value
@@ -91,11 +98,11 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     logs = {study: own for study, own in (beside or {}).items() if own in dict(names)}
     draw = partial(_draw_one, folder, results, logs)
     if len(names) < FEW:
-        drawn = list(map(draw, names))
+        found = list(map(draw, names))
     else:
         with ProcessPoolExecutor(min(len(names), available_cores()), get_context("spawn")) as pool:
-            drawn = list(pool.map(draw, names))
-    for own in drawn:
+            found = list(pool.map(draw, names))
+    for own in found:
         entries += own
     written = {entry["file"] for entry in entries}
     write_whole(folder / INDEX, encode_index(entries))
@@ -103,7 +110,9 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     for name in known - written:
         if name.removeprefix(f"{TABLES}/") == Path(name).name:  # beside the index, or in its tables
             (folder / name).unlink(missing_ok=True)
-    return [*(folder / entry["file"] for entry in entries), folder / INDEX, folder / CONTENTS]
+    drawn = [folder / entry["file"] for entry in entries]
+    verdicts = write_verdicts(published_claims(results), folder) if studies else []
+    return [*drawn, *verdicts, folder / INDEX, folder / CONTENTS]
 
 
 def _draw_environment(folder: Path) -> Entries:
@@ -153,12 +162,8 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tup
 def draw_published(data: StudyData, folder: Path, logs: StudyData | None = None) -> Entries:
     """Draw everything of a study and write its tables; return what the index tells of each file.
 
-    Pictures are made small: they are committed, and drawn anew whenever a study is published.
-
-    Args:
-        data: the study.
-        folder: where.
-        logs: imported logs to draw its curves beside.
+    Pictures are made small: they are committed, and drawn anew whenever a study is published. Imported logs
+    are drawn beside its curves.
     """
     entries = []
     for shown, paths, told in [*_curves(data, folder, logs), *_others(data, folder)]:
@@ -179,7 +184,7 @@ Drawn = tuple[StudyData, list[Path], dict[str, Any]]
 
 
 def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
-    """Draw the conditions of the thesis's figure, in its layout too, and all where the study has more."""
+    """Draw the conditions of the thesis's figure, also as it drew them, and all where the study has more."""
 
     def drawn(own: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
         told = {"figure": "curves", "conditions": own.conditions, **asdict(settle(own, **how))}
@@ -189,9 +194,9 @@ def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[D
     if len(data.conditions) <= MOST_CURVES and set(USUAL_QUANTITIES) & set(curve_names(data)):
         names = [name for name in CONTRASTED.get(data.own_name, ()) if name in data.conditions]
         contrasted = data.of_conditions(names) if names else data
-        of_thesis = data.figure.startswith("fig-") and "return" in data.quantities
-        for layout in FIGURE_LAYOUTS if of_thesis else FIGURE_LAYOUTS[:1]:
-            yield drawn(contrasted, layout=layout)
+        yield drawn(contrasted)
+        if data.figure.startswith("fig-") and "return" in data.quantities:
+            yield drawn(contrasted, **AS_IN_THESIS)
         if names:
             every = data.of_conditions(data.conditions)
             every.figure = f"{data.figure}-all"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -37,21 +37,12 @@ LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Of importances: they tell the best trials, a tenth but never fewer than five, from the others."""
 
 
-def draw_search(
-    searched: Searched, folder: Path, what: Sequence[str], formats: tuple[str, ...]
-) -> list[Path]:
-    """Draw figures of a search; return the files written: of each figure that its trials are enough for.
-
-    Args:
-        searched: the search and its trials.
-        folder: where to write.
-        what: of `NEEDS`.
-        formats: of `pneuma.figures.FIGURE_FORMATS`.
-    """
+def draw_search(searched: Searched, folder: Path, formats: tuple[str, ...]) -> list[Path]:
+    """Draw each figure of a search that its trials are enough for; return the files written."""
     if not any(trial.state == "complete" for trial in searched.trials):
         return []
     paths = []
-    for name in what:
+    for name in NEEDS:
         with _plotting():
             axes = _plot(name, searched)
             if axes is not None:
@@ -106,7 +97,7 @@ def _study(searched: Searched, first_alone: bool = False) -> optuna.Study:
     search = searched.task.search
     count = 1 if first_alone else len(search.objectives)
     named = [replace(own, name=f"{own.outcome}, {own.over_seeds}") for own in search.objectives[:count]]
-    study = create_study(named, optuna.storages.InMemoryStorage(), search.name)
+    study = create_study(named, search.name)
     study.add_trials(frozen_trials(searched.trials, search.space, count))
     return study
 

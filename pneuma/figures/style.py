@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,43 +15,16 @@ from PIL import Image
 
 from pneuma.errors import plain
 
-
-@dataclass(frozen=True)
-class Size:
-    """How large a figure is; lengths in inches.
-
-    Attributes:
-        width: of the figure.
-        height: of the figure; None where it is as high as its panels and texts need.
-        columns: most panels side by side.
-        panel_height: of a panel with its axis, where the height is free.
-        type_points: size of the text; titles are larger, ticks and captions smaller.
-        dots_per_inch: of a PNG.
-    """
-
-    width: float
-    height: float | None
-    columns: int
-    panel_height: float
-    type_points: float
-    dots_per_inch: int
-
-    @property
-    def line_inches(self) -> float:
-        """Height of a line of text."""
-        return self.type_points * 1.5 / 72
-
-    def characters(self, points: float, width: float | None = None) -> int:
-        """Return how many characters fit a width, or a line; DejaVu's are 0.54 as wide as high."""
-        return int(((width or self.width) - 0.15) * 72 / (0.54 * points))
-
-
-SIZES = {
-    "page": Size(7.0, None, 3, 2.3, 8.0, 200),
-    "column": Size(3.3, None, 1, 2.1, 7.0, 200),
-    "slide": Size(10.0, 5.625, 3, 2.5, 12.0, 192),  # 1,920 × 1,080
-}
-"""For two columns of a page, one, and a slide."""
+WIDTH = 7.0
+"""Of a figure that spans a page, in inches; it is as high as its panels and texts need."""
+COLUMNS, PANEL_INCHES = 3, 2.3
+"""Most panels side by side, and the height of one with its axis."""
+TYPE_POINTS = 8.0
+"""Size of the text; titles are larger, ticks and captions smaller."""
+CAPTION = 0.78
+"""Size of small print, in that of the text."""
+LINE_INCHES = TYPE_POINTS * 1.5 / 72
+"""Height of a line of text."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230")
 """After Okabe and Ito: told apart by colour-blind readers, and from the greys that all are held against."""
@@ -60,9 +32,6 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """One to a colour, so that lines can be told apart in grey."""
 
 INK, GREY = "#222222", "#777777"
-TYPE_POINTS = SIZES["page"].type_points
-CAPTION = 0.78
-"""Size of small print, in that of the text."""
 
 _RC: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that words are as wide everywhere
@@ -102,6 +71,11 @@ _NO_DATES = {
     "svg": {"Date": None},
     "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
 }
+
+
+def characters(points: float = TYPE_POINTS, width: float = WIDTH) -> int:
+    """Return how many characters of a size fit a width; DejaVu's are 0.54 as wide as high."""
+    return int((width - 0.15) * 72 / (0.54 * points))
 
 
 @contextmanager
@@ -193,9 +167,7 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
 # --- Files -------------------------------------------------------------------------------------------
 
 
-def save_figure(
-    figure: Figure, folder: Path, stem: str, formats: Sequence[str], dots_per_inch: float | None = None
-) -> list[Path]:
+def save_figure(figure: Figure, folder: Path, stem: str, formats: Sequence[str]) -> list[Path]:
     """Write a figure in every format; the same figure gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
@@ -204,7 +176,7 @@ def save_figure(
     paths = []
     for name in formats:
         path = folder / f"{stem}.{name}"
-        figure.savefig(path, format=name, metadata=_NO_DATES[name], dpi=dots_per_inch or "figure")
+        figure.savefig(path, format=name, metadata=_NO_DATES[name])
         paths.append(path)
     return paths
 

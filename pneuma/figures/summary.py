@@ -40,8 +40,8 @@ from pneuma.figures.style import (
     GREY,
     INK,
     MOST_IN_A_PANEL,
-    SIZES,
-    Size,
+    PANEL_INCHES,
+    TYPE_POINTS,
     condition_looks,
     house_style,
     save_figure,
@@ -60,29 +60,15 @@ Values = Mapping[str, np.ndarray]
 """What the runs of each condition came to, (runs,)."""
 
 
-def draw_summary(
-    data: StudyData, folder: Path, formats: tuple[str, ...] = ("png", "svg"), *, size: str = "page"
-) -> list[Path]:
-    """Draw what the runs of every condition came to; return the files written.
-
-    Args:
-        data: the study.
-        folder: where to write.
-        formats: of `FIGURE_FORMATS`.
-        size: one of `SIZES`.
-    """
-    how, outcome = SIZES[size], shown_outcome(data)
+def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png", "svg")) -> list[Path]:
+    """Draw what the runs of every condition came to; return the files written."""
+    outcome = shown_outcome(data)
     table = summary_table(data, [outcome])
     table = table[table["outcome"] == outcome]
     values = {name: _known(data, name, outcome) for name in data.conditions if data.of_condition(name)}
-    with house_style(how.type_points):
-        figure = _draw(data, outcome, values, table, how)
-        return save_figure(figure, folder, summary_stem(data, size), formats, how.dots_per_inch)
-
-
-def summary_stem(data: StudyData, size: str) -> str:
-    """Return the name of a summary's files."""
-    return stem_of(data, "summary", *([] if size == "page" else [size]))
+    with house_style():
+        figure = _draw(data, outcome, values, table)
+        return save_figure(figure, folder, stem_of(data, "summary"), formats)
 
 
 def shown_outcome(data: StudyData) -> str:
@@ -95,37 +81,31 @@ def _known(data: StudyData, condition: str, outcome: str) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _draw(data: StudyData, outcome: str, values: Values, table: pd.DataFrame, size: Size) -> Figure:
-    """Draw the panels side by side, or one below the other in one column of a page."""
+def _draw(data: StudyData, outcome: str, values: Values, table: pd.DataFrame) -> Figure:
+    """Draw the panels side by side."""
     pitch = min(max(LONGEST_INCHES / len(values), LEAST_ROW_INCHES), ROW_INCHES)
     several = [name for name, runs in values.items() if len(runs) >= FEW_RUNS]
     improved = table[(table["statistic"] == "improvement") & table["condition"].isin(several)]
     profiled = len(values) <= MOST_IN_A_PANEL
-    rows = pitch * len(values) + 0.7
-    heights = [rows, *[rows] * bool(len(improved)), *[size.panel_height] * profiled]
-    stacked = size.columns == 1
     figure = Figure(layout="constrained")
-    grid = (len(heights), 1) if stacked else (1, len(heights))
-    panels = figure.subplots(
-        *grid, squeeze=False, height_ratios=heights if stacked else None,
-        width_ratios=None if stacked else [1.25, *[1] * (len(heights) - 1)],
-    ).ravel()  # fmt: skip
+    widths = [1.25, *[1] * (bool(len(improved)) + profiled)]
+    panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths).ravel()
     names, parts = short_names(list(values))
     labels = [label_of(data, name, names[name]) for name in values]
-    mark = 0.5 * size.type_points * min(1, pitch / ROW_INCHES)
+    mark = 0.5 * TYPE_POINTS * min(1, pitch / ROW_INCHES)
     with mpl.rc_context({"lines.markersize": mark}):
         _draw_rows(panels[0], data, outcome, values, table)
         label_rows(panels[0], labels, pitch)
         if len(improved):
             _draw_improvement(panels[1], data, list(values), improved)
-            label_rows(panels[1], labels if stacked else [""] * len(values), pitch)
+            label_rows(panels[1], [""] * len(values), pitch)
         entries = _entries(panels[0], table)
     if profiled:
         _draw_profiles(panels[-1], data, outcome, values)
     caption = [*notes_of(data), *_caption(data, outcome, values, len(improved) > 0)]
     caption.append(parts and f"Rows: {parts}.")
-    headline = headline_of(data, "at the end of training")
-    put_texts(figure, size, sum(heights) if stacked else max(heights), headline, entries, caption)
+    inches = max(pitch * len(values) + 0.7, PANEL_INCHES * profiled)
+    put_texts(figure, inches, headline_of(data, "at the end of training"), entries, caption)
     return figure
 
 

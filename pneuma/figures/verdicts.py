@@ -1,4 +1,4 @@
-"""One picture of all verdicts: a row for each claim, a column for each place where it is judged.
+"""All verdicts as a picture and as tables: a row for each claim, a column for each place where it is judged.
 
 In a cell stand the effect and its simultaneous interval in units of the margin, turned so that right is what
 the thesis says; its marker is filled by the verdict. An empty cell says why in a word.
@@ -7,6 +7,8 @@ the thesis says; its marker is filled by the verdict. An empty cell says why in 
 from __future__ import annotations
 
 import math
+import tempfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -17,16 +19,14 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.claims import Claim
-from pneuma.analysis.judgement import (
-    BY_LETTER,
-    NOT_RUN,
-    Comparison,
-    Verdict,
-    decisive_of,
-)
+from pneuma.analysis.judgement import BY_LETTER, NOT_RUN, STANDINGS, Comparison, Verdict, decisive_of
+from pneuma.analysis.published import PUBLISHED
 from pneuma.analysis.verdicts import INCONCLUSIVE, MIXED, REFUTED, SUPPORTED
+from pneuma.figures import verdict_words as words
 from pneuma.figures.style import COLOURS, house_style, save_figure
-from pneuma.figures.verdict_words import PLACES, JudgedClaim
+from pneuma.figures.verdict_words import PLACES, JudgedClaim, judged_claims
+from pneuma.study.files import write_whole
+from pneuma.study.store import Store
 
 STEM = "verdicts"
 MOST = 40.0
@@ -58,19 +58,83 @@ _WORDS = {
 """Why a cell is empty, by how the reason begins."""
 
 
+def published_claims(results: Path) -> dict[str, JudgedClaim]:
+    """Return every claim by its name, judged by the published tables alone: every clone says the same."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / PUBLISHED).symlink_to((results / PUBLISHED).resolve(), target_is_directory=True)
+        return judged_claims(Store(Path(folder)))[0]
+
+
+def write_verdicts(claims: Mapping[str, JudgedClaim], folder: Path) -> list[Path]:
+    """Write the verdicts on all claims as a picture, and as a page of tables; return both files."""
+    page = folder / f"{STEM}.md"
+    write_whole(page, "\n".join(["# Verdicts", "", *_counts(claims), "", *_table(claims), ""]).encode())
+    return [*draw_verdicts(claims, folder), page]
+
+
+def _places(claims: Mapping[str, JudgedClaim]) -> dict[str, str]:
+    """Return the places where any of the claims is judged, with their titles."""
+    return {
+        place: title
+        for place, title in PLACES.items()
+        if any(place in own.verdicts for own in claims.values())
+    }
+
+
+# --- Tables ---------------------------------------------------------------------------------------
+
+
+def _counts(claims: Mapping[str, JudgedClaim]) -> list[str]:
+    """Return what the verdicts come to, place by place."""
+    rows = [["Judged in", *STANDINGS]]
+    for place, label in _places(claims).items():
+        counted = Counter(own.verdicts[place].standing for own in claims.values() if place in own.verdicts)
+        rows.append([label, *(str(counted[word]) for word in STANDINGS)])
+    return _markdown(rows)
+
+
+def _table(claims: Mapping[str, JudgedClaim]) -> list[str]:
+    """Return a row for each claim, place beside place."""
+    places = _places(claims)
+    rows = [["Claim", "Thesis", *places.values()]]
+    for own in claims.values():
+        claim = own.claim
+        said = f"{words.tested(claim)}: {words.compared(claim)}"
+        cells = [_told(own.verdicts.get(place)) for place in places]
+        rows.append([said, f"{claim.section}: “{claim.quote}”", *cells])
+    return _markdown(rows)
+
+
+def _told(verdict: Verdict | None) -> str:
+    if verdict is None:
+        return "–"
+    if verdict.standing == NOT_RUN:
+        return NOT_RUN
+    own = None if verdict.verdict == "untestable" else words.decisive(verdict)
+    return f"**{verdict.verdict}** {words.effect(own) if own else ''}".strip()
+
+
+def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
+    ruled = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
+    return [f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in ruled]
+
+
+# --- The picture ----------------------------------------------------------------------------------
+
+
 def draw_verdicts(
     claims: Mapping[str, JudgedClaim], folder: Path, formats: tuple[str, ...] = ("png",)
 ) -> list[Path]:
     """Draw the verdicts on all claims; return the files written."""
     rows = sorted(claims.values(), key=lambda own: own.claim.section)
     sections = [(name, [*own]) for name, own in groupby(rows, key=lambda own: own.claim.section)]
-    heights = len(rows) + len(sections)
+    heights, places = len(rows) + len(sections), _places(claims)
     with house_style(6.5):
         figure, panels = plt.subplots(
-            1, len(PLACES), sharey=True, layout="constrained", squeeze=False,
+            1, len(places), sharey=True, layout="constrained", squeeze=False,
             figsize=(7.4, 1.1 + ROW_INCHES * heights),
         )  # fmt: skip
-        for axes, (place, title) in zip(panels[0], PLACES.items(), strict=True):
+        for axes, (place, title) in zip(panels[0], places.items(), strict=True):
             _draw_place(axes, place, title, sections)
         _name_rows(panels[0][0], sections)
         figure.legend(handles=_legend(), loc="outside upper center", ncols=5, handletextpad=0.4)

@@ -18,7 +18,7 @@ import numpy as np
 from pneuma.analysis.intervals import difference_interval
 from pneuma.config import Run, as_fields, env_config, make_run
 from pneuma.errors import UserError
-from pneuma.search.spec import Budget, Objective
+from pneuma.search.spec import Budget
 from pneuma.search.storage import Outcomes, Searched
 from pneuma.search.trials import Task, Told, objective_value
 from pneuma.study.plan import Plan
@@ -217,18 +217,12 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     for seen, objective in zip(winner.trial.values, task.search.objectives, strict=True):
         value, base = (objective_value(objective, arm, outcomes) for arm in (won, lost))
         arms = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
-        comparable = won[0].run.steps == searched_steps and same_kind(
-            objective, len(task.budget.seeds), len(planned.seeds)
-        )
+        alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(planned.seeds)
+        comparable = alike and won[0].run.steps == searched_steps
         sign = 1 if objective.direction == "maximize" else -1
         luck = sign * (seen - value) if comparable else float("nan")
         found[objective.name] = Gain(seen, value, base, *mean_difference(*arms), luck)
     return found
-
-
-def same_kind(objective: Objective, seen: int, fresh: int) -> bool:
-    """Tell whether values over some seeds and others compare: the least of many is less without any luck."""
-    return seen == fresh or objective.over_seeds not in ("least", "deviation")
 
 
 def mean_difference(won: np.ndarray, lost: np.ndarray) -> tuple[float, tuple[float, float]]:

@@ -99,6 +99,16 @@ class Parameter:
     domain: Range | Choices
     when: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        """Say what it may be, and where it counts."""
+        if isinstance(self.domain, Range):
+            ends = f"{self.domain.low:g} to {self.domain.high:g}"
+            told = f"{ends}, logarithmic" if self.domain.log else ends
+        else:
+            told = "one of " + ", ".join(self.domain.settings_of)
+        when = " and ".join(f"{name} is {' or '.join(map(str, own))}" for name, own in self.when.items())
+        return f"{told}, where {when}" if when else told
+
     @property
     def keys(self) -> tuple[str, ...]:
         """Return the fields of the run that it sets."""

@@ -10,7 +10,6 @@ A file is checked here once; what reads a `Search` trusts it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from annotated_types import Interval, MinLen
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import BASES, Steps
-from pneuma.errors import UserError, counted, unknown_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.space import FIXABLE, Parameter, Space, Unsound, read_parameter, usual_fields
@@ -28,7 +27,7 @@ from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, refuse_taken_n
 from pneuma.values import OneOf, Reads, Share
 from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_fields
 
-OVER_SEEDS = ("mean", "median", "iqm", "least", "deviation")
+OVER_SEEDS = ("mean", "median", "iqm", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
 
@@ -154,24 +153,10 @@ def read_search_seeds(value: object) -> tuple[int, ...]:
 
 
 def check_budget(search: Search, budget: Budget) -> None:
-    """Refuse a budget that the search cannot do with.
-
-    Raises:
-        UserError: naming the objective or pruner.
-    """
-    seeds = len(budget.seeds)
+    """Refuse a budget that the search cannot do with, naming the objective."""
     for objective in search.objectives:
-        if objective.over_seeds == "deviation" and seeds < 2:
+        if objective.over_seeds == "deviation" and len(budget.seeds) < 2:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
-    if search.pruner["name"] == "wilcoxon":
-        # The test is made before the last seed, and the least p-value of n pairs is 2**-n.
-        threshold = search.pruner["threshold"]
-        least = math.floor(-math.log2(threshold)) + 2
-        if seeds < least:
-            raise UserError(
-                f"pruner wilcoxon: {counted(seeds, 'seed')} cannot give a trial up at threshold "
-                f"{threshold:g}; it needs {least} at least"
-            )
 
 
 # --- What the file may hold ------------------------------------------------------------------------
@@ -209,12 +194,6 @@ class Tpe(Named):
     multivariate: bool = True
 
 
-class GaussianProcess(Named):
-    """Options of a search by Gaussian processes."""
-
-    startup_trials: Count = 10
-
-
 class Nsga(Named):
     """Options of the genetic algorithm NSGA-II."""
 
@@ -230,20 +209,8 @@ class Median(Named):
     startup_trials: Count = 5
 
 
-class Wilcoxon(Named):
-    """Gives up what is behind the best trial seed by seed."""
-
-    startup_seeds: Count = 2
-    threshold: Annotated[float, Interval(gt=0, lt=1)] = 0.1
-
-
-SAMPLERS: Mapping[str, type[Named]] = {
-    "tpe": Tpe,
-    "random": Named,
-    "gp": GaussianProcess,
-    "nsga-ii": Nsga,
-}
-PRUNERS: Mapping[str, type[Named]] = {"": Named, "median": Median, "wilcoxon": Wilcoxon}
+SAMPLERS: Mapping[str, type[Named]] = {"tpe": Tpe, "random": Named, "nsga-ii": Nsga}
+PRUNERS: Mapping[str, type[Named]] = {"": Named, "median": Median}
 
 
 class SearchFile(Table):
@@ -286,8 +253,6 @@ def read_search(path: Path) -> Search:
     pruner = _read_options(file, "pruner", PRUNERS, "")
     if len(objectives) > 1 and pruner["name"]:
         raise file.mistake(("pruner",), f"{pruner['name']} goes with one objective alone", "name")
-    if pruner["name"] == "wilcoxon" and objectives[0].over_seeds == "deviation":
-        raise file.mistake(("pruner",), "wilcoxon compares single seeds: they have no deviation", "name")
     return Search(
         name=path.stem,
         title=said.title,

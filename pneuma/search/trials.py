@@ -21,7 +21,7 @@ from pneuma.analysis.estimates import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.search.sampling import ask, begin_study
+from pneuma.search.optuna_study import ask, create_study
 from pneuma.search.spec import Budget, Objective, Search
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
@@ -113,15 +113,6 @@ class Told:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Stage:
-    """What of a trial is trained before trials are compared; `key` is the step that Optuna is told."""
-
-    seeds: tuple[int, ...]
-    steps: int
-    key: int
-
-
 @dataclass
 class _Asked:
     """A trial between being asked for and being told."""
@@ -148,31 +139,26 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]
         Unfinished: where a run crashed.
     """
     search, budget = task.search, task.budget
-    rungs = stages(search.pruner, budget)
-    directions = [objective.direction for objective in search.objectives]
-    study = begin_study(search.name, directions, search.pruner)
+    rungs = rung_steps(search.pruner, budget)
+    study = create_study(search.objectives, search.name, pruner=search.pruner)
     trained: list[Cell] = []
 
     for first in range(0, budget.trials, search.generation):
         asked = [_ask(study, task) for _ in range(search.generation)][: budget.trials - first]
-        for stage in rungs:
-            _train_stage(task, stage, asked, trained, train)
-            _compare(search.objectives[0], stage, rungs, asked, outcomes)
+        for rung, steps in rungs.items():
+            _train_rung(task, steps, asked, trained, train)
+            if len(rungs) > 1:
+                _compare(search.objectives[0], rung, rung == len(rungs), asked, outcomes)
         yield [_tell(study, search.objectives, each, outcomes) for each in asked]
 
 
-def stages(pruner: Mapping[str, Any], budget: Budget) -> tuple[Stage, ...]:
-    """Return the stages in which a trial is trained; the last one has its whole budget.
+def rung_steps(pruner: Mapping[str, Any], budget: Budget) -> dict[int, int]:
+    """Return the steps of the trainings after each of which trials are compared, by rung from 1 on.
 
-    The median compares at rungs of the budget: each an own, shorter training with all seeds.
-    Wilcoxon's test compares seed by seed.
+    Each is a training of its own with all seeds; the last has the whole budget.
     """
-    if pruner["name"] == "wilcoxon":
-        return tuple(Stage((seed,), budget.steps, place) for place, seed in enumerate(budget.seeds))
     count = pruner.get("rungs", 1)
-    return tuple(
-        Stage(budget.seeds, max(1, round(rung / count * budget.steps)), rung) for rung in range(1, count + 1)
-    )
+    return {rung: max(1, round(rung / count * budget.steps)) for rung in range(1, count + 1)}
 
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
@@ -204,17 +190,16 @@ def _ask(study: optuna.Study, task: Task) -> _Asked:
     return _Asked(trial, params, settings, run)
 
 
-def _train_stage(task: Task, stage: Stage, asked: list[_Asked], trained: list[Cell], train: Train) -> None:
-    """Train a stage of all trials that are still in the race; `trained` gets their cells."""
+def _train_rung(task: Task, steps: int, asked: list[_Asked], trained: list[Cell], train: Train) -> None:
+    """Train all trials that are still in the race for so many steps; `trained` gets their cells."""
     for each in asked:
         if each.run is None or each.pruned:
             continue
-        run = make_run({**as_fields(each.run), "steps": stage.steps})
+        run = make_run({**as_fields(each.run), "steps": steps})
         whole = run.steps == each.run.steps
         name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
-        own = [
-            Cell(name, seed, one, run_id(one)) for seed in stage.seeds for one in [replace(run, seed=seed)]
-        ]
+        runs = [replace(run, seed=seed) for seed in task.budget.seeds]
+        own = [Cell(name, one.seed, one, run_id(one)) for one in runs]
         own = [cell for cell in own if cell not in each.cells]  # two rungs round up to one budget
         each.cells += own
         trained += own
@@ -222,26 +207,21 @@ def _train_stage(task: Task, stage: Stage, asked: list[_Asked], trained: list[Ce
         train(make_trial_plan(task, trained))
 
 
-def _compare(
-    sought: Objective, stage: Stage, rungs: Sequence[Stage], asked: list[_Asked], outcomes: Outcomes
-) -> None:
-    """Report a stage of every trial, in order, and only then give up those that the pruner names."""
-    if len(rungs) < 2:
-        return
+def _compare(sought: Objective, rung: int, last: bool, asked: list[_Asked], outcomes: Outcomes) -> None:
+    """Report a rung of every trial, in order, and only then give up those that the pruner names."""
     racing = [each for each in asked if each.run is not None and not each.pruned]
     for each in racing:
-        cells = [cell for cell in each.cells if cell.seed in stage.seeds][-len(stage.seeds) :]
-        value = objective_value(sought, cells, outcomes)
-        each.rungs[stage.key] = value
+        value = objective_value(sought, _longest(each), outcomes)
+        each.rungs[rung] = value
         if np.isfinite(value):
-            each.trial.report(value, stage.key)
-    if stage is not rungs[-1]:
+            each.trial.report(value, rung)
+    if not last:
         for each in racing:
             each.pruned = each.trial.should_prune()
 
 
 def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, outcomes: Outcomes) -> Told:
-    cells = _last(asked) if asked.run else []
+    cells = _longest(asked) if asked.run else []
     values = tuple(objective_value(own, cells, outcomes) for own in objectives if cells)
     state = (
         "failed" if not values or not np.isfinite(values).all() else "pruned" if asked.pruned else "complete"
@@ -267,7 +247,7 @@ def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, o
     )
 
 
-def _last(asked: _Asked) -> list[Cell]:
+def _longest(asked: _Asked) -> list[Cell]:
     """Return the cells of a trial's longest training."""
     longest = max(cell.run.steps for cell in asked.cells)
     return [cell for cell in asked.cells if cell.run.steps == longest]
@@ -314,4 +294,4 @@ def over_seeds(name: str, values: np.ndarray) -> float:
         return float(interquartile_mean(values))
     if name == "median":
         return float(np.median(values))
-    return float(values.min() if name == "least" else values.mean())
+    return float(values.mean())

@@ -120,7 +120,7 @@ def save_run(
     episode = {"step": steps, "return": curve[-1] if returned is None else returned, "length": 9}
     about = {"wall_seconds": 1 + curve[-1], "cpu": "a", "threads": 1, **provenance}
     hand_made.save_run(
-        store, run_id, [episode], [{"step": steps, "entropy": 1.0}], evaluations, steps, **about
+        store, run_id, [episode], [{"step": steps, "entropy": 1.0}], evaluations, steps, "done", **about
     )
 
 

@@ -54,7 +54,6 @@ MISTAKES = {
     f"{RUN} --executor slurm --slurm mem": "--slurm mem: must be KEY=VALUE",
     f"{RUN} --engine sb4": "did you mean sb3?",
     f"{RUN} --preset quik": "did you mean quick?",
-    f"{RUN} --setting godot": "--setting is called --world now",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     f"{RUN} --seeds 3,3": "--seeds 3,3",
     f"{RUN} --seeds 10001": "a count from 1 to 10000",
@@ -104,7 +103,6 @@ def test_the_status_of_nothing_is_no_mistake(here: Path) -> None:
 # --- Choices that are checked once there is something to show -------------------------------------
 
 CHOICES = {
-    "study export activation --table episodes --format cvs --out x": "mean csv?",
     "study export activation --table episodes --out results/studies/activation.json/x": "--out",
     "study plot activation --window trailing": "trailing-100",
     "study plot activation --format pgn": "mean png?",

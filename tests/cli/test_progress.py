@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from pneuma.cli import progress
-from pneuma.cli.options import say
+from pneuma.cli.output import say
 from pneuma.cli.progress import LINE_SECONDS, ProgressDisplay
 from pneuma.config import Run
 from pneuma.study.execute import CellProgress

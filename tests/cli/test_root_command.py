@@ -14,7 +14,7 @@ import pytest
 from typer.main import get_command
 
 from pneuma.cli import app
-from pneuma.cli.options import say
+from pneuma.cli.output import say
 from pneuma.study.store import Store
 
 from .calls import described, printed, refused
@@ -45,7 +45,7 @@ def test_every_command_has_help_and_no_list_of_commands_is_cut(monkeypatch: pyte
 def test_the_shipped_studies_are_listed_and_shown() -> None:
     names = [study["study"] for study in described("study", "list", "--json")["studies"]]
     assert "activation" in names
-    assert [line.split()[0] for line in printed("study", "list").splitlines()] == names
+    assert [line.split()[0] for line in printed("study", "list").splitlines()[1:]] == names
     text = printed("study", "show", "activation")
     assert "activation: tanh (tanh); relu (relu); leaky-relu (leaky-relu)" in text
     assert "Compared with: relu" in text and "gradient_limit = 0.5" in text

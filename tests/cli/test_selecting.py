@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from pneuma.cli.options import Selected, read_selection, selecting_words, selects
+from pneuma.cli.options import Selected, Selecting, grouped, selecting_words
 from pneuma.study.plan import Selection
 
 
-@selects
+@grouped
 def command(name: str, selection: Selected = None, quiet: bool = False) -> tuple[str, Selected, bool]:
     """Give back what it was called with."""
     return name, selection, quiet
@@ -44,8 +45,7 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
     given: dict[str, list[str]] = {}
     for option, value in zip(told[::2], told[1::2], strict=True):
         given.setdefault(option, []).append(value)
-    preset, seeds, steps, engine = (
-        next(iter(given.get(option, [])), None) for option in ("--preset", "--seeds", "--steps", "--engine")
-    )
-    read = read_selection(preset, seeds, steps, engine, given.get("--condition"), given.get("--set"))
+    keys = ("preset", "seeds", "steps", "engine")
+    one: dict[str, Any] = {key: next(iter(given.get(f"--{key}", [])), None) for key in keys}
+    read = Selecting(**one, condition=given.get("--condition"), set_=given.get("--set")).read()
     assert (read or Selection(settings={})) == replace(selection, settings=selection.settings or {})

@@ -26,36 +26,29 @@ def recorded(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("words", "runs"),
-    [
-        ("activation", 1),
-        ("activation --world text", 1),
-        ("activation --world godot", 2),
-        ("activation-godot", 2),
-    ],
-)
-def test_status_tells_each_worlds_record(words: str, runs: int, recorded: Path) -> None:
-    document = described("study", "status", *words.split(), "--results", recorded, "--json")
-    assert len(document["runs"]) == runs
+def test_status_tells_each_worlds_record_and_without_a_name_all_or_one_worlds(recorded: Path) -> None:
+    status = ("study", "status", "--results", recorded, "--json")
+    told = {
+        "activation": 1,
+        "activation --world text": 1,
+        "activation --world godot": 2,
+        "activation-godot": 2,
+    }
+    for words, runs in told.items():
+        assert len(described(*status, *words.split())["runs"]) == runs
+    every = [study["study"] for study in described(*status)["studies"]]
+    assert every == ["activation", "activation-arena", "activation-godot"]
+    (one,) = described(*status, "--world", "godot")["studies"]
+    assert one["study"] == "activation-godot"
 
 
-@pytest.mark.parametrize(
-    ("world", "names"),
-    [("", ["activation", "activation-arena", "activation-godot"]), ("--world godot", ["activation-godot"])],
-)
-def test_status_of_all_is_of_all_worlds_or_of_one(world: str, names: list[str], recorded: Path) -> None:
-    document = described("study", "status", *world.split(), "--results", recorded, "--json")
-    assert [study["study"] for study in document["studies"]] == names
-
-
-def test_a_selection_in_another_world_is_of_other_runs_and_goes_over_its_own_record(recorded: Path) -> None:
+def test_a_selection_in_another_world_is_of_other_runs_and_picks_from_its_own_record(recorded: Path) -> None:
     command = ("activation", "--results", recorded, "--json")
     text, godot = (described("study", "plan", *command, "--world", world) for world in ("text", "godot"))
     ids = [{run["run_id"] for run in document["runs"]} for document in (text, godot)]
     assert [len(own) for own in ids] == [9, 9] and not ids[0] & ids[1]
-    runs = described("study", "status", *command, "--world", "godot", "--steps", "8192")["runs"]
-    assert [(run["condition"], run["seed"]) for run in runs] == [("relu", 0), ("relu", 1)]
+    runs = described("study", "status", *command, "--world", "godot", "--seeds", "1..9")["runs"]
+    assert [(run["condition"], run["seed"]) for run in runs] == [("relu", 1)]
 
 
 @pytest.mark.parametrize(

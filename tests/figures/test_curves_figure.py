@@ -17,7 +17,6 @@ from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.curves import draw_study
 from pneuma.figures.panels import FEW_RUNS
-from pneuma.figures.style import SIZES
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
@@ -73,14 +72,11 @@ def test_every_run_of_another_study_is_drawn_beside(
     assert "Another" in legend(drawn[1])
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_no_word_reaches_over_the_edge(
-    study: HandMade, tmp_path: Path, drawn: list[Figure], size: str
-) -> None:
+def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
-    (path,) = study.draw(tmp_path, size=size, band="bootstrap", formats=("png",))
+    (path,) = study.draw(tmp_path, band="bootstrap", formats=("png",))
     with Image.open(path) as image:
-        assert image.width == {"page": 1400, "column": 660, "slide": 1920}[size]
+        assert image.width == 1400
     width, height = drawn[0].bbox.size
     for text in (*drawn[0].texts, *drawn[0].legends):
         box = text.get_window_extent()

@@ -10,7 +10,6 @@ import pytest
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
 from pneuma.figures import paper
-from pneuma.study.store import Store
 
 from .hand_made import HandMade
 
@@ -27,11 +26,10 @@ def published(study: HandMade, tmp_path: Path) -> Path:
     """A results folder with two published studies alone."""
     data = study.data
     fresh = tmp_path / "fresh"
+    (fresh / "published").mkdir(parents=True)
     for name in ("mine", "mine-godot"):
         data.study = name
-        path = published_path(Store(fresh), name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encode_study(data))
+        (fresh / "published" / published_path(study.store, name).name).write_bytes(encode_study(data))
     return fresh
 
 
@@ -42,13 +40,14 @@ def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert {entry["file"] for entry in index} == {
         str(path.relative_to(tmp_path / "paper"))
         for path in written
-        if path.name not in ("index.json", "README.md")
+        if path.name not in ("index.json", "README.md") and path.stem != "verdicts"
     }
     drawn = {Path(entry["file"]).stem: entry for entry in index}
-    for stem in ("fig-mine", "fig-mine-thesis", "fig-mine-godot-summary", "mine-godot"):
+    for stem in ("fig-mine", "fig-mine-return-minmax-trailing-100", "fig-mine-godot-summary", "mine-godot"):
         assert drawn[stem]["command"] == "make figures"
     assert drawn["fig-mine"]["n"] == {"tanh": 2, "relu": 2}
     assert [entry["beside"] for entry in drawn.values() if "beside" in entry] == ["mine-godot"]
+    assert "| Judged in |" in (tmp_path / "paper" / "verdicts.md").read_text()
     assert (
         "- [fig-mine.png](fig-mine.png): curves: share killed" in (tmp_path / "paper/README.md").read_text()
     )

@@ -9,7 +9,6 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.figures.style import SIZES
 from pneuma.figures.summary import draw_summary
 
 from .hand_made import HandMade, legend, words
@@ -32,11 +31,10 @@ def five(tmp_path: Path) -> HandMade:
     return study
 
 
-@pytest.mark.parametrize("size", SIZES)
 def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
-    five: HandMade, tmp_path: Path, drawn: list[Figure], size: str
+    five: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    draw_summary(five.data, tmp_path, ("svg",), size=size)
+    draw_summary(five.data, tmp_path, ("svg",))
     runs, improvement, profile = drawn[0].axes
     assert _points(runs, "o") == pytest.approx([0.2, 0.3, 0.3, 0.5, 0.7, 0.1, 0.1, 0.2, 0.3, 0.3])
     assert _points(runs, "D") == pytest.approx([0.4, 0.2])

@@ -26,7 +26,7 @@ def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
     searched = Searched(task, tuple(solve(task)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        drawn = [draw_search(searched, tmp_path / name, list(NEEDS), (ending,)) for name in ("one", "two")]
+        drawn = [draw_search(searched, tmp_path / name, (ending,)) for name in ("one", "two")]
     assert len(drawn[0]) == len(NEEDS)
     for one, two in zip(*drawn, strict=True):
         assert one.read_bytes() == two.read_bytes()
@@ -35,6 +35,6 @@ def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
 
 def test_what_the_trials_are_too_few_for_is_not_drawn(make_task: MakeTask, tmp_path: Path) -> None:
     task = make_task(8)
-    drawn = draw_search(Searched(task, tuple(solve(task))), tmp_path, list(NEEDS), ("svg",))
+    drawn = draw_search(Searched(task, tuple(solve(task))), tmp_path, ("svg",))
     assert [path.stem.rpartition("-")[2] for path in drawn] == ["history", "slices", "parallel"]
-    assert draw_search(Searched(task, ()), tmp_path, list(NEEDS), ("svg",)) == []
+    assert draw_search(Searched(task, ()), tmp_path, ("svg",)) == []

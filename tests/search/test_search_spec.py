@@ -152,24 +152,11 @@ def test_every_shipped_search_is_sound() -> None:
     assert load_search("ppo-godot") == load_search("ppo", "godot")
 
 
-@pytest.mark.parametrize(("threshold", "least"), [(0.1, 5), (0.0625, 6), (0.01, 8)])
-def test_wilcoxon_wants_as_many_seeds_as_can_give_a_trial_up(
-    write: Load, threshold: float, least: int
-) -> None:
-    """By hand: before the last of n seeds, n - 1 pairs, whose least p-value is 2^-(n-1)."""
-    search = write(GOOD + f'[pruner]\nname = "wilcoxon"\nthreshold = {threshold}')
-    assert 0.5 ** (least - 1) < threshold <= 0.5 ** (least - 2)
-    check_budget(search, Budget(8, tuple(range(least)), 512))
-    with pytest.raises(UserError, match=f"it needs {least} at least"):
-        check_budget(search, Budget(8, tuple(range(least - 1)), 512))
-
-
 @pytest.mark.parametrize(
     ("more", "told"),
     [
         ('[pruner]\nname = "median"\n[objectives.again]\noutcome = "final-return"', "one objective alone"),
         ('over_seeds = "deviation"', "a deviation needs --seeds 2 at least"),
-        ('over_seeds = "deviation"\n[pruner]\nname = "wilcoxon"', "they have no deviation"),
     ],
 )
 def test_what_objectives_cannot_do_with_is_refused(write: Load, more: str, told: str) -> None:
