@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Comparison, Verdict
 
-_HEAD = ("claim", "section", *WORLDS, "logs", "numbers of", "effect", "95 % interval", "seeds")
+_HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "interval", "seeds")
 
 
 def verify(
@@ -62,7 +62,7 @@ def verify(
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction.")
+    print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction; intervals hold together.")
     return None
 
 
@@ -186,6 +186,7 @@ def _print_table(shown: Sequence[Verdict]) -> None:
 
 def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
     """Print why claims are untestable: of those that were named in full, of a long list how often."""
+    from pneuma.analysis.judgement import NOT_RUN
     from pneuma.analysis.verdicts import UNTESTABLE
 
     if named:
@@ -193,7 +194,11 @@ def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
             if one.reason:
                 print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
         return
-    reasons = Counter(f"{one.place}: {_kind_of(one.reason)}" for one in shown if one.verdict == UNTESTABLE)
+    reasons = Counter(
+        f"{one.place}: {_kind_of(one.reason)}"
+        for one in shown
+        if one.verdict == UNTESTABLE and one.standing != NOT_RUN
+    )
     if reasons:
         print("\nUntestable for (of a claim that is named, the whole reason is told):")
         for reason, count in reasons.most_common():
@@ -218,13 +223,15 @@ def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
 
 def _verdict(one: Verdict | None) -> str:
     """Return a verdict, with the seeds that it needs where that is known."""
-    if one is None:
-        return "-"
+    from pneuma.analysis.judgement import NOT_RUN
+
+    if one is None or one.standing == NOT_RUN:
+        return NOT_RUN if one else "-"
     return f"{one.verdict} ({one.seeds_needed:,} seeds)" if one.seeds_needed else one.verdict
 
 
 def _numbers(own: Comparison) -> tuple[str, str, str]:
-    contrast, interval = own.contrast, own.contrast.interval
+    contrast, interval = own.contrast, own.contrast.simultaneous
     between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""
     return f"{contrast.effect:.3g}", between, " and ".join(str(count) for count in contrast.seeds if count)
 
