@@ -42,12 +42,6 @@ def plan_(
     world: opt.WorldName = None,
     workers: opt.Workers = None,
     place: Place = HERE,
-    calibrate: Annotated[
-        bool,
-        opt.flag(
-            "--calibrate", "Train for seconds what no stored run tells the pace of (else a table does)."
-        ),
-    ] = False,
     unpublished: Unpublished = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
