@@ -38,7 +38,6 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what runs in the worker's own process:
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy", "pneuma.engines.records"),
     # what says that programs have to be compiled:
-    "pneuma.study.compiling": ("pneuma.env.compiled",),
     "pneuma.study.checkpoints": (
         "pneuma.engines.base", "pneuma.engines.records",
     ),

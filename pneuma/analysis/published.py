@@ -29,7 +29,7 @@ from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import GRID_POINTS
 from pneuma.errors import UserError
 from pneuma.study.files import names_in, parse_json, read_json, read_whole
-from pneuma.study.store import FINISHED, Status, Store, is_record
+from pneuma.study.store import FINISHED, Record, Status, Store, fits
 from pneuma.study.tables import from_parquet
 
 SCHEMA = 2
@@ -269,7 +269,7 @@ def _check(head: Mapping[str, Any], table: pa.Table) -> None:
     needed = {*NAMING, "settings", "end", "provenance", SIGNS, *head["tables"]}
     if missing := needed - {*table.column_names}:
         raise ValueError(f"column {min(missing)} is missing")
-    if not is_record(_record(head, table)):
+    if not fits(_record(head, table), Record):
         raise ValueError("its runs make no sense")
     rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))
     for field in table.schema:

@@ -14,10 +14,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 import numpy as np
 from safetensors.numpy import load, save
+from typing_extensions import TypedDict
 
 from pneuma.config import Run
 from pneuma.engines.base import Progress, checkpoint_steps
@@ -34,7 +35,7 @@ from pneuma.engines.records import (
 from pneuma.errors import UserError
 from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name, read_whole
 from pneuma.study.provenance import Attempt, differences
-from pneuma.study.store import Store
+from pneuma.study.store import Store, fits
 from pneuma.study.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
@@ -201,7 +202,7 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] |
     except Exception:  # whatever untrusted bytes lead the readers of JSON, safetensors and Parquet to
         return None
     run = file.path.parent.parent.name
-    whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and _is_history(history)
+    whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and fits(history, _History)
     return (checkpoint, {"attempts": [], "resumes": [], **history}) if whole else None
 
 
@@ -270,12 +271,14 @@ def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
     return rows
 
 
-def _is_history(history: Mapping[str, Any]) -> bool:
-    """Tell whether a checkpoint's history, which may be crafted, has what provenance is made of."""
-    attempts, resumes = history.get("attempts", []), history.get("resumes", [])
-    if not isinstance(attempts, list) or not isinstance(resumes, list):
-        return False
-    needed: dict[str, Any] = {"wall_seconds": (int, float), "started": str, "machine": dict}
-    return all(isinstance(each, dict) for each in (*attempts, *resumes)) and all(
-        isinstance(attempt.get(key), kind) for attempt in attempts for key, kind in needed.items()
-    )
+class _Attempt(TypedDict):
+    started: str
+    wall_seconds: float
+    machine: dict[str, Any]
+
+
+class _History(TypedDict):
+    """What a checkpoint, which may be crafted, has to say for provenance."""
+
+    attempts: NotRequired[list[_Attempt]]
+    resumes: NotRequired[list[dict[str, Any]]]

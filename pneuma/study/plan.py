@@ -36,19 +36,6 @@ class Selection:
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] | None = None
 
-    def over(self, recorded: Selection) -> Selection:
-        """Fill what this selection leaves open from a recorded one; one that names a preset stands alone."""
-        if self.preset:
-            return self
-        return Selection(
-            preset=recorded.preset,
-            seeds=self.seeds or recorded.seeds,
-            steps=self.steps or recorded.steps,
-            engine=self.engine or recorded.engine,
-            conditions=self.conditions or recorded.conditions,
-            settings={**(recorded.settings or {}), **(self.settings or {})},
-        )
-
 
 @dataclass(frozen=True)
 class Cell:

@@ -22,7 +22,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError
 from pneuma.study.store import Store
 
 PACKAGES = (
@@ -239,11 +238,7 @@ def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, 
     One at a time: a run that was requeued every hour tells of hundreds of machines.
     """
     for name in run_ids:
-        try:
-            told = json.loads(store.read_file(name, "provenance.json"))
-        except (UserError, ValueError, RecursionError):
-            continue
-        if isinstance(told, dict) and "imported" not in told:
+        if (told := store.read_document(name, "provenance.json")) and "imported" not in told:
             yield name, told
 
 

@@ -31,12 +31,12 @@ from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.compiling import COMPILES, compiled_mark, leave_mark
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import Status, Store, run_document, to_json
 
 REPORT_SECONDS = 0.25
+BEGINS = "begins (compiling for the first time takes up to a minute)"
 THREADS = 1
 
 
@@ -162,15 +162,11 @@ def _train_once(
     engine = load_engine(run.engine)  # first, because a checkpoint's device is compared with its own
     start = checkpoints.latest()
     attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS, start.step if start else 0)
-    compiled = compiled_mark(run)
     reporter.send("step", name, step=attempt.start)
-    if compiled and not compiled.exists():
-        reporter.send("passing", name, text=COMPILES)
+    reporter.send("passing", name, text=BEGINS)
 
     def update(progress: Progress) -> bool:
         nonlocal attempt
-        if not attempt.first:
-            leave_mark(compiled)
         attempt = attempt.updated(progress.step)
         reporter.step(name, progress.step)
         stopping = stop.is_set()

@@ -16,15 +16,15 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study.executors import local, slurm
-from pneuma.study.executors.base import Detached, Event, Place, Supervision
+from pneuma.study.executors.base import Detached, Event, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
 
 submitit = pytest.importorskip("submitit")
 
 SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
-HOW = Supervision(2, place=Place("slurm"))
-DETACHED = replace(HOW, place=Place("slurm", detach=True))
+HOW = Supervision(2, executor="slurm")
+DETACHED = replace(HOW, detach=True)
 
 
 def group(*seeds: int, steps: int = 500) -> dict[str, Run]:
@@ -154,7 +154,7 @@ def test_the_queue_tells_the_jobs_of_arrays_and_single_ones_by_run(
 def script(options: Mapping[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     (folder / "srun").touch(0o755)
     monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
-    how = replace(HOW, place=Place("slurm", slurm=tuple(options.items())))
+    how = replace(HOW, slurm=tuple(options.items()))
     return slurm._executor(folder, "mine", how)._make_submission_file_text("", "").splitlines()
 
 

@@ -155,7 +155,7 @@ class Supervisor:
     Args:
         groups: of runs, by id.
         store: where workers put them.
-        supervision: how many are busy at once.
+        how: how many are busy at once, and how often they leave checkpoints.
         on_event: takes every event.
         interrupts: the first lets every run come to a checkpoint, the second ends all at once.
         start: starts a worker's process for a job, the document that `pneuma.study.worker` reads.
@@ -165,14 +165,14 @@ class Supervisor:
         self,
         groups: Iterable[Mapping[str, Run]],
         store: Store,
-        supervision: Supervision,
+        how: Supervision,
         on_event: OnEvent,
         interrupts: Interrupts,
         start: Callable[[Mapping[str, Any]], Process],
     ) -> None:
         self._tasks = [_Task(group) for group in groups]
         self._store = store
-        self._how = supervision
+        self._how = how
         self._on_event = on_event
         self._interrupts = interrupts
         self._start_process = start
