@@ -44,7 +44,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what reads records, what produced them, and which of them claims fixed:
     "pneuma.analysis": (
         "pneuma.study.store", "pneuma.study.files", "pneuma.study.spec", "pneuma.study.tables",
-        "pneuma.study.claimed", "pneuma.study.plan", "pneuma.study.provenance",
+        "pneuma.study.claimed", "pneuma.study.plan", "pneuma.study.provenance", "pneuma.study.documents",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": (

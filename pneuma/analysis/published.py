@@ -28,8 +28,9 @@ from pneuma.analysis.records import QUANTITIES, Records, told_seconds
 from pneuma.analysis.signs import Stretch
 from pneuma.analysis.windows import GRID_POINTS
 from pneuma.errors import UserError
+from pneuma.study.documents import Record, fits
 from pneuma.study.files import names_in, parse_json, read_json, read_whole
-from pneuma.study.store import FINISHED, Record, Status, Store, fits
+from pneuma.study.store import FINISHED, Status, Store
 from pneuma.study.tables import from_parquet
 
 SCHEMA = 2

@@ -67,15 +67,9 @@ CAUSES: dict[str, Change] = {
 def plan_fork(
     store: Store, parent: str, at: int, change: Change, seeds: Sequence[int], trust: bool = False
 ) -> Plan:
-    """Plan a fork from the parent's checkpoint nearest before `at`, and its control.
+    """Plan a fork from the parent's checkpoint nearest before step `at`, and its control, by fork seeds.
 
-    Args:
-        store: where the parent is.
-        parent: its run id.
-        at: agent steps.
-        change: what the fork does otherwise.
-        seeds: of the fork: each begins fresh random streams.
-        trust: whether what the stored run names of its owner's may be imported and read.
+    Each seed begins fresh random streams. With `trust`, what the run names of its owner's may be read.
 
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
@@ -96,14 +90,8 @@ def plan_cause_forks(
     """Plan the forks of several runs of a study, a condition for each of `CAUSES` that all of them can make.
 
     A condition's runs are numbered in one order in every condition, so that run i of a change and run i of
-    the control begin with the same weights, worlds and optimizer.
-
-    Args:
-        store: where the runs are.
-        study: the name of theirs.
-        parents: by run id, before what step each is to be forked; one that cannot be is left out, and said.
-        seeds: of the forks of each parent.
-        trust: whether what the stored runs name of their owner's may be imported and read.
+    the control begin with the same weights, worlds and optimizer. `parents` tells before what step each run
+    is to be forked; one that cannot be is left out, and said.
 
     Raises:
         UserError: where no parent can be forked, or no change can be made.

@@ -100,10 +100,8 @@ def finished_provenance(
 ) -> dict[str, Any]:
     """Describe what a run was trained by: the machine of the last attempt, and every attempt with its own.
 
-    Args:
-        attempt: the last one, which ends now.
-        history: `attempts` that left a checkpoint, and `resumes` where the next ones went on.
-        step: at which it ended; left out, only the run's status tells.
+    The last attempt ends now, at a step; `history` has the `attempts` before that left a checkpoint, and as
+    `resumes` where the next ones went on.
     """
     attempts = [*history["attempts"], attempt.so_far(step)]
     shares = [each.get("processor_share") for each in attempts]  # of an older version's attempt none
@@ -137,11 +135,8 @@ def machine(threads: int) -> dict[str, Any]:
 def differences(earlier: Mapping[str, Any], but: str = "") -> list[str]:
     """Say in what this machine, its packages and its code differ from earlier ones, so that bits may differ.
 
-    A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same.
-
-    Args:
-        earlier: a provenance.
-        but: what is not to be compared.
+    A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same. The
+    key `but` is not compared.
     """
     here, told = machine(1), earlier.get("packages")
     pairs = {

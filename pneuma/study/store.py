@@ -23,12 +23,8 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NotRequired
-
-from pydantic import StringConstraints, TypeAdapter, ValidationError
-from typing_extensions import TypedDict
+from typing import Any
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
@@ -237,6 +233,8 @@ class Store:
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
         manifest = read_sealed(self.run_folder(run_id) / "status.json")
+        from pneuma.study.documents import Manifest, fits  # pydantic: not for `--help`
+
         return manifest if manifest and fits(manifest, Manifest) else None
 
     # --- Studies ------------------------------------------------------------------------------
@@ -252,6 +250,8 @@ class Store:
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here, is damaged, or another's."""
         record = read_sealed(self.selection_path(study)) or {}
+        from pneuma.study.documents import Record, fits
+
         sound = fits(record, Record) and isinstance(record.get("selection"), dict)
         return record if sound and record["study"] == study else None
 
@@ -286,53 +286,6 @@ class Store:
             raise UserError(
                 f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
             ) from None
-
-
-# --- What documents hold, which may be anybody's ---------------------------------------------------
-
-
-class Manifest(TypedDict):
-    """What `save_run` writes."""
-
-    status: Literal[STATUSES]  # type: ignore[valid-type]
-    step: int
-    files: dict[str, str]
-
-
-class _Fields(TypedDict):
-    steps: int
-    env: str
-    slots: NotRequired[int | None]  # not known of imported logs
-
-
-class _Cell(TypedDict):
-    run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
-    condition: str
-    seed: int
-    run: _Fields
-
-
-class Record(TypedDict):
-    """A study's record, as far as tables and figures are made by it."""
-
-    study: str
-    title: str
-    figure: str
-    baseline: NotRequired[str | None]
-    same: list[list[str]]
-    runs: list[_Cell]
-
-
-def fits(document: Mapping[str, Any], kind: type) -> bool:
-    """Tell whether a document is of a kind: `Manifest`, `Record`."""
-    try:
-        _adapter(kind).validate_python(document, strict=True)
-    except ValidationError:
-        return False
-    return True
-
-
-_adapter = cache(TypeAdapter)
 
 
 def run_document(run: Run, run_id: str) -> bytes:

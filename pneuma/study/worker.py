@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.base import Progress, load_engine
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
@@ -177,7 +177,11 @@ def _train_once(
     status = Status(result.status, result.step)
     if status.name != "stopped":
         about = finished_provenance(attempt, checkpoints.history, result.step)
-        job.store.save_run(name, status, result_files(result, name, about))
+        files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
+        files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
+        if result.policy is not None:
+            files[POLICY_FILE] = result.policy.to_bytes()
+        job.store.save_run(name, status, files)
         checkpoints.finish()
     reporter.end(name, status)
 
@@ -193,15 +197,6 @@ def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Excep
     except UserError as unwritten:
         reason = str(unwritten)
     reporter.end(name, Status("crashed"), reason=reason)
-
-
-def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return every file of a finished run by name."""
-    files = {"run.json": run_document(result.run, name), "provenance.json": to_json(about)}
-    files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
-    if result.policy is not None:
-        files[POLICY_FILE] = result.policy.to_bytes()
-    return files
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:

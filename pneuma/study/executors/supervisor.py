@@ -150,15 +150,10 @@ class _Worker:
 
 
 class Supervisor:
-    """Keeps workers busy until every group of runs has ended.
+    """Keeps workers busy until every group of runs, by id, has ended.
 
-    Args:
-        groups: of runs, by id.
-        store: where workers put them.
-        how: how many are busy at once, and how often they leave checkpoints.
-        on_event: takes every event.
-        interrupts: the first lets every run come to a checkpoint, the second ends all at once.
-        start: starts a worker's process for a job, the document that `pneuma.study.worker` reads.
+    The first of `interrupts` lets every run come to a checkpoint, the second ends all at once. `start` starts
+    a worker's process for a job, the document that `pneuma.study.worker` reads.
     """
 
     def __init__(
