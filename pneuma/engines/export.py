@@ -63,7 +63,9 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     Raises:
         UserError: when the policy is not of the run's shape.
     """
-    _check_shape(policy, run)
+    actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
+    if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
+        raise UserError("policy.safetensors: is not of the shape that its run.json says")
     # clipped apart, or without a baseline, it would need Pneuma's own classes to be read
     run = replace(run, clip="joint", value_baseline=True)
     if run.optimizer == "upgd":
@@ -109,12 +111,6 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
 def reads_only_shipped_files(run: Run) -> bool:
     """Tell whether a run's level and characters come with Pneuma."""
     return not (is_own_level(run.level) or are_own_characters(run.characters))
-
-
-def _check_shape(policy: Policy, run: Run) -> None:
-    actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
-    if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
-        raise UserError("policy.safetensors: is not of the shape that its run.json says")
 
 
 class _Spaces(VecEnv):

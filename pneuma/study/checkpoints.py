@@ -13,6 +13,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +133,8 @@ class RunCheckpoints:
     def _note_resume(self, step: int) -> None:
         """Keep in the history where this attempt goes on, and what has changed since."""
         changed = differences(self.history["attempts"][-1]["machine"]) if self.history["attempts"] else []
-        self.history["resumes"].append({"step": step, "at": Attempt.now(), "differences": changed})
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        self.history["resumes"].append({"step": step, "at": now, "differences": changed})
         self._say(f"goes on from step {step:,}")
         if changed:
             self._say(f"goes on with another {', '.join(changed)}: it may end with other bits")

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.schema import CONFIG, TomlFile, Where, read_model, read_toml
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, read_seeds
 from pneuma.values import OneOf, Reads
-from pneuma.worlds import WORLDS, split_world, world_option
+from pneuma.worlds import WORLDS, split_world
 
 
 @dataclass(frozen=True)
@@ -88,9 +87,7 @@ def training_command(study: Study, claims: Path) -> str:
     """Return the command that trains what claims fix of a study; empty where the file is not its own."""
     if study.path is None or claims.resolve() != _file_beside(study).resolve():
         return ""
-    name = study.own_path or split_world(study.name)[0]
-    words = ["pneuma study run", shlex.quote(name), "--preset", CLAIMS, *world_option(study.world)]
-    return " ".join(words)
+    return run_command(study.name, study.own_path, f"--preset {CLAIMS}")
 
 
 def _file_beside(study: Study) -> Path:

@@ -89,11 +89,6 @@ class Attempt:
             return None
         return round((time.process_time() - self.first[2]) / self.seconds, 3)
 
-    @staticmethod
-    def now() -> str:
-        """Return the time as provenance writes it."""
-        return datetime.now(UTC).isoformat(timespec="seconds")
-
 
 def finished_provenance(
     attempt: Attempt, history: Mapping[str, Any], step: int | None = None

@@ -9,7 +9,6 @@ to a checkpoint. The local executor starts processes on this machine, that for R
 
 from __future__ import annotations
 
-import json
 import os
 import selectors
 import signal
@@ -24,6 +23,7 @@ from typing import IO, Any, Protocol
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
+from pneuma.study.files import parse_json
 from pneuma.study.locks import is_held
 from pneuma.study.store import Status, Store, run_document
 
@@ -303,7 +303,7 @@ class Supervisor:
 def _read_event(line: bytes) -> Event | None:
     """Return the event in a line; None for any other, whose writer has gone astray or was killed."""
     try:
-        event = json.loads(line)
+        event = parse_json(line)
     except ValueError:
         return None
-    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None
+    return event if {"event", "run_id"} <= event.keys() else None
