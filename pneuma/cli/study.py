@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli import study_output, study_run, study_summary, study_verify
+from pneuma.cli import study_compare, study_output, study_run, study_summary, study_verify
 from pneuma.cli.output import print_json, print_listed, print_table, say
 from pneuma.cli.study_records import (
     RunState,
@@ -36,6 +36,7 @@ app.command(short_help="Draw a study: curves over its steps, or a summary.")(stu
 app.command()(study_output.export)
 app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
+app.command(short_help="Compare two conditions.")(study_compare.compare)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
 app.command(short_help="Say in which other settings a contrast holds.")(study_summary.robustness)
 app.command(short_help="Test what matters where settings are crossed.")(study_summary.effects)
