@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.schema import CONFIG, TomlFile, Where, read_model, read_toml
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, read_seeds
 from pneuma.values import OneOf, Reads
-from pneuma.worlds import WORLDS, split_world
+from pneuma.worlds import WORLDS, split_world, world_option
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,9 @@ def training_command(study: Study, claims: Path) -> str:
     """Return the command that trains what claims fix of a study; empty where the file is not its own."""
     if study.path is None or claims.resolve() != _file_beside(study).resolve():
         return ""
-    return run_command(study.name, study.own_path, f"--preset {CLAIMS}")
+    name = study.own_path or split_world(study.name)[0]
+    words = ["pneuma study run", shlex.quote(name), "--preset", CLAIMS, *world_option(study.world)]
+    return " ".join(words)
 
 
 def _file_beside(study: Study) -> Path:

@@ -250,14 +250,13 @@ def is_shipped_file(path: Path) -> bool:
     return path.resolve().parent == studies_folder().resolve()
 
 
-def run_command(name: str, path: object = None, *options: str) -> str:
-    """Return the command that trains a study, with some options.
+def run_command(name: str, path: object = None) -> str:
+    """Return the command that trains a study.
 
     Args:
         name: of its record.
         path: of its file, as an untrusted record has it; of a shipped study none, or no string.
-        options: as they are typed.
     """
     own, world = split_world(name)
     asked = shlex.quote(path if isinstance(path, str) else own)
-    return " ".join(["pneuma study run", asked, *options, *world_option(world)])
+    return " ".join(["pneuma study run", asked, *world_option(world)])
