@@ -55,11 +55,6 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
     weights, which would be another. Where actor and critic were clipped each by itself, both are together.
 
-    Args:
-        policy: actor and critic.
-        run: what trained them.
-        space: what the policy observes; see `observation_space`.
-
     Raises:
         UserError: when the policy is not of the run's shape.
     """
@@ -138,11 +133,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     Of a network of action values, its one output is action_values (batch, actions).
 
     The graph is written out layer by layer. `torch.onnx.export` would add a trace of its calls, with
-    paths of this machine, to every node, and takes seconds.
-
-    Args:
-        policy: actor and critic.
-        about: what to note in the model's metadata, such as the run's id.
+    paths of this machine, to every node, and takes seconds. `about` is noted in the model's metadata.
 
     Raises:
         UserError: when the extra `onnx` is not installed.

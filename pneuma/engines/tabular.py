@@ -189,12 +189,7 @@ def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
 
     `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
     post office and letters, the latter of the greedy route's discounted value; `q_error` is the
-    greatest distance of any entry from the best route's.
-
-    Args:
-        run: that the tables are of.
-        tables: (1 or 2, places, actions).
-        step: agent steps trained.
+    greatest distance of any entry from the best route's. Tables are (1 or 2, places, actions).
     """
     assert run.action_slip is not None
     process, mean = decision_process(run.action_slip), tables.mean(axis=0)

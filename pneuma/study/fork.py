@@ -12,14 +12,12 @@ from itertools import product
 from typing import Any
 
 from pneuma.config import (
-    ENGINES,
     FORK_FIELDS,
     FORK_RESETS,
     OPTIMIZER_FIELDS,
     EnvConfig,
     Run,
     as_fields,
-    beyond_engine,
     make_run,
     read_field,
 )
@@ -241,8 +239,6 @@ def _changed_run(whole: Run, control: Run, change: Change) -> Run:
     if other and not fresh:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
     over = {**changes, "fork_reset": change.reset}
-    if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **over}))):
-        raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
     own = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
     changed = make_run({**base, **dict.fromkeys(own), **over})
     if not fresh and bool(changed.momentum) != bool(base["momentum"]):

@@ -309,14 +309,11 @@ def _number(value: Any, plugins: dict[str, str]) -> float | None:
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
-    """Tell which scalars of a log later ones stand in for.
+    """Tell which scalars of a log, with file, tag and step in the order of writing, later ones stand in for.
 
     A logger that was restarted goes back in steps and writes anew. Where a tag goes back, what it had
     from there on is replaced. A file that begins before the end of the files before it replaces, of all
     tags whose steps are agent steps, what they hold from there on.
-
-    Args:
-        points: file, tag and step of every scalar, in the order of writing.
     """
     of_agent = points["tag"].str.startswith(AGENT_STEPS)
     begins = points[of_agent].groupby("file")["step"].first()

@@ -84,7 +84,8 @@ def policy_of(algorithm: str, activation: str) -> tuple[Run, Policy]:
 def test_the_zip_acts_as_the_policy_does(algorithm: str, activation: str) -> None:
     run, policy = policy_of(algorithm, activation)
     data = to_sb3(policy, run, own_space(11))
-    model = {"ppo": PPO, "a2c": A2C}[algorithm].load(io.BytesIO(data), device="cpu")
+    learner: Any = {"ppo": PPO, "a2c": A2C}[algorithm]
+    model = learner.load(io.BytesIO(data), device="cpu")
     observations = random_observations(200, 11)
     chosen, _ = model.predict(observations, deterministic=True)
     np.testing.assert_array_equal(chosen, policy.best(observations))

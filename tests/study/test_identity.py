@@ -35,12 +35,12 @@ def test_the_shipped_studys_runs_keep_their_names() -> None:
 
 
 def test_every_field_that_is_read_changes_the_name() -> None:
-    run = make_run({})
+    run, another = make_run({}), "another"
     for field in fields(Run):
         if field.name not in ELSEWHERE:
-            assert run_id(replace(run, **{field.name: "another"})) != run_id(run), field.name
-    for key, value in {"level": "random:test:0", "characters": "pygame", "reward": "kills"}.items():
-        assert run_id(make_run({key: value})) != run_id(run), key
+            assert run_id(replace(run, **{field.name: another})) != run_id(run), field.name  # type: ignore[arg-type]
+    for key, shipped in {"level": "random:test:0", "characters": "pygame", "reward": "kills"}.items():
+        assert run_id(make_run({key: shipped})) != run_id(run), key
     for key, value in UNREAD.items():
         assert run_id(make_run({key: value})) == run_id(run), key
 
