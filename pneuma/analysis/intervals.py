@@ -83,43 +83,14 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     if runs.size < 5 or np.ptp(runs) == 0:
         return no_interval(level)
     z = special.ndtri((1 + level) / 2)
+    cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
+    kept = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
+    fourth, squares = ((runs - np.mean(kept)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
+    kurtosis = runs.size * fourth / squares**2
+    error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
     factor = runs.size / (runs.size - z)
-    half = z * factor * np.sqrt(_log_variance_error((runs,)))
-    return _of_log_variance(np.log(factor * runs.var(ddof=1)), half, level)
-
-
-def deviation_ratio_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Bonett's interval of the ratio of standard deviations, a over b.
-
-    Source: Bonett (2006), Robust confidence interval for a ratio of standard deviations: the error of
-    a log variance follows from the kurtosis of both arms together. Each is taken here in units of its own
-    deviation, for otherwise arms of unlike spread would look heavy-tailed by that alone.
-    """
-    first, second = finite(a), finite(b)
-    if min(first.size, second.size) < 5 or np.ptp(first) == 0 or np.ptp(second) == 0:
-        return no_interval(level)
-    z = special.ndtri((1 + level) / 2)
-    factor = first.size / (first.size - z) * (second.size - z) / second.size
-    half = z * np.sqrt(_log_variance_error(tuple(arm / arm.std(ddof=1) for arm in (first, second))))
-    return _of_log_variance(np.log(factor * first.var(ddof=1) / second.var(ddof=1)), half, level)
-
-
-def _of_log_variance(centre: float, half: float, level: float) -> Interval:
-    low, high = exp((centre - half) / 2), exp((centre + half) / 2)
-    return Interval(low, high, level, "Bonett")
-
-
-def _log_variance_error(arms: tuple[np.ndarray, ...]) -> float:
-    """Return the variance of the log variance, or of the difference of two, by their joint kurtosis."""
-    fourth = sum(((arm - _trimmed_centre(arm)) ** 4).sum() for arm in arms)
-    squares = sum((arm.size - 1) * arm.var(ddof=1) for arm in arms)
-    kurtosis = sum(arm.size for arm in arms) * fourth / squares**2
-    return sum((kurtosis - (arm.size - 3) / arm.size) / (arm.size - 1) for arm in arms)
-
-
-def _trimmed_centre(arm: np.ndarray) -> float:
-    cut = int(arm.size / (2 * np.sqrt(arm.size - 4)))
-    return float(np.sort(arm)[cut : arm.size - cut].mean()) if 2 * cut < arm.size else float(np.median(arm))
+    centre, half = np.log(factor * runs.var(ddof=1)), z * factor * error
+    return Interval(exp((centre - half) / 2), exp((centre + half) / 2), level, "Bonett")
 
 
 def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:

@@ -1,4 +1,4 @@
-"""P-values of one arm of runs, or of two: means, ratios of deviations, shares.
+"""P-values of one arm of runs, or of two: means and shares.
 
 Each test of two arms takes many samples at once, one a row, so that the verdicts on claims and their
 calibration (`pneuma bench calibration`) are the same code. Which test is used for what, and what it supposes,
@@ -10,7 +10,6 @@ seen is always among them, so that no p-value is zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -155,17 +154,6 @@ def scaled(samples: np.ndarray) -> np.ndarray:
     return np.divide(centred, size, out=np.zeros_like(centred), where=differs)
 
 
-def _moments(values: np.ndarray, labels: Relabelings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return difference of means, and variance of a and of b, in every relabeling: (relabelings, samples)."""
-    size_a = labels.in_a[0].sum()
-    size_b = values.shape[1] - size_a
-    sum_a, squares_a = labels.in_a @ values.T, labels.in_a @ (values**2).T
-    sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
-    variance_a = (squares_a - sum_a**2 / size_a) / (size_a - 1)
-    variance_b = (squares_b - sum_b**2 / size_b) / (size_b - 1)
-    return sum_a / size_a - sum_b / size_b, variance_a, variance_b
-
-
 # --- Means -----------------------------------------------------------------------------------------
 
 
@@ -192,9 +180,14 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
 def _welch(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
     """Return Welch's t of arm a against arm b in every relabeling, (relabelings, samples)."""
     size_a = labels.in_a[0].sum()
-    difference, variance_a, variance_b = _moments(scaled(samples), labels)
-    variance = variance_a / size_a + variance_b / (samples.shape[1] - size_a)
-    return difference / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
+    size_b = samples.shape[1] - size_a
+    values = scaled(samples)
+    sum_a, squares_a = labels.in_a @ values.T, labels.in_a @ (values**2).T
+    sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
+    variance_a = (squares_a - sum_a**2 / size_a) / (size_a - 1)
+    variance_b = (squares_b - sum_b**2 / size_b) / (size_b - 1)
+    variance = variance_a / size_a + variance_b / size_b
+    return (sum_a / size_a - sum_b / size_b) / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
 
 
 def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | float) -> OneSided:
@@ -225,53 +218,6 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
     by_student = student_tails(rows.mean(axis=1) / size, errors, samples.shape[1] - 1)
     p_greater, p_less = map(np.maximum, tails(flips @ (rows / size).T), by_student)
     return by_shift(p_greater, p_less, len(samples))
-
-
-# --- Spread ----------------------------------------------------------------------------------------
-
-
-def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
-    """Test ratios of standard deviations by permutation of their logs.
-
-    The arms may differ in level, so each is set off from its median first. That alone finds too much where a
-    few runs lie far from the rest, for an arm may have none of them by chance. So a test of the runs as they
-    are must find it too. Where the number of runs is even, the test is made with both middle runs instead of
-    the median, since between them may be a gap. The greatest p-value counts.
-
-    Args:
-        a: (samples, runs) of arm a, none of equal runs.
-        b: (samples, runs) of arm b, the same.
-        margin: the ratio above 1 within which, either way, deviations count as alike, or None.
-        labels: relabelings of both arms' runs.
-    """
-    scales = [1.0] if margin is None else [1.0, margin**-0.5, margin**0.5]
-    found = []
-    for middle_a, middle_b, apart in _middles(a, b):
-        rows = [np.hstack([(a - middle_a) * scale + apart, (b - middle_b) / scale]) for scale in scales]
-        found.append(tails(_log_ratios(np.concatenate(rows), labels)))
-    p_greater, p_less = np.max(found, axis=0)
-    return by_shift(p_greater, p_less, len(a))
-
-
-def _middles(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
-    """Yield what to set the runs of either arm off from, and how far to leave the arms apart."""
-    ranked_a, ranked_b = np.sort(a, axis=1), np.sort(b, axis=1)
-    lower, upper = (
-        [ranked[:, (ranked.shape[1] - odd) // 2, None] for ranked in (ranked_a, ranked_b)] for odd in (1, 0)
-    )
-    middle_a, middle_b = (np.median(arm, axis=1, keepdims=True) for arm in (a, b))
-    yield middle_a, middle_b, middle_a - middle_b
-    yield lower[0], lower[1], 0.0
-    if a.shape[1] % 2 == 0 or b.shape[1] % 2 == 0:
-        yield upper[0], upper[1], 0.0
-
-
-def _log_ratios(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
-    """Return the log ratio of variances of arm a and arm b in every relabeling, (relabelings, samples)."""
-    level = samples.mean(axis=1, keepdims=True)
-    values = (samples - level) / np.abs(samples - level).max(axis=1, keepdims=True)
-    _, variance_a, variance_b = _moments(values, labels)
-    return np.log(np.maximum(variance_a, LEAST_VARIANCE) / np.maximum(variance_b, LEAST_VARIANCE))
 
 
 # --- Shares ----------------------------------------------------------------------------------------

@@ -62,7 +62,9 @@ def verify(
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction; intervals hold together.")
+    print(
+        f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction; intervals hold together."
+    )
     return None
 
 

@@ -38,9 +38,6 @@ CASES = {
     "equal, and it is": ((('"greater"', '"equal"'),), NEAR, "supported"),
     "greater, and it is equal": ((), NEAR, "refuted"),
     "greater, and nothing is seen": ((), WIDE[::-1], "inconclusive"),
-    "more spread, and there is": (
-        (('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5")), WIDE, "supported",
-    ),
     "more often above, and it is": (
         (('"mean"', '"incidence"\nabove = 0.5'), ("margin = 0.04\n", "")), HIGH, "supported",
     ),

@@ -53,10 +53,6 @@ CASES: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = {
         {"high": HIGH}, [('b = "low"', 'value = 0.1\nonly = "collapsed"')],
         "no run of high counts: collapsed is 0 in all",
     ),
-    "no spread": (
-        {"high": [0.5] * 8, "low": LOW}, [('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5")],
-        "are equal: there is no spread to compare",
-    ),
 }  # fmt: skip
 
 

@@ -32,7 +32,7 @@ def _report(name: str = "tanh") -> Report:
     ids = "0" * 16, "f" * 16
     better = claim(f"better {name}", quote=name, study=f"activation {name}", note=name)
     won = comparison("supported", 0.12, (0.05, 0.19), 0.004, run_ids=ids)
-    steadier = claim("steadier", kind="spread", study="sizes")
+    steadier = claim("steadier", study="sizes")
     ratio = comparison("inconclusive", 1.3, (0.7, 2.4), 0.5, (3, 3), steadier, seeds_needed=33)
     claims = (
         judged(better, text=("supported", "", (won, won)), arena=("untestable", name, ())),
