@@ -79,7 +79,7 @@ def test_verdicts_are_counted_and_shown_place_by_place(page: Any) -> None:
     assert counts[:10] == ["1", "0", "0", "1", "0", "0", "0", "0", "0", "1"]
     words = " ".join(page.all("main")[0].text.split())
     assert "✔ supported +0.120 [+0.050, +0.190]tanh against relu, n = 10 and 10, p = 0.004" in words
-    assert "ratio 1.30 [0.70, 2.40]" in words and "Seeds needed: 33 an arm" in words
+    assert "+1.30 [+0.70, +2.40]" in words and "Seeds needed: 33 an arm" in words
 
 
 def test_the_page_asks_for_nothing_outside_of_itself(page: Any) -> None:
