@@ -102,7 +102,7 @@ def compare(
     found = pvalues.mean_p_values(first[None], second[None], margin, labels)
     make = intervals.difference_interval
     both = make(first, second), make(first, second, level)
-    return _contrast(kind, effect, both, found, seeds, labels.smallest_p)
+    return _contrast(kind, effect, both, found, seeds, 1 / len(labels))
 
 
 def compare_effects(

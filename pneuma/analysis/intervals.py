@@ -7,9 +7,9 @@ none: its ends are NaN and its method is "none". What each covers at which numbe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,10 @@ LEVEL = 0.95
 LEAST_RESAMPLED = 3
 """Runs of which there is a bootstrap interval."""
 RESAMPLES = 2_000
+SIGNIFICANT = 2
+"""Digits of the half width of an interval that are shown."""
+ALONE = 3
+"""Digits of a number without an interval."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
     factor = runs.size / (runs.size - z)
     centre, half = np.log(factor * runs.var(ddof=1)), z * factor * error
-    return Interval(exp((centre - half) / 2), exp((centre + half) / 2), level, "Bonett")
+    return Interval(math.exp((centre - half) / 2), math.exp((centre + half) / 2), level, "Bonett")
 
 
 def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
@@ -168,3 +172,34 @@ def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]
     skew = left.mean() - left
     squares = (skew**2).sum()
     return float((skew**3).sum() / (6 * squares**1.5)) if squares > 0 else 0.0
+
+
+# --- In digits -------------------------------------------------------------------------------------
+
+
+def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int:
+    """Return to how many places after the point a number is shown; fewer than 0 for tens and more."""
+    half = (high - low) / 2
+    if math.isfinite(half) and half > 0:
+        return SIGNIFICANT - 1 - math.floor(math.log10(half))
+    if not math.isfinite(value) or value == 0:
+        return 0
+    return ALONE - 1 - math.floor(math.log10(abs(value)))
+
+
+def shown(value: float, places: int) -> str:
+    """Return a number rounded to so many places; – for none."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "never" if value > 0 else "-inf"
+    rounded = round(value, places) + 0.0  # no minus zero
+    return f"{rounded:,.{max(places, 0)}f}"
+
+
+def shown_with_interval(value: float, low: float, high: float) -> str:
+    """Return a number and its interval, all to the digits that the interval leaves certain."""
+    places = decimals(value, low, high)
+    if math.isnan(low) or math.isnan(high):
+        return shown(value, places)
+    return f"{shown(value, places)} [{shown(low, places)}, {shown(high, places)}]"

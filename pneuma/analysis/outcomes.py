@@ -11,7 +11,7 @@ of the budget. Runs and their published table give the same numbers.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 
@@ -62,6 +62,30 @@ class Outcome:
 def is_return(name: str) -> bool:
     """Tell whether an outcome is a return, whose unit is its reward's."""
     return name.endswith("-return")
+
+
+_OF_RETURNS = ("reward", "players")
+"""Settings of which a return is the sum: where they differ, returns are in unlike units."""
+
+
+def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
+    """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
+    names = data.conditions if conditions is None else conditions
+    settings = [data.settings(own[0]) for name in names if (own := data.of_condition(name))]
+    return len({str([own.get(key) for key in _OF_RETURNS]) for own in settings}) <= 1
+
+
+def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
+    """Refuse to compare conditions, or all, by an outcome that is of another unit in some.
+
+    Raises:
+        UserError: for a return, where rewards or numbers of players differ.
+    """
+    if is_return(name) and not have_one_return(data, conditions):
+        raise UserError(
+            f"outcome {name}: returns of unlike rewards, or of more players, cannot be compared; "
+            "name another, such as final-share-killed"
+        )
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:

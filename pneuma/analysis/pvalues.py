@@ -10,7 +10,6 @@ seen is always among them, so that no p-value is zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from math import comb
@@ -84,35 +83,20 @@ def shifts(margin: float | None) -> list[float]:
 # --- Relabelings -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Relabelings:
-    """Which runs are called arm a, in every relabeling.
+def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
+    """Return which runs are called arm a, 1.0 or 0.0, (relabelings, runs), the seen one first.
 
-    Attributes:
-        in_a: (relabelings, runs) 1.0 or 0.0; the first is what was seen.
-        exact: whether these are all there are.
+    All ways to call so many runs a and the others b; of too many, that many draws.
     """
-
-    in_a: np.ndarray
-    exact: bool
-
-    @property
-    def smallest_p(self) -> float:
-        """The smallest one-sided p-value that they can give."""
-        return 1 / len(self.in_a)
-
-
-def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> Relabelings:
-    """Return all ways to call so many runs a and the others b, or the seen one and that many draws."""
     if comb(size_a + size_b, size_a) <= (MOST_COUNTED if draws >= DRAWS else FEW_COUNTED):
-        return Relabelings(_every(size_a, size_b), exact=True)
+        return _every(size_a, size_b)
     in_a = np.zeros((1 + draws, size_a + size_b))
     in_a[0, :size_a] = 1.0
     for first in range(1, 1 + draws, _AT_ONCE):
         rows = in_a[first : first + _AT_ONCE]
         keys = generator.random(rows.shape)
         rows[:] = keys <= np.partition(keys, size_a - 1, axis=1)[:, size_a - 1 : size_a]
-    return Relabelings(in_a, exact=False)
+    return in_a
 
 
 @lru_cache(maxsize=8)  # 30 MB of ten runs against ten
@@ -157,7 +141,7 @@ def scaled(samples: np.ndarray) -> np.ndarray:
 # --- Means -----------------------------------------------------------------------------------------
 
 
-def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
+def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np.ndarray) -> PValues:
     """Test differences of means by Welch's t, by relabelings and by Student's distribution.
 
     The greater p-value counts. Relabelings are exact for arms alike but for a shift, and far off their
@@ -167,7 +151,7 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
         a: (samples, runs) of arm a.
         b: (samples, runs) of arm b.
         margin: within what a difference counts as none, or None.
-        labels: relabelings of both arms' runs.
+        labels: of `relabel`.
     """
     rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts(margin)])
     relabeled = tails(_welch(rows, labels))
@@ -177,12 +161,12 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
     return by_shift(p_greater, p_less, len(a))
 
 
-def _welch(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
+def _welch(samples: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Return Welch's t of arm a against arm b in every relabeling, (relabelings, samples)."""
-    size_a = labels.in_a[0].sum()
+    size_a = labels[0].sum()
     size_b = samples.shape[1] - size_a
     values = scaled(samples)
-    sum_a, squares_a = labels.in_a @ values.T, labels.in_a @ (values**2).T
+    sum_a, squares_a = labels @ values.T, labels @ (values**2).T
     sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
     variance_a = (squares_a - sum_a**2 / size_a) / (size_a - 1)
     variance_b = (squares_b - sum_b**2 / size_b) / (size_b - 1)

@@ -31,8 +31,7 @@ from pneuma.analysis.intervals import (
     mean_interval,
     no_interval,
 )
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
-from pneuma.analysis.references import have_one_return
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, have_one_return, is_return, outcome_values
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed

@@ -24,8 +24,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from pneuma.analysis.curves import curve_names
+from pneuma.analysis.intervals import decimals, shown, shown_with_interval
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.rounding import decimals, shown, shown_with_interval
 from pneuma.analysis.tables import StudyData
 from pneuma.errors import counted, plain
 from pneuma.figures import verdict_words

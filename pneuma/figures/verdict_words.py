@@ -7,9 +7,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList, load_claims
+from pneuma.analysis.intervals import decimals
 from pneuma.analysis.judgement import Comparison, Verdict, judge
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.rounding import decimals
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 

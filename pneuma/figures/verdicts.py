@@ -40,7 +40,6 @@ MARKS = {SUPPORTED: "o", REFUTED: "s", MIXED: "D", INCONCLUSIVE: "o"}
 _WORDS = {
     "not admitted": "not admitted",
     "no runs": "not run",
-    "budget not reached": "not run",
     "too few seeds": "few seeds",
     "A/A": "same arms",
     "engines": "two engines",
