@@ -61,7 +61,7 @@ def summary(
         document = {"schema": 1, "study": data.study, "at_step": step, "left_out": left_out}
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
-    _tell_step(data)
+    tell_step(data)
     if outcome or all_:
         _print_statistics(data, table, outcome or ())
     else:
@@ -69,7 +69,7 @@ def summary(
     return None
 
 
-def _tell_step(data: StudyData) -> None:
+def tell_step(data: StudyData) -> None:
     """Say at what step runs of unlike budgets are compared."""
     from pneuma.analysis.run_view import common_step, step_words
 
@@ -273,7 +273,7 @@ def effects(
     table = effects_table(found)
     if not json:
         _print_effects(found, table)
-        return _tell_step(data)
+        return tell_step(data)
     rows = [
         {**row, "factors": list(own.factors), "levels": [len(found.means[factor]) for factor in own.factors]}
         for row, own in zip(records(table), found.effects, strict=True)
@@ -345,7 +345,7 @@ def robustness(
     turned = find_outcome(outcome).better == "lower"
     if not json:
         _print_map(found, turned)
-        _tell_step(data)
+        tell_step(data)
         return tell_written(files)
     values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
     document = {"schema": 1, "study": found.study, "contrast": values, "outcome": found.outcome}
