@@ -69,8 +69,8 @@ class RunIndex:
             others: whether the tables of other studies count too.
             curves: whether these count only where they have all curves that the others have.
 
-        Only tables whose curves end at one step count: that of the study's own table, or else the largest
-        budget of the selection.
+        Tables whose curves end at one step add up; of several such steps that counts which gives the most
+        runs, and none at which the curves of a run that is here would not have ended.
 
         Returns:
             The records; and, where some are published, the step at which all curves end.
@@ -83,19 +83,26 @@ class RunIndex:
         here = {run_id: own for run_id, own in found.items() if own.status.finished}
         if len(here) == len(found) or (here and not mixed):
             return found, None
+        longest = max((steps[run_id] for run_id in here), default=0)
         own = self.table(record["study"])
-        budget = own.budget if own else max(steps.values())
-        if budget < max((steps[run_id] for run_id in here), default=0):
-            return found, None  # its curves end before those of a run that is here
-        lacking = {*found} - {*here}
-        found |= {run_id: own(run_id) for run_id in lacking if own and run_id in own.finished}
-        if mixed and others and not all(each.status.finished for each in found.values()):
-            quantities = {name for each in ([own] if own else here.values()) for name in each.quantities}
-            for table in self._others():
-                if table.budget == budget and (not curves or {*table.quantities} >= quantities):
-                    lacking = {run_id for run_id, each in found.items() if not each.status.finished}
-                    found |= {run_id: table(run_id) for run_id in lacking & table.finished}
-        return found, budget if any(each.published for each in found.values()) else None
+        tables = [own] if own else []
+        if mixed and others and not (own and {*found} <= {*here} | own.finished):
+            held = {name for each in (tables or here.values()) for name in each.quantities}
+            whole = own.budget if own else max(steps.values())
+            tables += [
+                each
+                for each in self._others()
+                if each is not own and (not curves or (each.budget == whole and {*each.quantities} >= held))
+            ]
+        best: tuple[dict[str, Records], int | None] = found, None
+        for budget in sorted({table.budget for table in tables if table.budget >= longest}):
+            some = dict(found)
+            for table in (each for each in tables if each.budget == budget):
+                lacking = {run_id for run_id, each in some.items() if not each.status.finished}
+                some |= {run_id: table(run_id) for run_id in lacking & table.finished}
+            if _finished(some) > _finished(best[0]):
+                best = some, budget
+        return best
 
     def _table(self, study: str) -> PublishedTable | None:
         """Return a study's published table, if it has one.
@@ -152,3 +159,7 @@ def open_published(results: Path, names: Sequence[str] | None = None) -> list[St
     if missing := [name for name, record in records.items() if record is None]:
         raise UserError(f"{published_path(index.store, missing[0])}: there is no such table")
     return [open_study(index, record) for record in records.values() if record]
+
+
+def _finished(records: Mapping[str, Records]) -> int:
+    return sum(own.status.finished for own in records.values())

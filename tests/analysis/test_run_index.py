@@ -221,6 +221,18 @@ def test_a_name_stands_for_its_latest_selection_or_what_is_published(tmp_path: P
     assert len(open_study(index, record).runs) == 3 and len(index.damaged) == 1
 
 
+def test_runs_of_tables_that_end_elsewhere_count_where_curves_do_not(tmp_path: Path) -> None:
+    """Whole horizons put the budgets of a study's conditions a little apart, as claims fix them."""
+    store, clone = Store(tmp_path / "results"), Store(tmp_path / "clone")
+    record = trained(store)
+    publish(open_study(store, {**record, "study": "other"}), clone)
+    longer = {**record, "runs": [{**run, "run": dict(run["run"])} for run in record["runs"]]}
+    longer["runs"][-1]["run"]["steps"] = BUDGET + 8
+    assert open_study(clone, longer, curves=False).left_out == 1
+    with pytest.raises(UserError, match="no run of .* has finished"):
+        open_study(clone, longer)
+
+
 # --- What is left out -----------------------------------------------------------------------------
 
 
