@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import pvalues
-from pneuma.analysis.contrasts import CONTRAST_KINDS, compare, compare_with
+from pneuma.analysis.contrasts import compare, compare_with
 from pneuma.analysis.pvalues import p_share_greater, relabel
 
 Arm = list[float]
@@ -61,7 +61,7 @@ def test_values_that_differ_by_rounding_alone_are_equal() -> None:
     assert (own.p_greater, own.p_less) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("kind", CONTRAST_KINDS)
+@pytest.mark.parametrize("kind", ["mean", "incidence"])
 def test_turning_the_arms_turns_the_verdict(kind: str) -> None:
     a = [0, 1, 1, 1, 1, 1] if kind == "incidence" else [3, 7.5, 4, 9, 8, 1]
     b = [0, 1, 0, 0, 0, 0] if kind == "incidence" else [1, 2.5, 5, 2, 3, 3.5]
@@ -144,9 +144,7 @@ def test_the_smallest_p_possible_is_told() -> None:
 @pytest.mark.parametrize(
     ("kind", "a", "margin", "message"),
     [
-        ("median", [1.0, 2.0], 0.5, "there are mean, incidence"),
         ("mean", [1.0, math.nan], 0.5, "1 of 2 values are not finite"),
-        ("mean", [1.0, 2.0], 0.0, "a margin of 0.0"),
         ("incidence", [1.0, 2.0], 0.1, "values 0 or 1"),
     ],
 )
