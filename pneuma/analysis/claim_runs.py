@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.published import published_studies
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.run_view import view
-from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import as_fields
 from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan

@@ -22,6 +22,7 @@ import pandas as pd
 
 from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.factorial import Effect, factorial
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
@@ -32,7 +33,6 @@ from pneuma.analysis.outcomes import (
 )
 from pneuma.analysis.pvalues import holm
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
 from pneuma.values import as_tuple, shown_level, shown_value

@@ -15,7 +15,7 @@ import pandas as pd
 
 from pneuma.analysis import EVALUATION_QUANTITIES
 from pneuma.analysis.bands import Edges, count_of, find_band, mean_of
-from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.analysis.frames import FinishedRun, StudyData
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from functools import partial
 import numpy as np
 
 from pneuma.analysis.collapse import diagnose
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.run_view import RunView, Series, ends_before, mean_height, view
-from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError, nearest_name, unknown_name
 

@@ -12,9 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.published import PublishedTable, published_path, published_studies, read_published
 from pneuma.analysis.records import LoggedRecords, Records
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import SCALARS_FILE, Status, Store
 

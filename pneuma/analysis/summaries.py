@@ -20,6 +20,7 @@ from pneuma.analysis.estimates import (
     median,
     probability_of_improvement,
 )
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import (
     LEAST_RESAMPLED,
     LEVEL,
@@ -33,7 +34,6 @@ from pneuma.analysis.intervals import (
 )
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, have_one_return, is_return, outcome_values
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed
 
 SUMMARISED = (

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.crossed import Effects, Map
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
 
 PRIMARY = "final-share-killed"
 FORK_SEEDS = "3"

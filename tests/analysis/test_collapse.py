@@ -10,9 +10,9 @@ import pytest
 
 from pneuma.analysis import signs
 from pneuma.analysis.collapse import Diagnosis, diagnose, incidence
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.tables import StudyData
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, outcome_values, reason
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step, step_words
-from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard

@@ -13,9 +13,9 @@ import pytest
 from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.published import published_path
 from pneuma.analysis.run_index import RunIndex, open_study
-from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
