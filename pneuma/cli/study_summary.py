@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.crossed import Effects, Map
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
 
 PRIMARY = "final-share-killed"
 FORK_SEEDS = "3"
@@ -127,7 +127,7 @@ def _print_statistics(data: StudyData, table: pd.DataFrame, asked: Sequence[str]
 
 def _cell(table: pd.DataFrame, condition: str, outcome: str, statistic: str) -> str:
     """Return a statistic of a condition with its interval; – for none."""
-    from pneuma.analysis.rounding import shown_with_interval
+    from pneuma.analysis.intervals import shown_with_interval
 
     own = table[(table[["condition", "outcome", "statistic"]] == [condition, outcome, statistic]).all(axis=1)]
     if own.empty:
@@ -284,8 +284,8 @@ def effects(
 
 
 def _print_effects(found: Effects, table: pd.DataFrame) -> None:
+    from pneuma.analysis.intervals import decimals, shown
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import decimals, shown
 
     outcome = find_outcome(found.outcome)
     unit = f" ({outcome.unit})" if outcome.unit else ""
@@ -382,8 +382,8 @@ def _first_map(data: StudyData, readings: Sequence[tuple[str, Any, Any]], outcom
 
 
 def _print_map(found: Map, turned: bool) -> None:
+    from pneuma.analysis.intervals import shown_with_interval
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import shown_with_interval
 
     better, worse = map(shown_value, found.values)
     outcome = found.outcome + (" (turned, as less is better)" if turned else "")

@@ -7,9 +7,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList, load_claims
+from pneuma.analysis.intervals import decimals
 from pneuma.analysis.judgement import Comparison, Verdict, judge
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.rounding import decimals
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
@@ -27,7 +27,6 @@ MEANINGS = {
 PLACES = {name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()}
 """Where a claim is judged, each for itself."""
 
-_COMPARED = {"mean": "mean", "spread": "deviation between seeds"}
 _CLAIMED = {
     "greater": "greater than",
     "less": "less than",
@@ -84,7 +83,7 @@ def _measure(claim: Claim, outcome: str) -> str:
     words = outcome_words(outcome) + (f"; margin {margin:g}" if margin is not None else "")
     if claim.event:
         return f"share of runs whose {outcome} is {claim.event.words} ({words})"
-    return f"{_COMPARED[claim.kind]} of {outcome} ({words})"
+    return f"mean of {outcome} ({words})"
 
 
 def compared(claim: Claim) -> str:
@@ -92,7 +91,7 @@ def compared(claim: Claim) -> str:
     words = " and ".join(map(outcome_words, claim.outcome))
     if claim.event:
         return f"share of runs, {words} {claim.event.words}"
-    return words if claim.kind == "mean" else f"{_COMPARED[claim.kind]} of {words}"
+    return words
 
 
 def tested(claim: Claim) -> str:
@@ -117,13 +116,11 @@ def effect(own: Comparison) -> str:
     contrast = own.contrast
     if not math.isfinite(contrast.effect):
         return "no number"
-    ratio, interval = contrast.kind == "spread", contrast.interval
+    interval = contrast.interval
     places = decimals(contrast.effect, interval.low, interval.high)
-    value, low, high = (
-        _number(each, places, signed=not ratio) for each in (contrast.effect, interval.low, interval.high)
-    )
+    value, low, high = (_number(each, places) for each in (contrast.effect, interval.low, interval.high))
     between = f" [{low}, {high}]" if interval.exists else ""
-    return f"{'ratio ' if ratio else ''}{value}{between}"
+    return f"{value}{between}"
 
 
 def arms(own: Comparison) -> str:
@@ -133,11 +130,11 @@ def arms(own: Comparison) -> str:
     return ", ".join(filter(None, [f"{own.a} against {own.b}", f"n = {seeds}" if seeds else "", p]))
 
 
-def _number(value: float, places: int, signed: bool) -> str:
+def _number(value: float, places: int) -> str:
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
     rounded = round(value, places)
-    sign = "−" if rounded < 0 else "+" if signed and rounded > 0 else ""
+    sign = "−" if rounded < 0 else "+" if rounded > 0 else ""
     return f"{sign}{abs(rounded):,.{max(places, 0)}f}"
 
 

@@ -40,7 +40,6 @@ MARKS = {SUPPORTED: "o", REFUTED: "s", MIXED: "D", INCONCLUSIVE: "o"}
 _WORDS = {
     "not admitted": "not admitted",
     "no runs": "not run",
-    "budget not reached": "not run",
     "too few seeds": "few seeds",
     "A/A": "same arms",
     "engines": "two engines",
@@ -53,7 +52,6 @@ _WORDS = {
     "confounded": "confounded",
     "one published run": "one run",
     "no published runs": "no pairs",
-    "all runs of": "no spread",
 }
 """Why a cell is empty, by how the reason begins."""
 
@@ -193,16 +191,13 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
 def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | None:
     """Return effect and ends of its simultaneous interval in margins, right being as claimed.
 
-    Ratios are taken by their logarithms. None without a margin, or without a number.
+    None without a margin, or without a number.
     """
     margin = claim.of("margin", own.outcome)
     if margin is None:
         return None
     contrast = own.contrast
     numbers = contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high
-    if claim.kind == "spread":
-        numbers = tuple(math.log(own) if own > 0 else math.nan for own in numbers)  # type: ignore[assignment]
-        margin = math.log(margin)
     effect, low, high = (number / margin for number in numbers)
     if not math.isfinite(effect):
         return None
