@@ -19,14 +19,15 @@ from typing import TYPE_CHECKING, Any
 from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import HERE, Supervision, load_executor
+from pneuma.study.executors.base import Supervision
 from pneuma.study.identity import own_things
+from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
 from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
 
@@ -76,10 +77,10 @@ def run_study(
     )
     planned, store = plan.make_plan(spec.load_study(os.fspath(study), world), selection), _store(results)
     how = Supervision(
-        workers=workers or load_executor(HERE).most_workers(HERE),
+        workers=workers or available_cores(),
         keep_checkpoints=planned.study.keep_checkpoints,
     )
-    todo = execute.prepare(planned, store, supervision=how)
+    todo = execute.prepare(planned, store)
     outcomes = execute.execute(planned, todo.runs, store, how, on_progress)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status

@@ -38,14 +38,13 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what runs in the worker's own process:
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy", "pneuma.engines.records"),
     # what says that programs have to be compiled:
-    "pneuma.study.compiling": ("pneuma.env.compiled",),
     "pneuma.study.checkpoints": (
         "pneuma.engines.base", "pneuma.engines.records",
     ),
     # what reads records, what produced them, and which of them claims fixed:
     "pneuma.analysis": (
         "pneuma.study.store", "pneuma.study.files", "pneuma.study.spec", "pneuma.study.tables",
-        "pneuma.study.claimed", "pneuma.study.plan", "pneuma.study.provenance",
+        "pneuma.study.claimed", "pneuma.study.plan", "pneuma.study.provenance", "pneuma.study.documents",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": (

@@ -10,7 +10,6 @@ list's alpha.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -121,9 +120,7 @@ class Verdict:
         own = self.decisive
         margin = self.claim.of("margin", own.outcome) if own else None
         if own and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
-            size = abs(math.log(own.contrast.effect)) if self.claim.kind == "spread" else own.contrast.effect
-            within = math.log(margin) if self.claim.kind == "spread" else margin
-            return BY_LETTER if abs(size) < within else WITH_CONTENT
+            return BY_LETTER if abs(own.contrast.effect) < margin else WITH_CONTENT
         return WITH_CONTENT
 
 
@@ -240,13 +237,13 @@ def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
 def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     """Say so where every run of both arms lies at the outcome's least or greatest value.
 
-    As near as the margin counts as there. The margin of a spread is a ratio; what is near an end is then the
-    outcome's to say. Of an outcome of play, arms at the least value are the gate's.
+    As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
+    the least value are the gate's.
     """
     if len(arms) < 2 or claim.event is not None:
         return ""
     measure = measure_of(outcome)
-    near = (claim.of("margin", outcome) if claim.kind == "mean" else None) or measure.near
+    near = claim.of("margin", outcome) or measure.near
     known = measure.of_play and all(arm.learned is not None for arm in arms)
     values = np.concatenate([arm.values for arm in arms])
     for end, bound in zip(("floor", "ceiling"), measure.bounds, strict=True):
@@ -287,10 +284,8 @@ def _seeds_needed(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, al
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
-    none, interval = contrast.none, contrast.interval
-    as_claimed = (direction == "greater" and interval.low > none) or (
-        direction == "less" and interval.high < none
-    )
+    low, high = contrast.interval.low, contrast.interval.high
+    as_claimed = (direction == "greater" and low > 0) or (direction == "less" and high < 0)
     return found(contrast) == "equal" and as_claimed
 
 

@@ -16,7 +16,7 @@ import typer
 
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Place, load_executor
+from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supervision, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.worlds import TEXT, WORLDS
@@ -143,8 +143,8 @@ class Placing:
     ] = None
     detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False
 
-    def read(self) -> Place:
-        """Return the place."""
+    def read(self) -> Supervision:
+        """Return where runs are trained."""
         executor, address, slurm = self.executor, self.address, self.slurm or []
         if executor not in EXECUTORS:
             raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
@@ -153,9 +153,8 @@ class Placing:
         if (slurm or self.detach) and executor != SLURM:
             raise UserError(f"{'--slurm ' + slurm[0] if slurm else '--detach'}: goes with --executor {SLURM}")
         asked = (_key_and_value("--slurm", text, "partition=short") for text in slurm)
-        return Place(
-            executor, address, tuple((key.replace("-", "_"), value) for key, value in asked), self.detach
-        )
+        own = tuple((key.replace("-", "_"), value) for key, value in asked)
+        return Supervision(executor=executor, address=address, slurm=own, detach=self.detach)
 
 
 Selected = Selection | None
@@ -189,15 +188,14 @@ def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
     return run
 
 
-def read_workers(workers: str | None, place: Place = HERE) -> int:
+def read_workers(workers: str | None, place: Supervision = HERE) -> int:
     """Return how many runs train at once: as `--workers` says, or what the place has room for.
 
     Raises:
         UserError: where that is no number, or the place cannot be reached.
     """
-    if workers is not None:
-        return read_count("--workers", workers)
-    return load_executor(place).most_workers(place)
+    asked, most = workers and read_count("--workers", workers), load_executor(place).most_workers(place)
+    return asked or most
 
 
 def read_count(option: str, text: str) -> int:

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.crossed import effects_table, study_effects
+from pneuma.analysis.frames import FinishedRun
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
-from pneuma.analysis.tables import FinishedRun
 from pneuma.cli.options import selecting_words
 from pneuma.cli.output import command
 from pneuma.cli.study_records import known_studies, run_states, study_record

@@ -21,7 +21,7 @@ from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import Change, plan_fork
 from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import ListedRun, StoredRun
+from pneuma.study.stored_runs import StoredRun
 from pneuma.values import shown_value
 
 app = typer.Typer(
@@ -213,7 +213,7 @@ def _unlike_most(store: Store, run: StoredRun) -> dict[str, str]:
     return found
 
 
-def _row(run: StoredRun | ListedRun, seed: Any) -> dict[str, Any]:
+def _row(run: StoredRun, seed: Any) -> dict[str, Any]:
     """Return what `list` and `show` say of a run, as JSON has it."""
     status, studies = run.status, [asdict(holder) for holder in run.holders]
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,7 +28,7 @@ from pneuma.cli.progress import ProgressDisplay
 from pneuma.cli.study_run import train_cells
 from pneuma.errors import UserError, counted, plain, unknown_name
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import HERE, Detached, Place, Supervision
+from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, split_world, world_option
 
@@ -169,7 +169,7 @@ def run(
     set_: opt.Settings = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
-    place: Place = HERE,
+    place: Supervision = HERE,
     retry_failed: opt.RetryFailed = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
@@ -193,7 +193,7 @@ def run(
     task = Task(search.with_settings(over, over) if over else search, budget, file, over)
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
-    store, how = Store(results), Supervision(workers=opt.read_workers(workers, place), place=place)
+    store, how = Store(results), replace(place, workers=opt.read_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     told: list[Told] = []
@@ -250,7 +250,7 @@ def train(
     """
     from pneuma.search.trials import Unfinished
 
-    todo = execute.prepare(planned, store, retry_failed, how)
+    todo = execute.prepare(planned, store, retry_failed)
     for note in dict.fromkeys(todo.notes):
         say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
         noted.add(note)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli import study_output, study_run, study_summary, study_verify
-from pneuma.cli.output import print_json, print_listed, print_table, say
+from pneuma.cli import study_compare, study_output, study_run, study_summary, study_verify
+from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
 from pneuma.cli.study_records import (
     RunState,
     each_study,
@@ -21,7 +23,7 @@ from pneuma.cli.study_records import (
 )
 from pneuma.cli.study_run import by_value
 from pneuma.config import as_fields, make_run
-from pneuma.errors import UserError, plain
+from pneuma.errors import UserError, plain, unknown_name
 from pneuma.study import plan, spec
 from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.spec import Preset
@@ -36,6 +38,7 @@ app.command(short_help="Draw a study: curves over its steps, or a summary.")(stu
 app.command()(study_output.export)
 app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
+app.command(short_help="Compare two conditions.")(study_compare.compare)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
 app.command(short_help="Say in which other settings a contrast holds.")(study_summary.robustness)
 app.command(short_help="Test what matters where settings are crossed.")(study_summary.effects)
@@ -46,6 +49,29 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 def list_(json: opt.Json = False) -> None:
     """List the shipped studies."""
     return print_listed("study", "studies", spec.studies_folder(), json)
+
+
+@app.command(short_help="Write a study file to edit.")
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The new study's name.", show_default=False)],
+    source: Annotated[
+        str, opt.option("--from", "STUDY", "The shipped study to copy, without its words on the thesis.")
+    ] = "activation",
+) -> None:
+    """Write NAME.toml into this folder: a copy of a shipped study, to be edited."""
+    if not re.fullmatch(r"[\w-]+", name):
+        raise UserError(f"{name}: a study's name has letters, digits, - and _ alone")
+    path = Path(f"{name}.toml")
+    spec.refuse_taken_name(path, spec.studies_folder() / path.name, "study")
+    if path.exists():
+        raise UserError(f"{path}: exists already; choose another name")
+    if source not in spec.list_studies():
+        raise unknown_name("shipped study", source, spec.list_studies())
+    text = (spec.studies_folder() / f"{source}.toml").read_text(encoding="utf-8")
+    text = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", text, flags=re.M)
+    text = re.sub(r"^title = .*$", f'title = "{name}"', text, flags=re.M)
+    write_file(path, f"# From the study {source}. docs/studies.md says what can be set.\n{text}".encode())
+    print(f"wrote {path}: edit it, then run: pneuma study run {path}")
 
 
 @app.command(short_help="Show what a study compares, and its presets.")

@@ -51,8 +51,8 @@ from pneuma.study.store import Store
 from pneuma.worlds import in_world, split_world
 
 if TYPE_CHECKING:
+    from pneuma.analysis.frames import StudyData
     from pneuma.analysis.published import PublishedTable
-    from pneuma.analysis.tables import StudyData
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 

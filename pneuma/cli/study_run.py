@@ -14,7 +14,7 @@ from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.errors import UserError, plain
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import HERE, Detached, Place, Supervision
+from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_value
 
@@ -41,7 +41,7 @@ def plan_(
     selection: opt.Selected = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
-    place: Place = HERE,
+    place: Supervision = HERE,
     unpublished: Unpublished = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
@@ -107,7 +107,7 @@ def run(
     selection: opt.Selected = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
-    place: Place = HERE,
+    place: Supervision = HERE,
     checkpoint_seconds: Annotated[
         float,
         typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
@@ -123,11 +123,11 @@ def run(
     store = Store(results)
     if unpublished:
         planned = replace(planned, published=_published(store, planned))
-    how = Supervision(
+    how = replace(
+        place,
         workers=opt.read_workers(workers, place),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
-        place=place,
     )
     return train(planned, store, how, retry_failed, json, quiet)
 
@@ -147,7 +147,7 @@ def train_cells(
     planned: plan.Plan, store: Store, how: Supervision, retry_failed: bool, json: bool, quiet: bool
 ) -> tuple[list[execute.CellResult], int]:
     """Train what a plan lacks and tell how it went; return the cells' results and the exit code."""
-    todo = execute.prepare(planned, store, retry_failed, how)
+    todo = execute.prepare(planned, store, retry_failed)
     for note in (*planned.notes, *todo.notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     try:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.crossed import Effects, Map
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
 
 PRIMARY = "final-share-killed"
 FORK_SEEDS = "3"
@@ -61,7 +61,7 @@ def summary(
         document = {"schema": 1, "study": data.study, "at_step": step, "left_out": left_out}
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
-    _tell_step(data)
+    tell_step(data)
     if outcome or all_:
         _print_statistics(data, table, outcome or ())
     else:
@@ -69,7 +69,7 @@ def summary(
     return None
 
 
-def _tell_step(data: StudyData) -> None:
+def tell_step(data: StudyData) -> None:
     """Say at what step runs of unlike budgets are compared."""
     from pneuma.analysis.run_view import common_step, step_words
 
@@ -82,7 +82,7 @@ Cells = dict[tuple[str, str, str], str]
 
 
 def _cells(table: pd.DataFrame) -> Cells:
-    from pneuma.analysis.rounding import shown_with_interval
+    from pneuma.analysis.intervals import shown_with_interval
 
     return {
         (row.condition, row.outcome, row.statistic): shown_with_interval(row.value, row.low, row.high)
@@ -262,7 +262,7 @@ def effects(
     table = effects_table(found)
     if not json:
         _print_effects(found, table)
-        return _tell_step(data)
+        return tell_step(data)
     rows = [
         {**row, "factors": list(own.factors), "levels": [len(found.means[factor]) for factor in own.factors]}
         for row, own in zip(records(table), found.effects, strict=True)
@@ -273,8 +273,8 @@ def effects(
 
 
 def _print_effects(found: Effects, table: pd.DataFrame) -> None:
+    from pneuma.analysis.intervals import decimals, shown
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import decimals, shown
 
     outcome = find_outcome(found.outcome)
     unit = f" ({outcome.unit})" if outcome.unit else ""
@@ -334,7 +334,7 @@ def robustness(
     turned = find_outcome(outcome).better == "lower"
     if not json:
         _print_map(found, turned)
-        _tell_step(data)
+        tell_step(data)
         return tell_written(files)
     values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
     document = {"schema": 1, "study": found.study, "contrast": values, "outcome": found.outcome}
@@ -356,8 +356,8 @@ def _read_contrast(text: str) -> tuple[str, Any, Any]:
 
 
 def _print_map(found: Map, turned: bool) -> None:
+    from pneuma.analysis.intervals import shown_with_interval
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import shown_with_interval
 
     better, worse = map(shown_value, found.values)
     outcome = found.outcome + (" (turned, as less is better)" if turned else "")

@@ -64,8 +64,8 @@ def verify(
     _print_reasons(shown, named=bool(claims))
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    chance = f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction"
-    print(f"{chance}; intervals hold together.")
+    print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction.")
+    print("Intervals are simultaneous: all hold together with that chance of error.")
     return None
 
 

@@ -25,10 +25,6 @@ class ActionValues:
 
     A time limit that truncates is no end to a learner, which bootstraps there: episodes go on past it until
     the last state that counts is followed by enough steps. One that terminates is an end.
-
-    Args:
-        run: whose discount and worlds these are.
-        starts: how many start places there are.
     """
 
     def __init__(self, run: Run, starts: int) -> None:

@@ -55,15 +55,12 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
     weights, which would be another. Where actor and critic were clipped each by itself, both are together.
 
-    Args:
-        policy: actor and critic.
-        run: what trained them.
-        space: what the policy observes; see `observation_space`.
-
     Raises:
         UserError: when the policy is not of the run's shape.
     """
-    _check_shape(policy, run)
+    actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
+    if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
+        raise UserError("policy.safetensors: is not of the shape that its run.json says")
     # clipped apart, or without a baseline, it would need Pneuma's own classes to be read
     run = replace(run, clip="joint", value_baseline=True)
     if run.optimizer == "upgd":
@@ -111,12 +108,6 @@ def reads_only_shipped_files(run: Run) -> bool:
     return not (is_own_level(run.level) or are_own_characters(run.characters))
 
 
-def _check_shape(policy: Policy, run: Run) -> None:
-    actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
-    if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
-        raise UserError("policy.safetensors: is not of the shape that its run.json says")
-
-
 class _Spaces(VecEnv):
     """Stands in for an environment where a learner is set up and never trained: spaces alone."""
 
@@ -142,11 +133,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     Of a network of action values, its one output is action_values (batch, actions).
 
     The graph is written out layer by layer. `torch.onnx.export` would add a trace of its calls, with
-    paths of this machine, to every node, and takes seconds.
-
-    Args:
-        policy: actor and critic.
-        about: what to note in the model's metadata, such as the run's id.
+    paths of this machine, to every node, and takes seconds. `about` is noted in the model's metadata.
 
     Raises:
         UserError: when the extra `onnx` is not installed.

@@ -93,13 +93,7 @@ def train_one(
 
 
 class Sb3Trainer:
-    """Trains one run by a learner of Stable-Baselines3; see `pneuma.engines.loop.Trainer`.
-
-    Args:
-        model: the learner, set up for the run.
-        run: the run.
-        norms: takes the norms of its gradients.
-    """
+    """Trains one run by a learner of Stable-Baselines3; see `pneuma.engines.loop.Trainer`."""
 
     def __init__(self, model: Any, run: Run, norms: GradientNorms) -> None:
         self.run = run

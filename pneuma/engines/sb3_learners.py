@@ -50,7 +50,31 @@ def make_model(run: Run, env: VecEnv) -> Any:
     weights, then the actions, and where TRPO's conjugate gradient begins; NumPy's the minibatches.
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
-    model = _MAKE[run.algorithm](run, env)
+    kind, fields = LEARNERS[run.algorithm]
+    own: dict[str, Any] = {argument: getattr(run, name) for argument, name in fields.items()}
+    layers: Any = list(run.actor)
+    if issubclass(kind, DQN):
+        assert run.target_every
+        own["target_update_interval"] = max(run.target_every, env.num_envs)  # at least one step of all slots
+    else:
+        layers = {"pi": layers, "vf": list(run.critic)}
+        own["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
+    if kind is not TRPO:
+        own["max_grad_norm"] = joint_limit(run)
+    model = kind(
+        policy="MlpPolicy",
+        env=env,
+        learning_rate=run.learning_rate,
+        gamma=run.gamma,
+        policy_kwargs={
+            "net_arch": layers,
+            "activation_fn": ACTIVATIONS[run.activation],
+            "optimizer_class": OPTIMIZERS[run.optimizer],
+            "optimizer_kwargs": optimizer_arguments(run),
+        },
+        device="cpu",
+        **own,
+    )
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
     return model
@@ -65,92 +89,6 @@ def seed_streams(model: Learner, run: Run) -> None:
     np.random.seed(stream_seed(run.stream, "minibatches") % 2**32)
     if isinstance(model, DQN):
         model.action_space.seed(stream_seed(run.stream, "random-actions"))
-
-
-def _ppo(run: Run, env: VecEnv) -> PPO:
-    return PPO(
-        **_on_policy(run, env),
-        batch_size=run.minibatch,
-        n_epochs=run.epochs,
-        clip_range=run.clip_range,
-        ent_coef=run.entropy_coefficient,
-        vf_coef=run.value_coefficient,
-        max_grad_norm=joint_limit(run),
-    )
-
-
-def _a2c(run: Run, env: VecEnv) -> A2C:
-    return A2C(
-        **_on_policy(run, env),
-        ent_coef=run.entropy_coefficient,
-        vf_coef=run.value_coefficient,
-        max_grad_norm=joint_limit(run),
-    )
-
-
-def _trpo(run: Run, env: VecEnv) -> TRPO:
-    assert run.target_kl and run.conjugate_steps and run.line_search_steps
-    return TRPO(
-        **_on_policy(run, env),
-        batch_size=run.minibatch,
-        n_critic_updates=run.epochs,
-        target_kl=run.target_kl,
-        cg_max_steps=run.conjugate_steps,
-        line_search_max_iter=run.line_search_steps,
-    )
-
-
-def _on_policy(run: Run, env: VecEnv) -> dict[str, Any]:
-    """Return the arguments that all learners from rollouts share."""
-    return {
-        **_shared(run, env, {"pi": list(run.actor), "vf": list(run.critic)}),
-        "n_steps": run.horizon,
-        "gae_lambda": run.gae_lambda,
-        "rollout_buffer_class": None if run.value_baseline else WithoutBaseline,
-    }
-
-
-def _shared(run: Run, env: VecEnv, layers: Any) -> dict[str, Any]:
-    return {
-        "policy": "MlpPolicy",
-        "env": env,
-        "learning_rate": run.learning_rate,
-        "gamma": run.gamma,
-        "policy_kwargs": {
-            "net_arch": layers,
-            "activation_fn": ACTIVATIONS[run.activation],
-            "optimizer_class": OPTIMIZERS[run.optimizer],
-            "optimizer_kwargs": optimizer_arguments(run),
-        },
-        "device": "cpu",
-    }
-
-
-def _dqn(run: Run, env: VecEnv) -> DQN:
-    assert run.buffer_size and run.train_every and run.gradient_steps and run.target_every
-    assert run.learning_starts is not None and run.exploration is not None
-    assert run.exploration_fraction is not None
-    return (DoubleDQN if run.algorithm == "double-dqn" else DQN)(
-        **_shared(run, env, list(run.actor)),
-        batch_size=run.minibatch,
-        max_grad_norm=joint_limit(run),
-        buffer_size=run.buffer_size,
-        learning_starts=run.learning_starts,
-        train_freq=run.train_every,
-        gradient_steps=run.gradient_steps,
-        target_update_interval=max(run.target_every, env.num_envs),  # at least one step of all slots
-        exploration_fraction=run.exploration_fraction,
-        exploration_final_eps=run.exploration,
-    )
-
-
-_MAKE: dict[str, Callable[[Run, VecEnv], Learner]] = {
-    "ppo": _ppo,
-    "a2c": _a2c,
-    "trpo": _trpo,
-    "dqn": _dqn,
-    "double-dqn": _dqn,
-}
 
 
 def joint_limit(run: Run) -> float:
@@ -199,6 +137,36 @@ class WithoutBaseline(RolloutBuffer):
         self.advantages = self.returns.copy()
 
 
+_ROLLOUT = {"n_steps": "horizon", "gae_lambda": "gae_lambda"}
+_LOSS = {**_ROLLOUT, "ent_coef": "entropy_coefficient", "vf_coef": "value_coefficient"}
+_DQN = {
+    "batch_size": "minibatch",
+    "buffer_size": "buffer_size",
+    "learning_starts": "learning_starts",
+    "train_freq": "train_every",
+    "gradient_steps": "gradient_steps",
+    "exploration_fraction": "exploration_fraction",
+    "exploration_final_eps": "exploration",
+}
+_TRPO = {
+    **_ROLLOUT,
+    "batch_size": "minibatch",
+    "n_critic_updates": "epochs",
+    "target_kl": "target_kl",
+    "cg_max_steps": "conjugate_steps",
+    "line_search_max_iter": "line_search_steps",
+}
+
+LEARNERS: dict[str, tuple[type[Learner], Mapping[str, str]]] = {
+    "ppo": (PPO, {**_LOSS, "batch_size": "minibatch", "n_epochs": "epochs", "clip_range": "clip_range"}),
+    "a2c": (A2C, _LOSS),
+    "trpo": (TRPO, _TRPO),
+    "dqn": (DQN, _DQN),
+    "double-dqn": (DoubleDQN, _DQN),
+}
+"""Every algorithm's learner, and the fields of a run that are arguments of it alone, by their names there."""
+
+
 # --- Checkpoints ----------------------------------------------------------------------------------
 
 
@@ -207,6 +175,7 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env = model.env
     assert isinstance(env, PneumaVecEnv)
     kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    replayed, exploring = _replay_state(model) if isinstance(model, DQN) else ({}, {})
     arrays = {
         **{f"policy/{name}": _copy(tensor) for name, tensor in model.policy.state_dict().items()},
         **_optimizer_arrays(model.policy.optimizer),
@@ -215,14 +184,14 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
         "random/numpy": np.asarray(keys).copy(),
         "last/observations": np.array(model._last_obs),
         "last/episode_starts": np.array(model._last_episode_starts),
-        **(_replay_arrays(model) if isinstance(model, DQN) else {}),
+        **replayed,
     }
     numbers = {
         "numpy": [str(kind), int(position), int(has_gauss), float(gauss)],
         "optimizer": type(model.policy.optimizer).__name__,
         "updates": int(model._n_updates),
         "timesteps": int(model.num_timesteps),
-        **(_exploration_numbers(model) if isinstance(model, DQN) else {}),
+        **exploring,
     }
     return Checkpoint(step, arrays, numbers, records.copy())
 
@@ -262,23 +231,19 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequenc
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-def _replay_arrays(model: DQN) -> dict[str, np.ndarray]:
-    """Copy the part of DQN's replay buffer that holds something."""
+def _replay_state(model: DQN) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Copy what DQN's replay buffer holds, and where its schedules and its stream of random actions stand."""
     buffer = model.replay_buffer
     assert buffer is not None
-    return {f"replay/{name}": getattr(buffer, name)[: buffer.size()].copy() for name in _REPLAYED}
-
-
-def _exploration_numbers(model: DQN) -> dict[str, Any]:
-    """Return where DQN's buffer, schedules and stream of random actions stand."""
-    assert model.replay_buffer is not None
-    return {
-        "position": int(model.replay_buffer.pos),
-        "full": bool(model.replay_buffer.full),
+    numbers = {
+        "position": int(buffer.pos),
+        "full": bool(buffer.full),
         "calls": int(model._n_calls),
         "exploration": float(model.exploration_rate),
         "random_actions": model.action_space.np_random.bit_generator.state,
     }
+    arrays = {name: getattr(buffer, name)[: buffer.size()].copy() for name in _REPLAYED}
+    return {f"replay/{name}": array for name, array in arrays.items()}, numbers
 
 
 def _restore_replay(model: DQN, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> None:

@@ -59,7 +59,6 @@ class TableTrainer:
         self._place = int(self.env.reset(seed=stream_seed(run.stream, "world"))[0])
         self._return, self._length, self._episode = 0.0, 0, 0
         self._finished: list[dict[str, Any]] = []
-        self._evaluation = TableEvaluation(run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Take a horizon's steps, and learn from each."""
@@ -71,7 +70,7 @@ class TableTrainer:
 
     def evaluate(self, step: int) -> Row:
         """Judge the tables, as played and as computed."""
-        return self._evaluation.evaluate(self.tables, step)
+        return evaluate_tables(self.run, self.tables, step)
 
     def _step(self, taken: int) -> tuple[int, float]:
         """Take one step, after `taken` others, and learn from it; return the action and its error."""
@@ -185,60 +184,47 @@ def _metrics(told: Sequence[tuple[int, float]]) -> dict[str, float]:
 # --- Evaluation -----------------------------------------------------------------------------------
 
 
-class TableEvaluation:
-    """Judges the tables of one run; made once, asked at every evaluation point."""
+def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
+    """Return one row: returns and lengths as played, explored as at training's end; values as computed.
 
-    def __init__(self, run: Run) -> None:
-        assert run.action_slip is not None and run.reward_noise is not None
-        self.run = run
-        self.env = MailmanEnv(run.action_slip, run.reward_noise)
-        self.process = decision_process(run.action_slip)
-        self.best = optimal_values(self.process, run.gamma)
+    `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
+    post office and letters, the latter of the greedy route's discounted value; `q_error` is the
+    greatest distance of any entry from the best route's. Tables are (1 or 2, places, actions).
+    """
+    assert run.action_slip is not None
+    process, mean = decision_process(run.action_slip), tables.mean(axis=0)
+    greedy = mean.argmax(axis=1)[:HOME]
+    returns, lengths = _play(run, mean, step)
+    return {
+        **dict.fromkeys(EVALUATION_COLUMNS, NAN),
+        "step": step,
+        "episodes": run.evaluation_episodes,
+        "return": float(np.mean(returns)),
+        "length": float(np.mean(lengths)),
+        "argmax_starts": 1,
+        "argmax_return": float(policy_values(process, greedy, 1.0)[POST_OFFICE]),
+        "q_estimate": float(estimated_values(tables)[:HOME].mean()),
+        "q_true": float(policy_values(process, greedy, run.gamma).mean()),
+        "q_error": float(np.abs(mean[:HOME] - optimal_values(process, run.gamma)).max()),
+    }
 
-    def evaluate(self, tables: np.ndarray, step: int) -> dict[str, Any]:
-        """Return one row: returns and lengths as played, explored as at training's end; values as computed.
 
-        `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
-        post office and letters, the latter of the greedy route's discounted value; `q_error` is the
-        greatest distance of any entry from the best route's.
-
-        Args:
-            tables: (1 or 2, places, actions).
-            step: agent steps trained.
-        """
-        mean = tables.mean(axis=0)
-        greedy = mean.argmax(axis=1)[:HOME]
-        returns, lengths = self._play(mean, step)
-        true = policy_values(self.process, greedy, self.run.gamma)
-        return {
-            **dict.fromkeys(EVALUATION_COLUMNS, float("nan")),
-            "step": step,
-            "episodes": self.run.evaluation_episodes,
-            "return": float(np.mean(returns)),
-            "length": float(np.mean(lengths)),
-            "argmax_starts": 1,
-            "argmax_return": float(policy_values(self.process, greedy, 1.0)[POST_OFFICE]),
-            "q_estimate": float(estimated_values(tables)[:HOME].mean()),
-            "q_true": float(true.mean()),
-            "q_error": float(np.abs(mean[:HOME] - self.best).max()),
-        }
-
-    def _play(self, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
-        """Return every episode's return and length."""
-        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
-        self.env.reset(seed=stream_seed(self.run.stream, "evaluation"))
-        played = [self._play_one(values, generator) for _ in range(self.run.evaluation_episodes)]
-        returns, lengths = zip(*played, strict=True)
-        return list(returns), list(lengths)
-
-    def _play_one(self, values: np.ndarray, generator: np.random.Generator) -> tuple[float, int]:
-        place, total, length, ended = self.env.reset()[0], 0.0, 0, False
+def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
+    """Return every episode's return and length."""
+    assert run.action_slip is not None and run.reward_noise is not None
+    generator = np.random.default_rng(stream_seed(run.stream, "evaluation-actions", step))
+    env = MailmanEnv(run.action_slip, run.reward_noise)
+    env.reset(seed=stream_seed(run.stream, "evaluation"))
+    returns, lengths = [0.0] * run.evaluation_episodes, [0] * run.evaluation_episodes
+    for episode in range(run.evaluation_episodes):
+        place, ended = env.reset()[0], False
         while not ended:
-            explore = generator.random() < (self.run.exploration or 0.0)
+            explore = generator.random() < (run.exploration or 0.0)
             action = generator.integers(values.shape[1]) if explore else values[place].argmax()
-            place, reward, ended, _, _ = self.env.step(np.int64(action))
-            total, length = total + reward, length + 1
-        return total, length
+            place, reward, ended, _, _ = env.step(np.int64(action))
+            returns[episode] += reward
+            lengths[episode] += 1
+    return returns, lengths
 
 
 def estimated_values(tables: np.ndarray) -> np.ndarray:

@@ -20,10 +20,10 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
-from pneuma.analysis.curves import Curve, curve_names, study_curves
-from pneuma.analysis.references import have_one_return, shared_levels
+from pneuma.analysis.curves import Curve, curve_names, shared_levels, study_curves
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.outcomes import have_one_return
 from pneuma.analysis.run_view import common_step, step_words
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import (
     PLAYER_DASHES,

@@ -17,7 +17,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullForm
 
 from pneuma.analysis.bands import BANDS, is_trusted
 from pneuma.analysis.curves import Curve, LogCurve
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, MARKERS, TYPE_POINTS, WIDTH, characters, clean

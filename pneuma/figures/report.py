@@ -22,9 +22,9 @@ from markupsafe import Markup
 
 from pneuma import __version__
 from pneuma.analysis.curves import curve_names
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.intervals import decimals, shown, shown_with_interval
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.rounding import decimals, shown, shown_with_interval
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import counted, plain
 from pneuma.figures import verdicts
 from pneuma.figures.collapse import collapsed_shares, draw_collapse

@@ -19,10 +19,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.claims import MINUS, Claim, load_claims
+from pneuma.analysis.intervals import decimals
 from pneuma.analysis.judgement import BY_LETTER, NOT_RUN, STANDINGS, Comparison, Verdict, decisive_of, judge
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.published import PUBLISHED
-from pneuma.analysis.rounding import decimals
 from pneuma.analysis.verdicts import INCONCLUSIVE, MIXED, REFUTED, SUPPORTED, UNTESTABLE
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.study.files import write_whole
@@ -61,7 +61,6 @@ MARKS = {SUPPORTED: "o", REFUTED: "s", MIXED: "D", INCONCLUSIVE: "o"}
 _WORDS = {
     "not admitted": "not admitted",
     "no runs": "not run",
-    "budget not reached": "not run",
     "too few seeds": "few seeds",
     "A/A": "same arms",
     "engines": "two engines",
@@ -74,7 +73,6 @@ _WORDS = {
     "confounded": "confounded",
     "one published run": "one run",
     "no published runs": "no pairs",
-    "all runs of": "no spread",
 }
 """Why a cell is empty, by how the reason begins."""
 
@@ -136,7 +134,7 @@ def compared(claim: Claim) -> str:
     words = " and ".join(told)
     if claim.event:
         return f"share of runs, {words} {claim.event.words}"
-    return words if claim.kind == "mean" else f"deviation between seeds of {words}"
+    return words
 
 
 def tested(claim: Claim) -> str:
@@ -159,13 +157,11 @@ def effect(own: Comparison) -> str:
     contrast = own.contrast
     if not math.isfinite(contrast.effect):
         return "no number"
-    ratio, interval = contrast.kind == "spread", contrast.interval
+    interval = contrast.interval
     places = decimals(contrast.effect, interval.low, interval.high)
-    value, low, high = (
-        _number(each, places, signed=not ratio) for each in (contrast.effect, interval.low, interval.high)
-    )
+    value, low, high = (_number(each, places) for each in (contrast.effect, interval.low, interval.high))
     between = f" [{low}, {high}]" if interval.exists else ""
-    return f"{'ratio ' if ratio else ''}{value}{between}"
+    return f"{value}{between}"
 
 
 def arms(own: Comparison) -> str:
@@ -175,11 +171,11 @@ def arms(own: Comparison) -> str:
     return ", ".join(filter(None, [f"{own.a} against {own.b}", f"n = {seeds}" if seeds else "", p]))
 
 
-def _number(value: float, places: int, signed: bool) -> str:
+def _number(value: float, places: int) -> str:
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
     rounded = round(value, places)
-    sign = "−" if rounded < 0 else "+" if signed and rounded > 0 else ""
+    sign = "−" if rounded < 0 else "+" if rounded > 0 else ""
     return f"{sign}{abs(rounded):,.{max(places, 0)}f}"
 
 
@@ -295,16 +291,13 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
 def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | None:
     """Return effect and ends of its simultaneous interval in margins, right being as claimed.
 
-    Ratios are taken by their logarithms. None without a margin, or without a number.
+    None without a margin, or without a number.
     """
     margin = claim.of("margin", own.outcome)
     if margin is None:
         return None
     contrast = own.contrast
     numbers = contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high
-    if claim.kind == "spread":
-        numbers = tuple(math.log(own) if own > 0 else math.nan for own in numbers)  # type: ignore[assignment]
-        margin = math.log(margin)
     effect, low, high = (number / margin for number in numbers)
     if not math.isfinite(effect):
         return None

@@ -13,6 +13,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from pneuma.engines.records import (
     columns_of,
 )
 from pneuma.errors import UserError
+from pneuma.study.documents import History, fits
 from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name, read_whole
 from pneuma.study.provenance import Attempt, differences
 from pneuma.study.store import Store
@@ -51,15 +53,7 @@ TABLES = {
 
 
 class RunCheckpoints:
-    """The checkpoints of one run while it trains; only for the holder of the run's lock.
-
-    Args:
-        store: where the run is.
-        name: its id.
-        run: its configuration.
-        seconds: between two checkpoints.
-        keep: how many to keep when the run has ended.
-        say: takes a sentence for people.
+    """The checkpoints of one run while it trains, and `keep` of them after; for the holder of its lock alone.
 
     Attributes:
         history: what earlier attempts left: a list `attempts`, and `resumes` where this one went on.
@@ -139,7 +133,8 @@ class RunCheckpoints:
     def _note_resume(self, step: int) -> None:
         """Keep in the history where this attempt goes on, and what has changed since."""
         changed = differences(self.history["attempts"][-1]["machine"]) if self.history["attempts"] else []
-        self.history["resumes"].append({"step": step, "at": Attempt.now(), "differences": changed})
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        self.history["resumes"].append({"step": step, "at": now, "differences": changed})
         self._say(f"goes on from step {step:,}")
         if changed:
             self._say(f"goes on with another {', '.join(changed)}: it may end with other bits")
@@ -196,22 +191,18 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] |
         data = read_whole(file.path)
         if checksum(data)[:16] != file.digest:
             return None
-        about = _about(data)
-        checkpoint, history = _decoded(about, data)
+        checkpoint, about = decode(data)
     except Exception:  # whatever untrusted bytes lead the readers of JSON, safetensors and Parquet to
         return None
-    run = file.path.parent.parent.name
-    whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and _is_history(history)
+    run, history = file.path.parent.parent.name, about["history"]
+    whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and fits(history, History)
     return (checkpoint, {"attempts": [], "resumes": [], **history}) if whole else None
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | None = None) -> bytes:
-    """Return a checkpoint, and what is to be kept with it, as safetensors.
+    """Return a checkpoint as safetensors, with its run's `attempts` and `resumes` so far.
 
-    Args:
-        checkpoint: of a run.
-        history: its `attempts` and `resumes` so far.
-        run_id: the run's, so that the file is of no use in the folder of another.
+    With `run_id` the file is of no use in the folder of another run.
     """
     tables = {
         f"records/{name}": np.frombuffer(data, np.uint8)
@@ -231,12 +222,19 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
 
 
 def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
-    """Return what `encode` was given.
+    """Return a checkpoint, and what was encoded with it: its run's id and history.
 
     Raises:
         ValueError: for bytes of another schema; other bytes may raise anything.
     """
-    return _decoded(_about(data), data)
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    about: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
+    if about["schema"] != SCHEMA:
+        raise ValueError(f"a checkpoint of schema {about['schema']}")
+    arrays = load(data)
+    rows = {name: _rows(arrays.pop(f"records/{name}").tobytes(), columns) for name, columns in TABLES.items()}
+    shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
+    return Checkpoint(about["step"], shaped, dict(about["numbers"]), Records(**rows)), about
 
 
 def table_files(records: Records) -> dict[str, bytes]:
@@ -245,37 +243,9 @@ def table_files(records: Records) -> dict[str, bytes]:
     return {name: to_parquet(own, columns_of(own, TABLES[name])) for name, own in rows.items()}
 
 
-def _about(data: bytes) -> dict[str, Any]:
-    """Return a checkpoint's metadata."""
-    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    about: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
-    if about["schema"] != SCHEMA:
-        raise ValueError(f"a checkpoint of schema {about['schema']}")
-    return about
-
-
-def _decoded(about: Mapping[str, Any], data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
-    arrays = load(data)
-    rows = {name: _rows(arrays.pop(f"records/{name}").tobytes(), columns) for name, columns in TABLES.items()}
-    shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
-    numbers, history = dict(about["numbers"]), dict(about["history"])
-    return Checkpoint(about["step"], shaped, numbers, Records(**rows)), history
-
-
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
     """Return the rows of a table that has the contract's columns, with those that it has on top."""
     table = from_parquet(data)
     own = [name for name in VALUE_COLUMNS if name in table.column_names]
     rows: list[Row] = table.select([*columns, *own]).to_pylist()
     return rows
-
-
-def _is_history(history: Mapping[str, Any]) -> bool:
-    """Tell whether a checkpoint's history, which may be crafted, has what provenance is made of."""
-    attempts, resumes = history.get("attempts", []), history.get("resumes", [])
-    if not isinstance(attempts, list) or not isinstance(resumes, list):
-        return False
-    needed: dict[str, Any] = {"wall_seconds": (int, float), "started": str, "machine": dict}
-    return all(isinstance(each, dict) for each in (*attempts, *resumes)) and all(
-        isinstance(attempt.get(key), kind) for attempt in attempts for key, kind in needed.items()
-    )

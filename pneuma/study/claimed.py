@@ -48,9 +48,7 @@ def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
 
     Conditions that no claim is about are left out; one that several are about has the seeds of all.
 
-    Args:
-        study: the study.
-        steps: which budget, where claims fix several; of any other number, conditions of all.
+    Where claims fix several budgets `steps` picks one; any other number has the conditions of all.
 
     Raises:
         UserError: where no claim is about the study, or the budget is not told.

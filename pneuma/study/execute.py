@@ -16,7 +16,6 @@ from typing import Any
 
 from pneuma.config import Run, as_fields, env_config
 from pneuma.errors import UserError, counted
-from pneuma.study.compiling import SHAPED_BY
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
@@ -65,7 +64,7 @@ class Todo:
     Attributes:
         runs: to be trained, by id.
         kept: of those that do not begin at 0, the step of the checkpoint, or fork, from which they go on.
-        notes: sentences about damage, failures and the place.
+        notes: sentences about damage and failures.
     """
 
     runs: Mapping[str, Run]
@@ -75,19 +74,21 @@ class Todo:
 
 OnProgress = Callable[[CellProgress], None]
 
+SHAPED_BY = (
+    "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
+    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic",
+)  # fmt: skip
+"""Fields by which a run's compiled programs differ."""
 MOST_IN_GROUP = 8
 """Runs that one worker process trains; another `study run` finds them busy until it ends."""
 
 
-def prepare(
-    plan: Plan, store: Store, retry_failed: bool = False, supervision: Supervision | None = None
-) -> Todo:
+def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> Todo:
     """Check all that can be checked, record the selection, and return what is to be done.
 
     Raises:
         UserError: before anything is written, for an environment that cannot be made, a results folder
-            that cannot be written or has runs of another file of that name, or runs that cannot be
-            trained where `supervision` says.
+            that cannot be written or has runs of another file of that name.
     """
     recorded = store.selection(plan.study.name)
     if recorded is not None and plan.study.own_path is not None:
@@ -96,16 +97,14 @@ def prepare(
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
     notes = _notes(plan, statuses, todo)
-    if supervision and todo:
-        notes.append(load_executor(supervision.place).check(todo, supervision))
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
     kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
-    return Todo(todo, kept, tuple(filter(None, notes)))
+    return Todo(todo, kept, tuple(notes))
 
 
 def execute(
-    plan: Plan, todo: Mapping[str, Run], store: Store, supervision: Supervision, on_progress: OnProgress
+    plan: Plan, todo: Mapping[str, Run], store: Store, how: Supervision, on_progress: OnProgress
 ) -> list[CellResult]:
     """Train the runs that `prepare` found missing; return how the plan's cells stand.
 
@@ -126,9 +125,8 @@ def execute(
         for cell in cells[event["run_id"]]:
             on_progress(CellProgress(cell, *told, passing=event["event"] == "passing"))
 
-    if todo or supervision.place.executor == SLURM:  # whose jobs may have ended, and wait to be put away
-        executor = load_executor(supervision.place)
-        executor.run_groups(groups(todo, supervision.workers), store, supervision, report)
+    if todo or how.executor == SLURM:  # whose jobs may have ended, and wait to be put away
+        load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
     results = [_result(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
     return [own for own in results if own.status.finished or own.cell.run_id not in plan.published]
 

@@ -6,20 +6,18 @@ runs, steps and changes → Plan of a control and a condition a change × fork s
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from typing import Any
 
 from pneuma.config import (
-    ENGINES,
     FORK_FIELDS,
     FORK_RESETS,
     OPTIMIZER_FIELDS,
     EnvConfig,
     Run,
     as_fields,
-    beyond_engine,
     make_run,
     read_field,
 )
@@ -29,7 +27,7 @@ from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.provenance import differences
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import read_document, stored_settings
+from pneuma.study.stored_runs import stored_settings
 
 CONTROL = "control"
 FIXED = (
@@ -67,15 +65,9 @@ CAUSES: dict[str, Change] = {
 def plan_fork(
     store: Store, parent: str, at: int, change: Change, seeds: Sequence[int], trust: bool = False
 ) -> Plan:
-    """Plan a fork from the parent's checkpoint nearest before `at`, and its control.
+    """Plan a fork from the parent's checkpoint nearest before step `at`, and its control, by fork seeds.
 
-    Args:
-        store: where the parent is.
-        parent: its run id.
-        at: agent steps.
-        change: what the fork does otherwise.
-        seeds: of the fork: each begins fresh random streams.
-        trust: whether what the stored run names of its owner's may be imported and read.
+    Each seed begins fresh random streams. With `trust`, what the run names of its owner's may be read.
 
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
@@ -84,84 +76,61 @@ def plan_fork(
     changed, step = _changed_run(whole, control, change), control.fork_step
     parts = [f"{key}={_shown(value)}" for key, value in change.settings.items()]
     condition = ", ".join([*parts, *([f"reset {change.reset}"] if change.reset else [])])
-    cells = _cells({CONTROL: [control], condition: [changed]}, seeds, seeds)
     name = f"fork-{parent[:8]}-{step}-{run_id(changed)[:4]}"
-    title, about = f"Run {parent[:8]} from step {step:,}", f"{condition} from step {step:,} on"
-    changes = {**change.settings, **({"fork_reset": change.reset} if change.reset else {})}
+    about = f"Run {parent[:8]} from step {step:,}", f"{condition} from step {step:,} on"
     notes = (f"forked at step {step:,} of {whole.steps:,}", *_elsewhere(store, parent))
-    study = _study(name, title, about, {condition: changes})
-    return Plan(study, Selection(seeds=tuple(seeds)), cells, (), notes)
+    return _plan(name, *about, {CONTROL: [control], condition: [changed]}, seeds, seeds, notes)
 
 
 def plan_cause_forks(
-    store: Store,
-    study: str,
-    parents: Mapping[str, int],
-    seeds: Sequence[int],
-    causes: Mapping[str, Change] = CAUSES,
-    trust: bool = False,
+    store: Store, study: str, parents: Mapping[str, int], seeds: Sequence[int], trust: bool = False
 ) -> Plan:
-    """Plan the forks of several runs of a study, one condition for each change.
+    """Plan the forks of several runs of a study, a condition for each of `CAUSES` that all of them can make.
 
     A condition's runs are numbered in one order in every condition, so that run i of a change and run i of
-    the control begin with the same weights, worlds and optimizer.
-
-    Args:
-        store: where the runs are.
-        study: the name of theirs.
-        parents: by run id, before what step each is to be forked.
-        seeds: of the forks of each parent.
-        causes: the changes by name; one that some parent cannot make is left out, and said.
-        trust: whether what the stored runs name of their owner's may be imported and read.
+    the control begin with the same weights, worlds and optimizer. `parents` tells before what step each run
+    is to be forked; one that cannot be is left out, and said.
 
     Raises:
         UserError: where no parent can be forked, or no change can be made.
     """
     forked: list[tuple[Run, Run]] = []
-    notes: list[str] = []
+    notes: dict[str, None] = {}
     for parent, before in parents.items():
         try:
             forked.append(_control_run(store, parent, before, trust))
-            notes += _elsewhere(store, parent)
+            notes |= dict.fromkeys(_elsewhere(store, parent))
         except UserError as error:
-            notes.append(str(error))
+            notes[str(error)] = None
     if not forked:
-        raise UserError(notes[0] if notes else "there is no run to fork")
-    notes = list(dict.fromkeys(notes))
-    conditions: dict[str, list[Run]] = {CONTROL: [control for _, control in forked]}
-    for name, change in causes.items():
+        raise UserError(next(iter(notes), "there is no run to fork"))
+    conditions = {CONTROL: [control for _, control in forked]}
+    for name, change in CAUSES.items():
         try:
             if change.reset == "xp" and any(whole.xp_scope == "episode" for whole, _ in forked):
                 raise UserError("XP begins anew with every episode of these runs")
             conditions[name] = [_changed_run(*pair, change) for pair in forked]
         except UserError as error:
-            notes.append(f"without {name}: {error}")
+            notes[f"without {name}: {error}"] = None
     if len(conditions) == 1:
-        raise UserError(f"study {study}: none of {', '.join(causes)} changes anything in these runs")
-    places = tuple(range(len(forked) * len(seeds)))
+        raise UserError(f"study {study}: none of {', '.join(CAUSES)} changes anything in these runs")
     told = [*(f"{control.parent}-{control.fork_step}" for _, control in forked), *conditions]
     own_name = f"{study}-forks-{hashlib.sha256('/'.join(told).encode()).hexdigest()[:4]}"
-    title = f"Forks of {counted(len(forked), 'collapsed run')} of {study}"
-    changes = {name: dict(causes[name].settings) for name in conditions if name != CONTROL}
-    made = _study(own_name, title, "Each condition changes one thing from there on", changes)
-    return Plan(made, Selection(seeds=places), _cells(conditions, seeds, places), (), tuple(notes))
+    about = f"Forks of {counted(len(forked), 'collapsed run')} of {study}", "Each condition changes one thing"
+    return _plan(own_name, *about, conditions, seeds, range(len(forked) * len(seeds)), (*notes,))
 
 
-def _cells(
-    conditions: Mapping[str, Sequence[Run]], seeds: Sequence[int], places: Iterable[int]
-) -> tuple[Cell, ...]:
-    """Return the cells of every parent's fork with every seed, numbered by places."""
-    parents = range(len(conditions[CONTROL]))
-    return tuple(
-        Cell(name, place, own, run_id(own))
-        for place, (parent, seed) in zip(places, product(parents, seeds), strict=True)
-        for name, runs in conditions.items()
-        for own in [replace(runs[parent], seed=seed)]
-    )
-
-
-def _study(name: str, title: str, about: str, conditions: Mapping[str, Mapping[str, Any]]) -> Study:
-    return Study(
+def _plan(
+    name: str,
+    title: str,
+    about: str,
+    conditions: Mapping[str, Sequence[Run]],
+    seeds: Sequence[int],
+    places: Sequence[int],
+    notes: tuple[str, ...],
+) -> Plan:
+    """Plan every parent's fork with every seed, numbered by places, as a study of its own."""
+    study = Study(
         name=name,
         path=None,
         title=title,
@@ -171,8 +140,15 @@ def _study(name: str, title: str, about: str, conditions: Mapping[str, Mapping[s
         baseline=CONTROL,
         base="",
         shared={},
-        conditions={CONTROL: {}, **conditions},
+        conditions={condition: {} for condition in conditions},
     )
+    cells = tuple(
+        Cell(condition, place, own, run_id(own))
+        for place, (parent, seed) in zip(places, product(range(len(conditions[CONTROL])), seeds), strict=True)
+        for condition, runs in conditions.items()
+        for own in [replace(runs[parent], seed=seed)]
+    )
+    return Plan(study, Selection(seeds=tuple(places)), cells, (), notes)
 
 
 # --- Parents ---------------------------------------------------------------------------------------
@@ -207,7 +183,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> tuple[Run, 
 
 def _elsewhere(store: Store, parent: str) -> list[str]:
     """Say in what this machine differs from the one that trained the parent."""
-    earlier = read_document(store, parent, "provenance.json")
+    earlier = store.read_document(parent, "provenance.json")
     changed = differences(earlier, but="device") if earlier else []  # this process computes on none
     if not changed:
         return []
@@ -263,8 +239,6 @@ def _changed_run(whole: Run, control: Run, change: Change) -> Run:
     if other and not fresh:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
     over = {**changes, "fork_reset": change.reset}
-    if base["engine"] == ENGINES[0] and (fault := beyond_engine(Run(**{**base, **over}))):
-        raise UserError(f"--set {keys}: the engine {ENGINES[0]}, which a fork keeps, cannot train {fault}")
     own = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
     changed = make_run({**base, **dict.fromkeys(own), **over})
     if not fresh and bool(changed.momentum) != bool(base["momentum"]):

@@ -7,11 +7,18 @@ import json
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, read_field
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
+_FILES = {
+    LEVEL: ("pneuma.env.level", "level_files"),
+    CHARACTERS: ("pneuma.env.characters", "character_files"),
+    REWARD: ("pneuma.env.reward", "reward_files"),
+}
+"""What tells, of a user's own, the files to hash."""
 
 
 def run_id(run: Run) -> str:
@@ -22,12 +29,9 @@ def run_id(run: Run) -> str:
     its default is left out, so that a new field leaves old names alone; a default that changes
     must therefore raise a version.
     """
-    usual = as_fields(Run())
-    own = {key: value for key, value in as_fields(run).items() if value != usual[key]}
-    if is_own_level(run.level):
-        own["level"] = "of the user's own"
-    if are_own_characters(run.characters):
-        own["characters"] = "of the user's own"
+    usual, fields = as_fields(Run()), as_fields(run)
+    own = {key: value for key, value in fields.items() if value != usual[key]}
+    own |= dict.fromkeys(own_names(fields).keys() - {REWARD}, "of the user's own")
     identity = {
         "run": own,
         "contents": _contents(run),
@@ -43,17 +47,21 @@ def _contents(run: Run) -> str:
     What is shipped is part of the rules' version.
     """
     paths: list[Path] = []
-    if is_own_level(run.level):
-        paths += import_module("pneuma.env.level").level_files(run.level)
-    if are_own_characters(run.characters):
-        paths += import_module("pneuma.env.characters").character_files(run.characters)
-    custom = own_rewards(run.reward)
-    if custom:
-        paths += import_module("pneuma.env.reward").reward_files(custom)
+    for key, named in own_names(as_fields(run)).items():
+        module, function = _FILES[key]
+        paths += getattr(import_module(module), function)(named)
     digest = hashlib.sha256()
     for path in paths:
         digest.update(f"{path.name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
     return digest.hexdigest() if paths else ""
+
+
+def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what fields name that is not shipped, by key: a level, characters, reward functions."""
+    told = {LEVEL: is_own_level, CHARACTERS: are_own_characters}
+    own = {key: fields[key] for key, is_own in told.items() if key in fields and is_own(fields[key])}
+    custom = own_rewards(fields.get(REWARD, ()))
+    return {**own, **({REWARD: custom} if custom else {})}
 
 
 def own_things(fields: Mapping[str, object]) -> dict[str, str]:
@@ -64,17 +72,7 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
     Raises:
         UserError: for a value that is not allowed.
     """
-    read = {
-        key: read_field(Run, key, fields[key])
-        for key in (REWARD, LEVEL, CHARACTERS)
-        if fields.get(key) is not None
-    }
-    custom = own_rewards(read.get(REWARD, ()))
-    found = {REWARD: f"run the reward {', '.join(custom)}"} if custom else {}
-    level = read.get(LEVEL, "")
-    if is_own_level(level):
-        found[LEVEL] = f"read the level {level}"
-    characters = read.get(CHARACTERS, "")
-    if are_own_characters(characters):
-        found[CHARACTERS] = f"read the characters {characters}"
-    return found
+    keys = (key for key in (REWARD, LEVEL, CHARACTERS) if fields.get(key) is not None)
+    own = own_names({key: read_field(Run, key, fields[key]) for key in keys})
+    found = {REWARD: f"run the reward {', '.join(own[REWARD])}"} if REWARD in own else {}
+    return found | {key: f"read the {key} {own[key]}" for key in (LEVEL, CHARACTERS) if key in own}

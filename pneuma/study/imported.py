@@ -95,10 +95,8 @@ class Import:
 def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None = None) -> Import:
     """Import every run below some folders as one study.
 
-    Args:
-        folders: each holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself.
-        store: where to.
-        name: the study's name; when left out, that of the folder which holds all that are given.
+    Each folder holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. The study is
+    called as the folder that holds all that are given, where no name is.
 
     Raises:
         UserError: before anything is written, where no log is found, the name is taken or unfit, a file
@@ -296,9 +294,7 @@ def read_event_file(path: Path) -> tuple[list[Scalar], list[str]]:
 def _number(value: Any, plugins: dict[str, str]) -> float | None:
     """Return the number of a summary's value; None for a text, a histogram and the like.
 
-    Args:
-        value: of an event.
-        plugins: by tag, what shows a tensor, to which this is added: some writers tell it once.
+    `plugins` keeps by tag what shows a tensor: some writers tell it once.
     """
     from tensorboard.util.tensor_util import make_ndarray
 
@@ -313,14 +309,11 @@ def _number(value: Any, plugins: dict[str, str]) -> float | None:
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
-    """Tell which scalars of a log later ones stand in for.
+    """Tell which scalars of a log, with file, tag and step in the order of writing, later ones stand in for.
 
     A logger that was restarted goes back in steps and writes anew. Where a tag goes back, what it had
     from there on is replaced. A file that begins before the end of the files before it replaces, of all
     tags whose steps are agent steps, what they hold from there on.
-
-    Args:
-        points: file, tag and step of every scalar, in the order of writing.
     """
     of_agent = points["tag"].str.startswith(AGENT_STEPS)
     begins = points[of_agent].groupby("file")["step"].first()

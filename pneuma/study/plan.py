@@ -36,19 +36,6 @@ class Selection:
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] | None = None
 
-    def over(self, recorded: Selection) -> Selection:
-        """Fill what this selection leaves open from a recorded one; one that names a preset stands alone."""
-        if self.preset:
-            return self
-        return Selection(
-            preset=recorded.preset,
-            seeds=self.seeds or recorded.seeds,
-            steps=self.steps or recorded.steps,
-            engine=self.engine or recorded.engine,
-            conditions=self.conditions or recorded.conditions,
-            settings={**(recorded.settings or {}), **(self.settings or {})},
-        )
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -109,10 +96,11 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     seeds = {name: selection.seeds or amounts[name].seeds for name in names}
     cells = tuple(
-        _cell(name, replace(runs[name], seed=seed))
+        Cell(name, seed, run, run_id(run))
         for seed in dict.fromkeys(seed for own in seeds.values() for seed in own)
         for name in names
         if seed in seeds[name]
+        for run in [replace(runs[name], seed=seed)]
     )
     return Plan(
         study, selection, cells, _same(runs), (*_notes(runs, steps), *_engine_notes(study, runs, over))
@@ -156,10 +144,6 @@ def _fields(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
-
-
-def _cell(condition: str, run: Run) -> Cell:
-    return Cell(condition, run.seed, run, run_id(run))
 
 
 def _same(runs: Mapping[str, Run]) -> tuple[tuple[str, ...], ...]:

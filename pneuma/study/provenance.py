@@ -22,7 +22,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError
 from pneuma.study.store import Store
 
 PACKAGES = (
@@ -90,21 +89,14 @@ class Attempt:
             return None
         return round((time.process_time() - self.first[2]) / self.seconds, 3)
 
-    @staticmethod
-    def now() -> str:
-        """Return the time as provenance writes it."""
-        return datetime.now(UTC).isoformat(timespec="seconds")
-
 
 def finished_provenance(
     attempt: Attempt, history: Mapping[str, Any], step: int | None = None
 ) -> dict[str, Any]:
     """Describe what a run was trained by: the machine of the last attempt, and every attempt with its own.
 
-    Args:
-        attempt: the last one, which ends now.
-        history: `attempts` that left a checkpoint, and `resumes` where the next ones went on.
-        step: at which it ended; left out, only the run's status tells.
+    The last attempt ends now, at a step; `history` has the `attempts` before that left a checkpoint, and as
+    `resumes` where the next ones went on.
     """
     attempts = [*history["attempts"], attempt.so_far(step)]
     shares = [each.get("processor_share") for each in attempts]  # of an older version's attempt none
@@ -138,11 +130,8 @@ def machine(threads: int) -> dict[str, Any]:
 def differences(earlier: Mapping[str, Any], but: str = "") -> list[str]:
     """Say in what this machine, its packages and its code differ from earlier ones, so that bits may differ.
 
-    A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same.
-
-    Args:
-        earlier: a provenance.
-        but: what is not to be compared.
+    A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same. The
+    key `but` is not compared.
     """
     here, told = machine(1), earlier.get("packages")
     pairs = {
@@ -239,11 +228,7 @@ def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, 
     One at a time: a run that was requeued every hour tells of hundreds of machines.
     """
     for name in run_ids:
-        try:
-            told = json.loads(store.read_file(name, "provenance.json"))
-        except (UserError, ValueError, RecursionError):
-            continue
-        if isinstance(told, dict) and "imported" not in told:
+        if (told := store.read_document(name, "provenance.json")) and "imported" not in told:
             yield name, told
 
 

@@ -251,12 +251,7 @@ def is_shipped_file(path: Path) -> bool:
 
 
 def run_command(name: str, path: object = None) -> str:
-    """Return the command that trains a study.
-
-    Args:
-        name: of its record.
-        path: of its file, as an untrusted record has it; of a shipped study none, or no string.
-    """
+    """Return the command that trains a study, by its file where an untrusted record names one."""
     own, world = split_world(name)
     asked = shlex.quote(path if isinstance(path, str) else own)
     return " ".join(["pneuma study run", asked, *world_option(world)])

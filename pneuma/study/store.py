@@ -21,6 +21,7 @@ import os
 import re
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from pneuma.study.files import (
     SCHEMA,
     checksum,
     names_in,
+    parse_json,
     read_checkpoint_name,
     read_sealed,
     read_whole,
@@ -153,12 +155,12 @@ class Store:
         """Return the ids of all runs of which anything is stored, sorted."""
         return [name for name in names_in(self.root / "runs") if _RUN_ID.fullmatch(name)]
 
-    def status(self, run_id: str) -> Status:
-        """Return how far a run is, judged by the checksums of all its files."""
+    def status(self, run_id: str, quick: bool = False) -> Status:
+        """Return how far a run is, judged by the checksums of all its files; `quick`, that they are there."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         told = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
         for name in manifest["files"] if manifest else ():
-            if self._read(run_id, name, manifest or {}) is None:
+            if not ((folder / name).is_file() if quick else self.is_whole(run_id, name)):
                 return Status("damaged", 0, name)
         if told.finished:
             return told
@@ -197,30 +199,43 @@ class Store:
         Raises:
             UserError: when it is missing or not what was written.
         """
-        manifest = self._manifest(run_id) or {"files": {}}
-        data = self._read(run_id, name, manifest)
-        if data is None:
-            path = self.run_folder(run_id) / name
-            raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
-        return data
+        told, path = self._listed(run_id), self.run_folder(run_id) / name
+        with suppress(OSError):
+            if name in told and _FILE_NAME.fullmatch(name):
+                data = read_whole(path)
+                if checksum(data) == told[name]:
+                    return data
+        raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
+
+    def is_whole(self, run_id: str, name: str) -> bool:
+        """Tell whether one file of a run is what was written."""
+        try:
+            self.read_file(run_id, name)
+        except UserError:
+            return False
+        return True
+
+    def read_document(self, run_id: str, name: str) -> dict[str, Any]:
+        """Return a run's JSON file; empty where it is missing, damaged or no object."""
+        try:
+            return parse_json(self.read_file(run_id, name))
+        except (UserError, ValueError):
+            return {}
 
     def file_names(self, run_id: str) -> list[str]:
         """Return the names of the files that a run's status vouches for."""
-        return list((self._manifest(run_id) or {"files": {}})["files"])
+        return list(self._listed(run_id))
 
-    def _read(self, run_id: str, name: str, manifest: Mapping[str, Any]) -> bytes | None:
-        """Return a file if it is what was written."""
-        if name not in manifest["files"] or not _FILE_NAME.fullmatch(name):
-            return None
-        try:
-            data = read_whole(self.run_folder(run_id) / name)
-        except OSError:
-            return None
-        return data if checksum(data) == manifest["files"][name] else None
+    def _listed(self, run_id: str) -> dict[str, str]:
+        """Return the checksums of a run's files by name."""
+        files: dict[str, str] = (self._manifest(run_id) or {"files": {}})["files"]
+        return files
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
         manifest = read_sealed(self.run_folder(run_id) / "status.json")
-        return manifest if manifest and _is_manifest(manifest) else None
+        from pneuma.study.documents import Manifest, fits  # pydantic: not for `--help`
+
+        return manifest if manifest and fits(manifest, Manifest) else None
 
     # --- Studies ------------------------------------------------------------------------------
 
@@ -235,7 +250,9 @@ class Store:
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest record, or None when it was never run here, is damaged, or another's."""
         record = read_sealed(self.selection_path(study)) or {}
-        sound = is_record(record) and isinstance(record.get("selection"), dict)
+        from pneuma.study.documents import Record, fits
+
+        sound = fits(record, Record) and isinstance(record.get("selection"), dict)
         return record if sound and record["study"] == study else None
 
     def selection_path(self, study: str) -> Path:
@@ -269,41 +286,6 @@ class Store:
             raise UserError(
                 f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
             ) from None
-
-
-def _is_manifest(document: Mapping[str, Any]) -> bool:
-    """Tell whether a document, which may be anybody's, is what `save_run` writes."""
-    files = document.get("files")
-    sound = isinstance(files, dict) and all(isinstance(told, str) for told in files.values())
-    return sound and document.get("status") in STATUSES and isinstance(document.get("step"), int)
-
-
-def is_record(document: Mapping[str, Any]) -> bool:
-    """Tell whether a document, which may be anybody's, is a study's record."""
-    runs, same = document.get("runs"), document.get("same")
-    return (
-        isinstance(runs, list)
-        and all(isinstance(run, dict) and _is_cell(run) for run in runs)
-        and all(isinstance(document.get(key), str) for key in ("study", "title", "figure"))
-        and isinstance(document.get("baseline"), str | None)
-        and isinstance(same, list)
-        and all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in same)
-    )
-
-
-def _is_cell(run: Mapping[str, Any]) -> bool:
-    """Tell whether a run of a record has what tables and figures are made by."""
-    fields = run.get("run")
-    return (
-        isinstance(run.get("run_id"), str)
-        and bool(_RUN_ID.fullmatch(run["run_id"]))
-        and isinstance(run.get("condition"), str)
-        and isinstance(run.get("seed"), int)
-        and isinstance(fields, dict)
-        and isinstance(fields.get("steps"), int)
-        and isinstance(fields.get("env"), str)
-        and isinstance(fields.get("slots"), int | None)  # not known of imported logs
-    )
 
 
 def run_document(run: Run, run_id: str) -> bytes:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.study.files import parse_json, read_json, read_sealed
-from pneuma.study.store import FINISHED, Status, Store
+from pneuma.study.files import read_json
+from pneuma.study.store import Status, Store
 
 SHORTEST_PREFIX = 4
 LONGEST_LISTED = 5
@@ -41,40 +42,52 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as stored.
+    """A run as stored, and the studies that hold it."""
 
-    Attributes:
-        run_id: its whole name.
-        status: status and step, every checksum compared.
-        settings: the resolved configuration as it was written; empty where that is damaged. No checksum
-            vouches for that of a run that has not ended.
-        provenance: what produced it; empty where that is missing or damaged.
-        holders: the studies that hold it.
-        files: what is in its folder, and what should be.
-    """
-
+    store: Store
     run_id: str
     status: Status
-    settings: Mapping[str, Any]
-    provenance: Mapping[str, Any]
     holders: tuple[Holder, ...]
-    files: tuple[StoredFile, ...]
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """The resolved configuration as it was written; empty where that is damaged.
+
+        No checksum vouches for that of a run that has not ended.
+        """
+        ended = "run.json" in self.store.file_names(self.run_id)
+        path = self.store.run_folder(self.run_id) / "run.json"
+        document = self.store.read_document(self.run_id, path.name) if ended else read_json(path) or {}
+        settings = document.get("run")
+        return settings if isinstance(settings, dict) else {}
+
+    @cached_property
+    def provenance(self) -> dict[str, Any]:
+        """What produced it; empty where that is missing or damaged."""
+        return self.store.read_document(self.run_id, "provenance.json")
 
     @property
     def resumes(self) -> list[dict[str, Any]]:
-        """Return where the run was continued after a stop: step, time, and what was not as before."""
+        """Where the run was continued after a stop: step, time, and what was not as before."""
         resumes = self.provenance.get("resumes")
         return [each for each in resumes if isinstance(each, dict)] if isinstance(resumes, list) else []
 
+    @property
+    def seed(self) -> int | None:
+        """The seed, as the first study that holds it tells, or else its configuration."""
+        seed = self.holders[0].seed if self.holders else self.settings.get("seed")
+        return seed if isinstance(seed, int) else None
 
-@dataclass(frozen=True)
-class ListedRun:
-    """A run in a list: its status as noted in its folder, without comparing checksums."""
-
-    run_id: str
-    status: Status
-    seed: int | None
-    holders: tuple[Holder, ...]
+    @property
+    def files(self) -> list[StoredFile]:
+        """What is in its folder, and what should be."""
+        folder, listed = self.store.run_folder(self.run_id), self.store.file_names(self.run_id)
+        paths = (path for path in folder.rglob("[!.]*") if path.is_file())
+        sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
+        states = {name: "damaged" if name in sizes else "missing" for name in listed}
+        states |= {name: "sound" for name in listed if self.store.is_whole(self.run_id, name)}
+        states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
+        return [StoredFile(name, sizes.get(name, 0), state) for name, state in states.items()]
 
 
 def find_run(store: Store, text: str) -> str:
@@ -103,47 +116,29 @@ def find_run(store: Store, text: str) -> str:
     )
 
 
-def list_runs(store: Store) -> list[ListedRun]:
+def list_runs(store: Store) -> list[StoredRun]:
     """Return all stored runs: those of studies in the studies' order, then the others by id.
 
-    Reads what a finished run says of itself and looks that its files are there; only `stored_run`
-    compares checksums, which for a thousand runs takes seconds.
+    Of finished ones no checksum is compared, which for a thousand runs takes seconds.
     """
     held, names = holders(store), store.runs()
     ordered = dict.fromkeys([*(name for name in held if name in {*names}), *names])
-    return [_listed(store, name, held.get(name, ())) for name in ordered]
-
-
-def _listed(store: Store, run_id: str, held: tuple[Holder, ...]) -> ListedRun:
-    folder, status = store.run_folder(run_id), None
-    match read_sealed(folder / "status.json"):
-        case {"status": str(name), "step": int(step)} if name in FINISHED:
-            if all((folder / file).is_file() for file in store.file_names(run_id)):
-                status = Status(name, step)
-    seed = held[0].seed if held else _noted_settings(store, run_id).get("seed")
-    return ListedRun(run_id, status or store.status(run_id), seed if isinstance(seed, int) else None, held)
+    return [StoredRun(store, name, store.status(name, quick=True), held.get(name, ())) for name in ordered]
 
 
 def stored_run(store: Store, run_id: str) -> StoredRun:
-    """Return all that is stored of a run; `run_id` is one of `Store.runs`."""
-    ended = "run.json" in store.file_names(run_id)
-    return StoredRun(
-        run_id=run_id,
-        status=store.status(run_id),
-        settings=stored_settings(store, run_id) if ended else _noted_settings(store, run_id),
-        provenance=read_document(store, run_id, "provenance.json"),
-        holders=holders(store).get(run_id, ()),
-        files=_files(store, run_id),
-    )
+    """Return what is stored of a run, every checksum compared; `run_id` is one of `Store.runs`."""
+    return StoredRun(store, run_id, store.status(run_id), holders(store).get(run_id, ()))
 
 
 def holders(store: Store) -> dict[str, tuple[Holder, ...]]:
     """Return which studies hold each run, by run id."""
-    held: dict[str, list[Holder]] = {}
+    held: dict[str, tuple[Holder, ...]] = {}
     for study in store.studies():
         for row in (store.selection(study) or {"runs": []})["runs"]:
-            held.setdefault(row["run_id"], []).append(Holder(study, row["condition"], row["seed"]))
-    return {name: tuple(own) for name, own in held.items()}
+            own = Holder(study, row["condition"], row["seed"])
+            held[row["run_id"]] = (*held.get(row["run_id"], ()), own)
+    return held
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,38 +151,6 @@ def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
-    """Return a run's resolved configuration as it was written; empty where that is damaged."""
-    settings = read_document(store, run_id, "run.json").get("run")
+    """Return a finished run's resolved configuration; empty where that is damaged."""
+    settings = store.read_document(run_id, "run.json").get("run")
     return settings if isinstance(settings, dict) else {}
-
-
-def read_document(store: Store, run_id: str, name: str) -> dict[str, Any]:
-    """Return a run's JSON file, empty unless its checksum holds and it is an object."""
-    try:
-        return parse_json(store.read_file(run_id, name))
-    except (UserError, ValueError):
-        return {}
-
-
-def _noted_settings(store: Store, run_id: str) -> dict[str, Any]:
-    """Return a run's configuration as its file has it, whatever vouches for that; empty where it has none."""
-    settings = (read_json(store.run_folder(run_id) / "run.json") or {}).get("run")
-    return settings if isinstance(settings, dict) else {}
-
-
-def _files(store: Store, run_id: str) -> tuple[StoredFile, ...]:
-    folder, listed = store.run_folder(run_id), store.file_names(run_id)
-    paths = (path for path in folder.rglob("[!.]*") if path.is_file())
-    found = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
-    others = sorted({*found} - {*listed, "status.json"})
-    own = tuple(_file(store, run_id, name, found.get(name)) for name in listed)
-    return (*own, *(StoredFile(name, found[name], "unlisted") for name in others))
-
-
-def _file(store: Store, run_id: str, name: str, size_bytes: int | None) -> StoredFile:
-    """Return a file that the run's status names; one that is not in its folder is not even measured."""
-    try:
-        store.read_file(run_id, name)
-    except UserError:
-        return StoredFile(name, size_bytes or 0, "missing" if size_bytes is None else "damaged")
-    return StoredFile(name, size_bytes or 0, "sound")

@@ -22,7 +22,7 @@ from pydantic import BeforeValidator
 
 from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import FieldsOf, Table, TomlFile, Where, read_model, read_toml, shown, wrong
+from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong
 from pneuma.study.spec import (
     PRESETS,
     SEEDS_ALLOWED,
@@ -201,7 +201,7 @@ class _Checked:
                     message = (
                         f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
                     )
-                    raise self.file.mistake(*self._place(factor, name, min(twice), message))
+                    raise self._at(factor, name, min(twice), message)
                 own |= self._factors[factor][name]
             joined = ", ".join(names)
             if joined in crossed:
@@ -230,14 +230,14 @@ class _Checked:
         told = f"{message} (in {name})" if study.levels else message
         for factor, level in levels.items():
             if key in self._factors[factor][level]:
-                return self.file.mistake(*self._place(factor, level, key, told))
+                return self._at(factor, level, key, told)
         if key in self.said.run:
             return self.file.mistake(("run",), message, key)
         factor, level = [*levels.items()][-1]
-        return self.file.mistake(*self._place(factor, level, "", told))
+        return self._at(factor, level, "", told)
 
-    def _place(self, factor: str, level: str, key: str, message: str) -> tuple[Where, str, str]:
-        """Return the table, the message and the key for what a factor's value sets."""
-        if factor == CONDITION:
-            return ("conditions", level), message, key
-        return ("factors",), message, factor
+    def _at(self, factor: str, level: str, key: str, message: str) -> UserError:
+        """Build an error at what a factor's value sets."""
+        of_condition = factor == CONDITION
+        where = ("conditions", level) if of_condition else ("factors",)
+        return self.file.mistake(where, message, key if of_condition else factor)

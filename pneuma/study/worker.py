@@ -26,17 +26,17 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.base import Progress, load_engine
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.compiling import COMPILES, compiled_mark, leave_mark
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import Status, Store, run_document, to_json
 
 REPORT_SECONDS = 0.25
+BEGINS = "begins (compiling for the first time takes up to a minute)"
 THREADS = 1
 
 
@@ -162,15 +162,11 @@ def _train_once(
     engine = load_engine(run.engine)  # first, because a checkpoint's device is compared with its own
     start = checkpoints.latest()
     attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS, start.step if start else 0)
-    compiled = compiled_mark(run)
     reporter.send("step", name, step=attempt.start)
-    if compiled and not compiled.exists():
-        reporter.send("passing", name, text=COMPILES)
+    reporter.send("passing", name, text=BEGINS)
 
     def update(progress: Progress) -> bool:
         nonlocal attempt
-        if not attempt.first:
-            leave_mark(compiled)
         attempt = attempt.updated(progress.step)
         reporter.step(name, progress.step)
         stopping = stop.is_set()
@@ -181,7 +177,11 @@ def _train_once(
     status = Status(result.status, result.step)
     if status.name != "stopped":
         about = finished_provenance(attempt, checkpoints.history, result.step)
-        job.store.save_run(name, status, result_files(result, name, about))
+        files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
+        files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
+        if result.policy is not None:
+            files[POLICY_FILE] = result.policy.to_bytes()
+        job.store.save_run(name, status, files)
         checkpoints.finish()
     reporter.end(name, status)
 
@@ -197,15 +197,6 @@ def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Excep
     except UserError as unwritten:
         reason = str(unwritten)
     reporter.end(name, Status("crashed"), reason=reason)
-
-
-def result_files(result: Result, name: str, about: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return every file of a finished run by name."""
-    files = {"run.json": run_document(result.run, name), "provenance.json": to_json(about)}
-    files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
-    if result.policy is not None:
-        files[POLICY_FILE] = result.policy.to_bytes()
-    return files
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:

@@ -106,8 +106,8 @@ def a_checkpoint(step: int = 64) -> Checkpoint:
 
 def test_a_checkpoint_comes_back_from_its_bytes() -> None:
     checkpoint = a_checkpoint()
-    back, history = decode(encode(checkpoint, {"attempts": [1]}))
-    assert (back.step, back.numbers, back.records, history) == (
+    back, about = decode(encode(checkpoint, {"attempts": [1]}))
+    assert (back.step, back.numbers, back.records, about["history"]) == (
         64, checkpoint.numbers, checkpoint.records, {"attempts": [1]},
     )  # fmt: skip
     assert {name: array.shape for name, array in back.arrays.items()} == {

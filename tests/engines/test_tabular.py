@@ -12,8 +12,8 @@ from pneuma.config import Run, make_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, CheckpointError
 from pneuma.engines.tabular import (
-    TableEvaluation,
     estimated_values,
+    evaluate_tables,
     exploration_rate,
     optimal_values,
     policy_values,
@@ -149,8 +149,8 @@ def test_records_have_the_columns_of_the_contract() -> None:
 
 def test_an_evaluation_explores_as_the_run_does_and_its_greedy_route_does_not() -> None:
     table = np.array([[[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]])
-    always = TableEvaluation(run_of(exploration=1.0, evaluation_episodes=400)).evaluate(table, 1)
-    never = TableEvaluation(run_of(exploration=0.0, evaluation_episodes=400)).evaluate(table, 1)
+    always = evaluate_tables(run_of(exploration=1.0, evaluation_episodes=400), table, 1)
+    never = evaluate_tables(run_of(exploration=0.0, evaluation_episodes=400), table, 1)
     # A coin's toss at the office: 1 or -1, and two steps or one; standard errors 0.05 and 0.025.
     assert always["return"] == pytest.approx(0.0, abs=0.2)
     assert always["length"] == pytest.approx(1.5, abs=0.1)

@@ -152,11 +152,9 @@ def test_damage_is_kept_and_a_file_too_large_or_a_missing_package_is_told(
     ("folders", "found"),
     [
         (["PPO_2", "PPO_10", "A2C_1"], [("A2C", 1), ("PPO", 2), ("PPO", 10)]),
-        (["logs/tb/PPO_1", "logs/tb/PPO_2"], [("PPO", 1), ("PPO", 2)]),
         (["maze/PPO_1", "cave/PPO_1"], [("cave/PPO", 1), ("maze/PPO", 1)]),
         (["run_1/tb", "run_2/tb"], [("run/tb", 1), ("run/tb", 2)]),
-        (["small_optim_tanh_7"], [("small_optim_tanh", 7)]),
-        (["PPO", "DQN_1"], [("DQN", 1), ("PPO", 0)]),
+        (["PPO", "small_tanh_1"], [("PPO", 0), ("small_tanh", 1)]),
         (["_PPO_1", "__"], [("PPO", 1), ("run", 0)]),  # legends leave out what begins with _
         (["PPO_1", "PPO_1/eval"], [("PPO", 1), ("PPO/eval", 1)]),
         (["a__ppo__1__1700000000", "a__ppo__2__1700000001"], [("a__ppo", 1), ("a__ppo", 2)]),
@@ -190,24 +188,18 @@ def test_what_is_renamed_or_left_out_is_told(tmp_path: Path, write_events: Write
     ]
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("activation", "a shipped study is called that"),
-        ("taken", "a study of that name was run"),
-        ("a/b", "letters, digits, dots"),
-        ("", "letters, digits, dots"),
-    ],
-)
 def test_a_name_that_cannot_be_is_refused_before_anything_is_written(
-    name: str, words: str, tmp_path: Path, write_events: WriteEvents
+    tmp_path: Path, write_events: WriteEvents
 ) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 10, 1.0)])
     record = {"title": "Taken", "figure": "taken", "baseline": "a", "same": [], "selection": {}, "runs": []}
     Store(tmp_path / "results").save_selection("taken", {"study": "taken", **record})
     before = _files(tmp_path / "results")
-    with pytest.raises(UserError, match=f"--name {name}: .*{words}"):
-        _import(tmp_path, name)
+    for name, words in {
+        "activation": "a shipped study", "taken": "a study of that name", "a/b": "letters", "": "letters",
+    }.items():  # fmt: skip
+        with pytest.raises(UserError, match=f"--name {name}: .*{words}"):
+            _import(tmp_path, name)
     assert _files(tmp_path / "results") == before
 
 

@@ -49,16 +49,6 @@ def test_cells_go_seed_by_seed_in_the_studys_order(study: Study) -> None:
     assert plan.conditions == ("adam", "sgd", "also-adam")
 
 
-def test_a_cells_run_is_the_condition_with_the_seed_and_the_budget(study: Study) -> None:
-    plan = make_plan(study, Selection(preset="paper", conditions=("sgd",)))
-    assert [(cell.run.seed, cell.run.steps, cell.run.optimizer) for cell in plan.cells] == [
-        (9, 1024, "sgd"),
-        (4, 1024, "sgd"),
-    ]
-    assert all(cell.seed == cell.run.seed for cell in plan.cells)
-    assert plan.cells[0].run.horizon == 256  # of the base
-
-
 def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
     plan = make_plan(study, Selection())
     assert plan.same == (("adam", "also-adam"),)

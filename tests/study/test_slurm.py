@@ -16,15 +16,15 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study.executors import local, slurm
-from pneuma.study.executors.base import Detached, Event, Place, Supervision
+from pneuma.study.executors.base import Detached, Event, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
 
 submitit = pytest.importorskip("submitit")
 
 SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
-HOW = Supervision(2, place=Place("slurm"))
-DETACHED = replace(HOW, place=Place("slurm", detach=True))
+HOW = Supervision(2, executor="slurm")
+DETACHED = replace(HOW, detach=True)
 
 
 def group(*seeds: int, steps: int = 500) -> dict[str, Run]:
@@ -50,10 +50,10 @@ class Queue:
         self.submitted[self.name] = started
 
     def ask(self, *command: str) -> list[str]:
-        listed = [(name, i, job) for name, jobs in self.submitted.items() for i, job in enumerate(jobs)]
         return [
-            f"{name}|{i}|7_{i}|RUNNING|node1"
-            for name, i, job in listed
+            f"{name}|{i if len(jobs) > 1 else 'N/A'}|7_{i}|RUNNING|node1"  # a single job is no array
+            for name, jobs in self.submitted.items()
+            for i, job in enumerate(jobs)
             if not self.gone and not (job and job.done())
         ]
 
@@ -114,6 +114,7 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     with pytest.raises(Detached):
         train([runs], store, DETACHED)
     done, crashed, lost = runs
+    assert {str(job) for job in slurm.queued(store).values()} == {"job 7_0 is running node1"}
     store.save_run(done, Status("done", 500), {"run.json": b"{}"})
     store.save_run(crashed, Status("crashed"), {"run.json": b"{}"})
     queue.gone = True
@@ -127,48 +128,23 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     assert len(queue.submitted) == 2
 
 
-def test_the_queue_tells_the_jobs_of_arrays_and_single_ones_by_run(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, groups in (("pneuma-1", '[["a", "b"], ["c"]]'), ("pneuma-2", '[["d"]]')):
-        (store.root.parent / "results-slurm" / name).mkdir(parents=True)
-        (store.root.parent / "results-slurm" / name / slurm.NOTE).write_text(groups)
-    lines = [
-        "pneuma-1|0|7_0|RUNNING|node3",
-        "pneuma-1|1|7_1|PENDING|(Priority)",
-        "pneuma-2|N/A|8|PENDING|(None)",
-    ]
-    monkeypatch.setattr(slurm, "_ask", lambda *_: lines)
-    told = {name: str(job) for name, job in slurm.queued(store).items()}
-    assert told == {
-        "a": "job 7_0 is running node3",
-        "b": "job 7_0 is running node3",
-        "c": "job 7_1 is pending (Priority)",
-        "d": "job 8 is pending (None)",
-    }
-
-
-# --- What sbatch is asked ----------------------------------------------------------------------------
-
-
-def script(options: Mapping[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    (folder / "srun").touch(0o755)
-    monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
-    how = replace(HOW, place=Place("slurm", slurm=tuple(options.items())))
-    return slurm._executor(folder, "mine", how)._make_submission_file_text("", "").splitlines()
-
-
 def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = script({}, tmp_path, monkeypatch)
-    assert {"#SBATCH --time=60", "#SBATCH --requeue"} <= {*usual}
-    options = {"time": "2:30:00", "gres": "gpu:a100:1", "exclusive": "true", "setup": "module load cuda"}
-    own = script(options, tmp_path, monkeypatch)
-    assert {"#SBATCH --time=2:30:00", "#SBATCH --gres=gpu:a100:1", "#SBATCH --exclusive"} <= {*own}
-    assert "module load cuda" in own
+    (tmp_path / "srun").touch(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    lines = list[set[str]]()
+    for own in (
+        (),
+        (("time", "2:30:00"), ("gres", "gpu:a100:1"), ("exclusive", "true"), ("setup", "module")),
+    ):
+        executor = slurm._executor(tmp_path, "mine", replace(HOW, slurm=own))
+        lines.append({*executor._make_submission_file_text("", "").splitlines()})
+    assert lines[0] >= {"#SBATCH --time=60", "#SBATCH --requeue"}
+    asked = {"#SBATCH --time=2:30:00", "#SBATCH --gres=gpu:a100:1", "#SBATCH --exclusive", "module"}
+    assert lines[1] >= {*asked, "#SBATCH --requeue"}
     with pytest.raises(UserError, match="job_name=x: is set by Pneuma"):
-        script({"job_name": "x"}, tmp_path, monkeypatch)
+        slurm._executor(tmp_path, "mine", replace(HOW, slurm=(("job_name", "x"),)))
 
 
 # --- A job and its signals ---------------------------------------------------------------------------

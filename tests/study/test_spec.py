@@ -69,14 +69,6 @@ def _load(folder: Path, text: str) -> Study:
     return load_study(str(path))
 
 
-def _refused(folder: Path, text: str) -> str:
-    with pytest.raises(UserError) as caught:
-        _load(folder, text)
-    message = str(caught.value)
-    assert message.startswith(f"{folder / 'mine.toml'}") and len(message.splitlines()) == 1
-    return message
-
-
 # --- What a file says ----------------------------------------------------------------------------
 
 
@@ -103,16 +95,6 @@ def test_what_may_be_left_out_has_a_sensible_value(tmp_path: Path) -> None:
     study = _load(tmp_path, least)
     assert (study.baseline, study.figure, study.section, study.about) == ("only", "study-mine", "", "")
     assert study.fields("only")["horizon"] == 2048
-
-
-def test_the_activation_study_changes_the_activation_and_nothing_else() -> None:
-    """Design section 3: exactly tanh, ReLU and LeakyReLU, all at limit 0.5."""
-    study = load_study("activation")
-    own = [study.fields(name) for name in study.conditions]
-    assert sorted(s["activation"] for s in own) == ["leaky-relu", "relu", "tanh"]
-    assert all({**s, "activation": ""} == {**own[0], "activation": ""} for s in own)
-    assert own[0]["gradient_limit"] == 0.5
-    assert study.baseline == "relu"
 
 
 # --- Crossed studies -----------------------------------------------------------------------------
@@ -142,32 +124,20 @@ def test_a_number_is_named_as_short_as_can_be_told_apart(tmp_path: Path) -> None
 
 # --- How mistakes are told -----------------------------------------------------------------------
 
-MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
+Mistake = tuple[str, str, int, tuple[str, ...]]
+OF_PLAIN: dict[str, Mistake] = {
     # name: (text in STUDY, what it becomes, line of the mistake, words of the message)
-    "no title": ('title = "Two activations"', 'title = ""', 1, ("title", "text")),
-    "unknown base": ('"table-6-2"', '"table-6-3"', 4, ('base = "table-6-3"', "table-6-2", "table-6-1")),
     "unknown baseline": ('baseline = "relu"', 'baseline = "rleu"', 5, ("'rleu'", "did you mean relu?")),
     "seed in run": ("gradient_limit = 0.5", "seed = 3", 8, ("[run]", "seed", "preset")),
     "a name that legends leave out": ("[conditions.tanh]", "[conditions._tanh]", 10, ("'_tanh'", "than _")),
     "unfit for its base": ('activation = "tanh"', "minibatch = 257", 11, ("minibatch = 257", "256")),
-    "unknown preset": ("[presets.quick]", "[presets.quik]", 16, ("'quik'", "did you mean quick?")),
-    "no steps in a preset": ("steps = 50_000\n", "", 16, ("[presets.quick]", "'steps'", "missing")),
     "a preset for nobody": (
         "steps = 50_000", "steps = 5_000\n[presets.quick.conditions.rleu]", 19, ("did you mean relu?",),
     ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_told_with_line_and_what_to_mend(mistake: str, tmp_path: Path) -> None:
-    old, new, line, words = MISTAKES[mistake]
-    assert STUDY.count(old) == 1
-    message = _refused(tmp_path, STUDY.replace(old, new))
-    assert message.startswith(f"{tmp_path / 'mine.toml'}, line {line}: " if line else "")
-    assert all(word in message for word in words), message
-
-
-CROSSED_MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
+OF_CROSSED: dict[str, Mistake] = {
     "one value": ("[3e-4, 1e-3]", "[3e-4]", 9, ("learning_rate", "two values or more")),
     "a seed": ("reward = [", "seed = [1, 2]\nreward = [", 10, ("seed", "preset")),
     "set twice": ("epsilon = 1e-6", 'reward = "godot"', 12, ("betas: fast", "reward", "another factor")),
@@ -183,12 +153,21 @@ CROSSED_MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("mistake", CROSSED_MISTAKES)
-def test_a_mistake_in_a_crossed_study_is_told(mistake: str, tmp_path: Path) -> None:
-    old, new, line, words = CROSSED_MISTAKES[mistake]
-    assert CROSSED.count(old) == 1
-    message = _refused(tmp_path, CROSSED.replace(old, new))
-    assert f"mine.toml, line {line}: " in message, message
+@pytest.mark.parametrize(
+    ("text", "mistake"),
+    [
+        *((STUDY, each) for each in OF_PLAIN.values()),
+        *((CROSSED, each) for each in OF_CROSSED.values()),
+    ],
+    ids=[*OF_PLAIN, *OF_CROSSED],
+)
+def test_a_mistake_is_told_with_line_and_what_to_mend(text: str, mistake: Mistake, tmp_path: Path) -> None:
+    old, new, line, words = mistake
+    assert text.count(old) == 1
+    with pytest.raises(UserError) as caught:
+        _load(tmp_path, text.replace(old, new))
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'mine.toml'}, line {line}: ") and len(message.splitlines()) == 1
     assert all(word in message for word in words), message
 
 

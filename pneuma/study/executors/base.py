@@ -36,40 +36,29 @@ EXECUTORS = {name: f"pneuma.study.executors.{name}" for name in (LOCAL, RAY, SLU
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where runs are trained: an executor's name, and what it alone needs to know.
+class Supervision:
+    """Where and how runs are trained.
 
     Attributes:
+        workers: how many train at once.
+        checkpoint_seconds: between two checkpoints of a run.
+        keep_checkpoints: how many of each run to keep for forks.
         executor: one of `EXECUTORS`.
         address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
         slurm: what each job asks Slurm for, as pairs of an option of sbatch and its value.
         detach: whether to leave once jobs are submitted, where they go on by themselves.
     """
 
+    workers: int = 1
+    checkpoint_seconds: float = 15.0
+    keep_checkpoints: int = 0
     executor: str = LOCAL
     address: str | None = None
     slurm: tuple[tuple[str, str], ...] = ()
     detach: bool = False
 
 
-HERE = Place()
-
-
-@dataclass(frozen=True)
-class Supervision:
-    """How runs are supervised.
-
-    Attributes:
-        workers: how many train at once.
-        checkpoint_seconds: between two checkpoints of a run.
-        keep_checkpoints: how many of each run to keep for forks.
-        place: where they are trained.
-    """
-
-    workers: int
-    checkpoint_seconds: float = 15.0
-    keep_checkpoints: int = 0
-    place: Place = HERE
+HERE = Supervision()
 
 
 class Detached(KeyboardInterrupt):
@@ -87,28 +76,18 @@ class Detached(KeyboardInterrupt):
 class Executor(Protocol):
     """What the module of an executor has."""
 
-    def most_workers(self, place: Place) -> int:
+    def most_workers(self, how: Supervision) -> int:
         """Return how many runs may train at once where nobody says it.
 
         Raises:
-            UserError: within ten seconds, where the place cannot be reached.
-        """
-
-    def check(self, runs: Mapping[str, Run], supervision: Supervision) -> str:
-        """Refuse runs, by id, that cannot be trained at the place; nothing has been written yet.
-
-        Returns:
-            What people should know of the place before runs go there; empty where that is nothing.
-
-        Raises:
-            UserError: within ten seconds, with the mend.
+            UserError: within ten seconds, where the place cannot be reached or cannot train.
         """
 
     def run_groups(
         self,
         groups: Iterable[Mapping[str, Run]],
         store: Store,
-        supervision: Supervision,
+        how: Supervision,
         on_event: OnEvent,
     ) -> None:
         """Train every group of runs by id, some at a time; hand every event of theirs to `on_event`.
@@ -127,6 +106,6 @@ def end_event(name: str, status: Status) -> Event:
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
 
 
-def load_executor(place: Place) -> Executor:
-    """Return the executor of a place, loading its module."""
-    return cast(Executor, import_module(EXECUTORS[place.executor]))
+def load_executor(how: Supervision) -> Executor:
+    """Load the module of an executor."""
+    return cast(Executor, import_module(EXECUTORS[how.executor]))

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from pneuma.config import Run
-from pneuma.study.executors.base import OnEvent, Place, Supervision
+from pneuma.study.executors.base import OnEvent, Supervision
 from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
 from pneuma.study.provenance import available_cores, machine
 from pneuma.study.store import Store
@@ -61,18 +61,13 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pneuma"
 
 
-def most_workers(place: Place) -> int:
+def most_workers(how: Supervision) -> int:
     """Return how many runs may train at once where nobody says it: one a core."""
     return available_cores()
 
 
-def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Always accept: local runs need no checks."""
-    return ""
-
-
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
 ) -> None:
     """Train every group of runs in a process of its own, as the contract says (`base.Executor`).
 
@@ -80,7 +75,7 @@ def run_groups(
         KeyboardInterrupt: after Ctrl-C, when every worker has gone.
     """
     with Interrupts() as interrupts:
-        Supervisor(groups, store, supervision, on_event, interrupts, LocalProcess).work()
+        Supervisor(groups, store, how, on_event, interrupts, LocalProcess).work()
         if interrupts.count:
             raise KeyboardInterrupt
 

@@ -22,8 +22,8 @@ from tempfile import NamedTemporaryFile
 from typing import IO, Any
 
 from pneuma.config import Run
-from pneuma.errors import UserError, counted, install_extra
-from pneuma.study.executors.base import OnEvent, Place, Supervision
+from pneuma.errors import UserError, install_extra
+from pneuma.study.executors.base import OnEvent, Supervision
 from pneuma.study.executors.local import LocalProcess, prepare_node
 from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
 from pneuma.study.provenance import CARRIED_CODE, available_cores, carried_code, machine
@@ -38,33 +38,30 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 CODE = Path(__file__).parents[2]
 
 
-def most_workers(place: Place) -> int:
-    """Return how many runs the cluster's CPUs can train at once; one of its own is not started for that."""
-    if place.address is None:
-        return available_cores()
-    join(place.address)
-    return max(1, _room())
-
-
-def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Refuse runs that need what no node has; say how much room there is.
+def most_workers(how: Supervision) -> int:
+    """Return how many runs the cluster's CPUs can train at once; one of its own is not started for that.
 
     Raises:
-        UserError: with the mend.
+        UserError: where Ray is not installed, no cluster answers in time, or none of its nodes has a CPU.
     """
-    join(supervision.place.address)
-    if not (room := _room()):
+    try:
+        import ray
+    except ImportError:
+        raise UserError(f"--executor ray needs Ray: {install_extra('ray')}") from None
+    if how.address is None:
+        return available_cores()
+    join(how.address)
+    room = sum(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
+    if not room:
         raise UserError(
             "--executor ray: no node of the cluster has a CPU to give; start one with "
             "`ray start --address HOST:PORT --num-cpus N`"
         )
-    return (
-        f"runs go to the Ray cluster of {supervision.place.address or 'this machine'}: {counted(room, 'CPU')}"
-    )
+    return room
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
 ) -> None:
     """Train every group of runs on some node of the cluster, as the contract says (`base.Executor`).
 
@@ -72,12 +69,12 @@ def run_groups(
         KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
         UserError: when a node is not fit for them.
     """
-    join(supervision.place.address)
+    join(how.address)
     store.root.mkdir(parents=True, exist_ok=True)
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
         command = Command(versions(), carried_code(), os.getcwd(), mark.name)
         start = partial(NodeProcess, command)
-        Supervisor(groups, store, supervision, on_event, interrupts, start).work()
+        Supervisor(groups, store, how, on_event, interrupts, start).work()
         if interrupts.count:
             raise KeyboardInterrupt
 
@@ -90,18 +87,16 @@ def join(address: str | None) -> None:
     """Join the cluster at an address, or start one of this machine's own; once for a process.
 
     Raises:
-        UserError: when Ray is not installed or no cluster answers there in time.
+        UserError: when no cluster answers there in time.
     """
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # the nodes have their own environments
     if address is None or address.rpartition(":")[0] in LOOPBACK:
         # or Ray takes 127.0.0.1 for the machine's address in its network; it has no option for this
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-    try:
-        import ray
-        from ray._private import worker
-    except ImportError:
-        raise UserError(f"--executor ray needs Ray: {install_extra('ray')}") from None
+    import ray
+    from ray._private import worker
+
     if hasattr(worker, "print_to_stdstream"):  # else Ray writes on standard output, where --json does
         worker.print_to_stdstream = lambda *_, **__: None
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
@@ -134,13 +129,6 @@ def _refuse_unreachable(address: str) -> None:
         f"--address {address}: no cluster can be joined there ({why}); give the address that `ray start "
         "--head` printed, on a machine of the cluster (`ray start --address HOST:PORT --num-cpus 0`)"
     )
-
-
-def _room() -> int:
-    """Return how many CPUs all nodes have together."""
-    import ray
-
-    return sum(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
 
 
 # --- Workers on nodes ---------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study.executors import local
-from pneuma.study.executors.base import Detached, Event, OnEvent, Place, Supervision, end_event
+from pneuma.study.executors.base import Detached, Event, OnEvent, Supervision, end_event
 from pneuma.study.executors.supervisor import Interrupts, Supervisor
 from pneuma.study.files import replace_file, to_json
 from pneuma.study.store import Status, Store
@@ -54,18 +54,13 @@ SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
 """Of the end of a job's time, and of its node or of `scancel`."""
 
 
-def most_workers(place: Place) -> int:
+def most_workers(how: Supervision) -> int:
     """Return how many jobs of an array run at once where nobody says it."""
     return MOST_AT_ONCE
 
 
-def check(runs: Mapping[str, Run], supervision: Supervision) -> str:
-    """Always accept: sbatch refuses jobs when they are submitted."""
-    return ""
-
-
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, supervision: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
 ) -> None:
     """Train every group of runs in a job of its own, as the contract says (`base.Executor`).
 
@@ -74,10 +69,10 @@ def run_groups(
         UserError: when jobs are refused.
     """
     wanted = [dict(group) for group in groups]
-    left, asked = {name for group in wanted for name in group}, supervision.place.detach
+    left, asked = {name for group in wanted for name in group}, how.detach
     try:
         if wanted:
-            _submit(wanted, store, supervision)
+            _submit(wanted, store, how)
         if not asked or not wanted:
             return _watch(left, store, on_event)
     except KeyboardInterrupt:
@@ -103,19 +98,19 @@ class Training:
     Attributes:
         runs: by id.
         store: the shared results folder.
-        supervision: how runs are looked after.
+        how: they are looked after.
     """
 
     runs: Mapping[str, Run]
     store: Store
-    supervision: Supervision
+    how: Supervision
 
     def __call__(self) -> None:
         """Train the runs."""
-        local.prepare_node(any(key in GPU_OPTIONS for key, _ in self.supervision.place.slurm))
+        local.prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
-        how, steps = replace(self.supervision, workers=cores), dict[str, set[int]]()
+        how, steps = replace(self.how, workers=cores), dict[str, set[int]]()
 
         def note(event: Event) -> None:
             if event["event"] == "step":
@@ -259,7 +254,7 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
     Raises:
         UserError: where submitit or srun is missing, or for an option that is not for people to set.
     """
-    options = {key: True if text == "true" else text for key, text in how.place.slurm}
+    options = {key: True if text == "true" else text for key, text in how.slurm}
     for key in OWN:
         if key in options:
             raise UserError(f"--slurm {key}={options[key]}: is set by Pneuma")

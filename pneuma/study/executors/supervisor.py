@@ -9,7 +9,6 @@ to a checkpoint. The local executor starts processes on this machine, that for R
 
 from __future__ import annotations
 
-import json
 import os
 import selectors
 import signal
@@ -24,6 +23,7 @@ from typing import IO, Any, Protocol
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
+from pneuma.study.files import parse_json
 from pneuma.study.locks import is_held
 from pneuma.study.store import Status, Store, run_document
 
@@ -150,29 +150,24 @@ class _Worker:
 
 
 class Supervisor:
-    """Keeps workers busy until every group of runs has ended.
+    """Keeps workers busy until every group of runs, by id, has ended.
 
-    Args:
-        groups: of runs, by id.
-        store: where workers put them.
-        supervision: how many are busy at once.
-        on_event: takes every event.
-        interrupts: the first lets every run come to a checkpoint, the second ends all at once.
-        start: starts a worker's process for a job, the document that `pneuma.study.worker` reads.
+    The first of `interrupts` lets every run come to a checkpoint, the second ends all at once. `start` starts
+    a worker's process for a job, the document that `pneuma.study.worker` reads.
     """
 
     def __init__(
         self,
         groups: Iterable[Mapping[str, Run]],
         store: Store,
-        supervision: Supervision,
+        how: Supervision,
         on_event: OnEvent,
         interrupts: Interrupts,
         start: Callable[[Mapping[str, Any]], Process],
     ) -> None:
         self._tasks = [_Task(group) for group in groups]
         self._store = store
-        self._how = supervision
+        self._how = how
         self._on_event = on_event
         self._interrupts = interrupts
         self._start_process = start
@@ -308,7 +303,7 @@ class Supervisor:
 def _read_event(line: bytes) -> Event | None:
     """Return the event in a line; None for any other, whose writer has gone astray or was killed."""
     try:
-        event = json.loads(line)
+        event = parse_json(line)
     except ValueError:
         return None
-    return event if isinstance(event, dict) and {"event", "run_id"} <= event.keys() else None
+    return event if {"event", "run_id"} <= event.keys() else None

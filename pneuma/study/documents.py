@@ -1,0 +1,69 @@
+"""What documents of a results folder, which may be anybody's, must hold to be read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Annotated, Any, Literal, NotRequired
+
+from pydantic import StringConstraints, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
+
+from pneuma.study.store import STATUSES
+
+
+class Manifest(TypedDict):
+    """A run's status.json."""
+
+    status: Literal[STATUSES]  # type: ignore[valid-type]
+    step: int
+    files: dict[str, str]
+
+
+class _Fields(TypedDict):
+    steps: int
+    env: str
+    slots: NotRequired[int | None]  # not known of imported logs
+
+
+class _Cell(TypedDict):
+    run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+    condition: str
+    seed: int
+    run: _Fields
+
+
+class Record(TypedDict):
+    """A study's record, as far as tables and figures are made by it."""
+
+    study: str
+    title: str
+    figure: str
+    baseline: NotRequired[str | None]
+    same: list[list[str]]
+    runs: list[_Cell]
+
+
+class _Attempt(TypedDict):
+    started: str
+    wall_seconds: float
+    machine: dict[str, Any]
+
+
+class History(TypedDict):
+    """What a checkpoint has to say for provenance."""
+
+    attempts: NotRequired[list[_Attempt]]
+    resumes: NotRequired[list[dict[str, Any]]]
+
+
+def fits(document: Mapping[str, Any], kind: type) -> bool:
+    """Tell whether a document is of a kind: `Manifest`, `Record`, `History`."""
+    try:
+        _adapter(kind).validate_python(document, strict=True)
+    except ValidationError:
+        return False
+    return True
+
+
+_adapter = cache(TypeAdapter)
