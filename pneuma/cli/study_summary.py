@@ -85,8 +85,10 @@ def _cells(table: pd.DataFrame) -> Cells:
     from pneuma.analysis.intervals import shown_with_interval
 
     return {
-        (row.condition, row.outcome, row.statistic): shown_with_interval(row.value, row.low, row.high)
-        for row in table.itertuples()
+        (row["condition"], row["outcome"], row["statistic"]): shown_with_interval(
+            row["value"], row["low"], row["high"]
+        )
+        for row in table.to_dict("records")
     }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
@@ -101,7 +101,7 @@ def _visible(value: Any) -> Any:
 def numbers_table(study: str, summary: pd.DataFrame) -> Table:
     """Return the outcomes of a summary that matter most: a row for each condition."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
-    for row in summary.itertuples():
+    for row in _rows(summary):
         pair = str(row.outcome), str(row.statistic)
         if pair in LEADING or pair[1] in LEADING:
             told = shown_with_interval(row.value, row.low, row.high)
@@ -122,7 +122,7 @@ def statistics_table(study: str, summary: pd.DataFrame) -> Table | None:
     rows = [
         (row.condition, row.outcome, row.statistic, row.interval or "none",
          shown_with_interval(row.value, row.low, row.high), int(row.runs))
-        for row in summary.itertuples()
+        for row in _rows(summary)
     ]  # fmt: skip
     columns = ("Condition", "Outcome", "Statistic", "Interval by", "Value", "Runs")
     return f"Every statistic of {study}'s outcomes", columns, rows, 4
@@ -133,11 +133,15 @@ def factors_table(study: str, effects: pd.DataFrame) -> Table:
     rows = [
         (row.effect, row.levels, f"{row.df}, {row.df_error}", shown(row.f, decimals(row.f)),
          shown(row.partial_r2, decimals(row.partial_r2)), f"{row.p_holm:.4f}")
-        for row in effects.itertuples()
+        for row in _rows(effects)
     ]  # fmt: skip
     outcome, runs = effects["outcome"].iloc[0], effects["runs"].iloc[0]
     caption = f"Effects of {study}'s factors on {outcome}, tested by permutation; {runs} runs"
     return caption, ("Effect", "Levels", "df", "F", "Share of variance", "p (Holm)"), rows, 2
+
+
+def _rows(frame: pd.DataFrame) -> Iterable[Any]:
+    return frame.itertuples()
 
 
 # --- Pictures ----------------------------------------------------------------------------------------
