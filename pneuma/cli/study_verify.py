@@ -74,7 +74,7 @@ def verify(
 
 def _document(one: Verdict) -> dict[str, Any]:
     claim = one.claim
-    nothing = {"effect": None, "interval": None, "seeds": [], "p": None, "simultaneous": None}
+    nothing: dict[str, Any] = {"effect": None, "interval": None, "seeds": [], "p": None, "simultaneous": None}
     decisive = _contrast(one.decisive) if one.decisive else nothing
     return {
         "claim": claim.name,

@@ -89,7 +89,8 @@ def judged_claims(store: Store, studies: Collection[str] | None = None) -> tuple
     Raises:
         UserError: for a damaged published table.
     """
-    known, verdicts = load_claims(), {}
+    known = load_claims()
+    verdicts: Verdicts = {}
     for one in judge(known, store):
         if studies is None or one.claim.study in studies:
             verdicts.setdefault(one.claim.name, {})[one.place] = one
