@@ -89,7 +89,9 @@ def read_published(store: Store, study: str) -> PublishedTable:
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from None
     if not is_whole(data):
-        raise UserError(f"{path}: damaged; take it from version control again, or publish the study anew")
+        raise UserError(
+            f"{path}: damaged; take it from version control again, or remove it and publish the study anew"
+        )
     try:
         table = from_parquet(data)
         head = parse_json((table.schema.metadata or {}).get(b"pneuma", b""))
