@@ -62,11 +62,14 @@ CURVES_collapse = entropy,dead_units,actions
 CURVES_robustness = none
 SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
 
+# Of several budgets each but the first has a table of its own.
+OWN_TABLE = $(if $(filter-out $(firstword $(BUDGETS_$(1))),$(if $(BUDGETS_$(1)),$(3))),--as $(1)-$(3))
+
 # A study in a world, for one budget; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
 # stop all.
 define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --world $(2) \
-  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(3),--steps $(3)) $(if $(filter publish,$(DO)),$(SMALL)) \
+  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(3),--steps $(3)) $(if $(filter publish,$(DO)),$(SMALL) $(OWN_TABLE)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
   $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \
   || { code=$$?; [ $$code = $(if $(filter publish,$(DO)),2,1) ] || exit $$code; failed="$$failed $(1) ($(2))"; };

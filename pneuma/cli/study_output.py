@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from collections.abc import Collection
@@ -37,6 +38,7 @@ from pneuma.cli.output import (
 )
 from pneuma.cli.study_records import (
     each_study,
+    is_shipped,
     known_studies,
     nothing_yet,
     open_data,
@@ -46,6 +48,7 @@ from pneuma.cli.study_records import (
 from pneuma.errors import UserError, plain
 from pneuma.figures import FIGURE_KINDS
 from pneuma.study.store import Store
+from pneuma.worlds import in_world, split_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -246,6 +249,9 @@ def publish(
     rounding: Annotated[
         bool, opt.flag("--round", "Keep curves to a thousandth of their range: a third of the size.")
     ] = False,
+    as_: Annotated[
+        opt.Text, opt.option("--as", "NAME", "Name the table: a second budget has one of its own.")
+    ] = None,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
@@ -258,6 +264,10 @@ def publish(
     kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, world)
+    if as_ is not None:
+        if is_shipped(as_) or not re.fullmatch(r"[\w-]+", as_):
+            raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
+        record = {**record, "study": in_world(as_, split_world(record["study"])[1])}
     from pneuma.analysis.published import published_path, read_published, times_path
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import open_study

@@ -133,7 +133,7 @@ def compared(claim: Claim) -> str:
     words = " and ".join(told)
     if claim.event:
         return f"share of runs, {words} {claim.event.words}"
-    return words if claim.kind == "mean" else f"deviation between seeds of {words}"
+    return words
 
 
 def tested(claim: Claim) -> str:

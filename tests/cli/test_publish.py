@@ -61,6 +61,16 @@ def test_nothing_published_leaves_the_table(results: Path) -> None:
     assert _publish(results).code == 0 and path.read_bytes() == whole
 
 
+def test_a_second_budget_has_a_table_of_its_own(results: Path) -> None:
+    words = ("study", "publish", "activation", "--condition", "relu", "--results", results, "--as")
+    assert "activation-short.parquet: 2 runs from here" in printed(*words, "activation-short")
+    shutil.rmtree(results / "runs")
+    told = printed("study", "status", "activation-short", "--results", results)
+    assert told.splitlines()[0] == "activation-short: 2 done as published"
+    for name in ("optimizer", "../x"):
+        assert f"--as {name}: must be" in refused(*words, name)
+
+
 def test_runs_that_another_study_has_published_are_found_in_its_table(
     trained: Path, results: Path, tmp_path: Path
 ) -> None:
