@@ -241,8 +241,8 @@ def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[st
     )
     marks: dict[str, list[str]] = {}
     for word, place in (("other processor", 2), ("other packages", 3)):
-        for usual, _ in Counter(row[place] for row in told).most_common(1):
-            for row in told:
+        for usual, _ in Counter(row[place] for row in rows).most_common(1):
+            for row in rows:
                 if row[place] != usual:
                     marks.setdefault(row[1], []).append(word)
     return {name: ", ".join(words) for name, words in marks.items()}
