@@ -236,7 +236,7 @@ def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[st
 
     Of two that are as frequent the one of the run that was begun first counts as the usual.
     """
-    told = sorted(
+    rows = sorted(
         (str(own.get("started")), name, processors(own), _packages_of(own)) for name, own in origins
     )
     marks: dict[str, list[str]] = {}
