@@ -27,7 +27,7 @@ from pneuma.study.stored_runs import find_run, stored_run
 from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
 

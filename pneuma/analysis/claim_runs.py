@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.published import published_studies
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.run_view import view
-from pneuma.analysis.tables import FinishedRun, StudyData
-from pneuma.config import Run, as_fields
+from pneuma.config import as_fields
 from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.provenance import processors
@@ -74,12 +74,6 @@ class ClaimRuns:
         command = training_command(self.study(claim.study, world), self._claims.path)
         rest = " --unpublished" if published_studies(self._store) else ""
         return "; ".join([*missing, *([f"{TRAIN_WITH} {command}{rest}"] if command else [])])
-
-    def undefined(self, claim: Claim, world: str) -> str:
-        """Say why a claim is not judged in a world at all."""
-        if world in self.study(claim.study, "").worlds:
-            return f"world not defined: the claim is not about {world}"
-        return f"world not defined: the study {claim.study} is not run in {world}"
 
     def arm(self, claim: Claim, world: str, outcome: str, condition: str) -> Arm:
         """Return an arm whose runs have all finished."""
@@ -148,23 +142,7 @@ class ClaimRuns:
         steps += "".join(f" ({told})" for told in self._index.damaged)
         if found:
             return f"too few seeds: {condition} has {len(found)} of the {len(cells)} fixed ones with {steps}"
-        reached = self._reached(claim, world, condition, cells[0].run)
-        if reached:
-            return f"budget not reached: {condition} has runs of {reached:,} steps, not of {steps}"
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
-
-    def _reached(self, claim: Claim, world: str, condition: str, run: Run) -> int:
-        """Return the largest budget below the claim's of a run that is finished here; 0 where none is."""
-        name = self.study(claim.study, world).name
-        record = self._index.record(name) or {"runs": []}
-        lower = {
-            own["run_id"]: own["run"]["steps"]
-            for own in record["runs"]
-            if own["condition"] == condition and own["run"]["steps"] < run.steps
-        }
-        table = self._index.table(name) if record.get("source") == "published" else None
-        known = table or self._index
-        return max((steps for own, steps in lower.items() if known(own).status.finished), default=0)
 
     def _machines(self, claim: Claim, world: str, outcome: str, names: Sequence[str]) -> str:
         """Refuse to compare times of different machines, or of one that had other work beside."""

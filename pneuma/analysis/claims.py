@@ -22,7 +22,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from pneuma.analysis.contrasts import CONSTANT_KINDS
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, TomlFile, Where, read_model, read_toml
@@ -152,7 +151,7 @@ class Claim(Table):
     above: Finite | None = None
     below: Finite | None = None
     only: Literal["", "collapsed"] = ""
-    kind: Literal["mean", "spread", "incidence"]
+    kind: Literal["mean", "incidence"]
     direction: Literal["greater", "less", "different", "equal"]
     margin: ByOutcome = None
     plausible: ByOutcome = None
@@ -319,7 +318,6 @@ def _mistakes(claim: Claim, head: ListHead) -> list[tuple[str, str]]:
         except UserError as error:
             check(False, "outcome", f"outcome: {error}")
     check(bool(claim.b) != (value is not None), "", "a claim holds a against either b, conditions, or value")
-    check(value is None or kind in CONSTANT_KINDS, "value", f"value: {kind} is not held against a number")
     if value is not None and kind == "incidence":
         check(0 <= value <= 1, "value", f"value = {value:g} is not allowed: a share of runs, from 0 to 1")
         least = (claim.direction, value) not in (("less", 0), ("greater", 1))
@@ -335,11 +333,8 @@ def _mistakes(claim: Claim, head: ListHead) -> list[tuple[str, str]]:
         margin = claim.in_world(world).of("margin", outcome)
         lacks = "the key 'margin' is missing: within it, a difference counts as none"
         check(margin is not None or claim.direction != "equal", "margin", lacks)
-        if margin is not None:
-            least_margin, most = (1, float("inf")) if kind == "spread" else (0, 1 if event else float("inf"))
-            allowed = f"above {least_margin}{' and below 1' * bool(event)} for {kind}"
-            inside = least_margin < margin < most
-            check(inside, "margin", f"margin = {margin:g} is not allowed: {allowed}")
+        share = event is None or margin is None or margin < 1
+        check(share, "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs")
     group = claim.group or claim.section
     if head.weights and group not in head.weights:
         check(False, "group", f"group: {unknown_name('group of weights', group, head.weights)}")

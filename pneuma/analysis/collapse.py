@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.intervals import incidence_interval
 from pneuma.analysis.run_view import RunView, view
 from pneuma.analysis.signs import (
@@ -32,7 +33,6 @@ from pneuma.analysis.signs import (
     share_held,
     stretches,
 )
-from pneuma.analysis.tables import FinishedRun, StudyData
 
 SHORTEST = 0.05
 """Share of the budget that a policy of one action, or a return below zero, must last to be a collapse."""

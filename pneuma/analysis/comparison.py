@@ -8,11 +8,10 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis.estimates import probability_of_improvement
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import difference_interval, no_interval
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values
-from pneuma.analysis.references import refuse_unlike_returns
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome_values, refuse_unlike_returns
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 
 COMPARED = (PRIMARY, "final-return", "auc-return")

@@ -14,16 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pneuma.analysis import intervals, pvalues
-from pneuma.analysis.estimates import deviation, finite
+from pneuma.analysis.estimates import finite
 from pneuma.analysis.intervals import Interval, no_interval
 from pneuma.analysis.pvalues import PValues
-
-CONTRAST_KINDS = ("mean", "spread", "incidence")
-"""Difference of means; ratio of standard deviations; difference of shares of runs with an event (values 0 or
-1)."""
-
-CONSTANT_KINDS = ("mean", "incidence")
-"""Those in which one arm can be held against a constant."""
 
 LEVEL = 0.05
 """The error rate at which too few seeds are called too few."""
@@ -34,10 +27,10 @@ class Contrast:
     """What runs say on one comparison.
 
     Attributes:
-        kind: one of `CONTRAST_KINDS`.
-        effect: mean, or share, of a less that of b or the constant; or the ratio of deviations a over b.
+        kind: mean, or incidence: the share of runs with an event.
+        effect: mean, or share, of a less that of b or the constant.
         interval: its 95 % interval.
-        p_greater: one-sided p-value that the effect is above no difference (0; or a ratio of 1).
+        p_greater: one-sided p-value that the effect is above no difference.
         p_less: that it is below.
         p_equivalent: that it is within the margin on both sides; 1 where there is no margin.
         seeds: runs of a and of b; 0 for a constant.
@@ -71,11 +64,6 @@ class Contrast:
         """The p-value of anything found: it bounds the chance of any false finding."""
         return min(self.p_different, self.p_equivalent)
 
-    @property
-    def none(self) -> float:
-        """The effect that is no difference."""
-        return 1.0 if self.kind == "spread" else 0.0
-
 
 def compare(
     kind: str,
@@ -88,38 +76,29 @@ def compare(
     """Compare arm a with arm b.
 
     Args:
-        kind: one of `CONTRAST_KINDS`.
+        kind: mean, or incidence, of values 0 or 1.
         a: (runs,) finite values, one per run.
         b: the same of the other arm.
-        margin: within what a difference counts as none: in the outcome's unit, or as a share, or as a
-            ratio above 1 for "spread". None where no such claim can be made.
+        margin: within what a difference counts as none: in the outcome's unit, or as a share. None where no
+            such claim can be made.
         generator: draws relabelings where there are too many to count.
         level: of the simultaneous interval.
 
     Raises:
-        ValueError: for an unknown kind, values that are not finite, or a margin out of range.
+        ValueError: for values that are not finite, or an incidence of others than 0 and 1.
     """
     first, second = finite(a), finite(b)
-    _check(kind, CONTRAST_KINDS, margin)
-    seeds, effect = (first.size, second.size), _effect(kind, first, second)
+    seeds, effect = (first.size, second.size), _effect(first, second)
     fewest = 1 if kind == "incidence" else 2
     if min(seeds) < fewest:
         return undecided(kind, _too_few(min(seeds), fewest), seeds, effect)
     if kind == "incidence":
         return _incidence(first, second, margin, level)
-    equal = [name for name, arm in (("a", first), ("b", second)) if not _differ(arm)]
-    if kind == "spread" and equal:
-        reason = f"all runs of arm {' and of arm '.join(equal)} are equal: there is no spread to compare"
-        return undecided(kind, reason, seeds, effect)
     labels = pvalues.relabel(first.size, second.size, generator)
-    if kind == "mean":
-        found = pvalues.mean_p_values(first[None], second[None], margin, labels)
-        make = intervals.difference_interval
-    else:
-        found = pvalues.spread_p_values(first[None], second[None], margin, labels)
-        make = intervals.deviation_ratio_interval
+    found = pvalues.mean_p_values(first[None], second[None], margin, labels)
+    make = intervals.difference_interval
     both = make(first, second), make(first, second, level)
-    return _contrast(kind, effect, both, found, seeds, labels.smallest_p)
+    return _contrast(kind, effect, both, found, seeds, 1 / len(labels))
 
 
 def compare_effects(
@@ -165,7 +144,7 @@ def compare_with(
     """Compare one arm with a constant: is its mean, or its share of runs, above or below it?
 
     Args:
-        kind: one of `CONSTANT_KINDS`.
+        kind: as for `compare`.
         a: (runs,) finite values.
         value: the constant, in their unit.
         margin: as for `compare`.
@@ -176,7 +155,6 @@ def compare_with(
         ValueError: as for `compare`.
     """
     runs = finite(a)
-    _check(kind, CONSTANT_KINDS, margin)
     seeds = (runs.size, 0)
     effect = float((runs - value).mean()) if runs.size else float("nan")
     fewest = 1 if kind == "incidence" else 2
@@ -190,13 +168,6 @@ def compare_with(
     return _contrast(kind, effect, both, found, seeds, 1 / len(flips))
 
 
-def _check(kind: str, kinds: tuple[str, ...], margin: float | None) -> None:
-    if kind not in kinds:
-        raise ValueError(f"contrast of kind {kind!r}; there are " + ", ".join(kinds))
-    if margin is not None and not margin > (1 if kind == "spread" else 0):
-        raise ValueError(f"a margin of {margin} for a contrast of kind {kind}")
-
-
 def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None, level: float) -> Contrast:
     (count_a, n), (count_b, m) = (_count(a), a.size), (_count(b), b.size)
     found = pvalues.incidence_p_values(np.array([count_a]), n, np.array([count_b]), m, margin)
@@ -205,7 +176,7 @@ def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None, level: float)
     both = make(*counts), make(*counts, level)
     extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
     smallest = float(extremes.greater[0]), float(extremes.less[1])
-    return _contrast("incidence", _effect("incidence", a, b), both, found, (n, m), *smallest)
+    return _contrast("incidence", _effect(a, b), both, found, (n, m), *smallest)
 
 
 def _incidence_with(runs: np.ndarray, value: float, margin: float | None, level: float) -> Contrast:
@@ -258,17 +229,5 @@ def _count(runs: np.ndarray) -> int:
     return int(runs.sum())
 
 
-def _differ(arm: np.ndarray) -> bool:
-    """Tell whether runs differ by more than rounding."""
-    return bool(pvalues.scaled(arm[None]).any())
-
-
-def _effect(kind: str, a: np.ndarray, b: np.ndarray) -> float:
-    if not a.size or not b.size:
-        return float("nan")
-    if kind != "spread":
-        return float(a.mean() - b.mean())
-    over, under = float(deviation(a)), float(deviation(b))
-    if under == 0 or not _differ(b):
-        return float("inf") if over > 0 and _differ(a) else float("nan")
-    return over / under
+def _effect(a: np.ndarray, b: np.ndarray) -> float:
+    return float(a.mean() - b.mean()) if a.size and b.size else float("nan")

@@ -22,11 +22,17 @@ import pandas as pd
 
 from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.factorial import Effect, factorial
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, outcome, outcome_values, reason
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.outcomes import (
+    PRIMARY,
+    find_outcome,
+    outcome,
+    outcome_values,
+    reason,
+    refuse_unlike_returns,
+)
 from pneuma.analysis.pvalues import holm
-from pneuma.analysis.references import refuse_unlike_returns
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.tables import StudyData
 from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
 from pneuma.values import as_tuple, shown_level, shown_value

@@ -15,7 +15,7 @@ import pandas as pd
 
 from pneuma.analysis import EVALUATION_QUANTITIES
 from pneuma.analysis.bands import Edges, count_of, find_band, mean_of
-from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.analysis.frames import FinishedRun, StudyData
 
 
 @dataclass(frozen=True)
@@ -96,19 +96,10 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
     Raises:
         UserError: for a quantity or window that the study's data does not have.
     """
-    return _trained(data, [quantity], window)[quantity]
-
-
-def _trained(data: StudyData, quantities: Sequence[str], window: str | None) -> dict[str, list[Curve]]:
-    """Return the training curves of several quantities, having gone through the runs only once."""
-    curves: dict[str, list[Curve]] = {name: [] for name in quantities}
+    curves = []
     for condition, runs in _groups(data).items():
-        values = {name: np.empty((len(runs), len(data.grid))) for name in quantities}
-        for row, run in enumerate(runs):
-            for name in quantities:
-                values[name][row] = data.curve(run, name, window)
-        for name in quantities:
-            curves[name].append(_curve(condition, data.grid, values[name], runs))
+        values = np.array([data.curve(run, quantity, window) for run in runs])
+        curves.append(_curve(condition, data.grid, values, runs))
     return curves
 
 
@@ -147,9 +138,12 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
         UserError: for a name or window that the study's data does not have.
     """
     known = curve_names(data)
-    evaluated = [name for name in names if name in EVALUATION_QUANTITIES and name in known]
-    trained = _trained(data, [name for name in names if name not in evaluated], window)
-    return {name: trained[name] if name in trained else evaluation_curves(data, name) for name in names}
+    return {
+        name: evaluation_curves(data, name)
+        if name in EVALUATION_QUANTITIES and name in known
+        else training_curves(data, name, window)
+        for name in names
+    }
 
 
 def _groups(data: StudyData) -> dict[str, list[FinishedRun]]:
@@ -183,3 +177,41 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
                 )
             )
     return pd.concat(frames, ignore_index=True)
+
+
+# --- Players of known skill --------------------------------------------------------------------------
+
+PLAYERS = ("random player", "scripted hunter")
+NEAR = 0.02
+"""Levels that lie no further apart are drawn as one line."""
+
+_LEVELS = {
+    "share_killed": ("random_share_killed", "hunter_share_killed"),
+    "argmax_share_killed": ("random_share_killed", "hunter_share_killed"),
+}
+
+
+def reference_levels(data: StudyData, quantity: str) -> dict[str, dict[str, float]]:
+    """Return the level of each of `PLAYERS` in every condition, as far as evaluations recorded it.
+
+    A normalised score is 0 and 1 for them by its definition; returns of theirs are not recorded.
+    """
+    if quantity == "score":
+        return {condition: dict(zip(PLAYERS, (0.0, 1.0), strict=True)) for condition in data.conditions}
+    if quantity not in _LEVELS or "evaluations" not in data.tables:
+        return {}
+    levels = {}
+    for condition in data.conditions:
+        tables = [data.run_table(run, "evaluations") for run in data.of_condition(condition)]
+        rows = [table[[*_LEVELS[quantity]]].to_numpy(float) for table in tables if len(table)]
+        if rows:
+            levels[condition] = dict(zip(PLAYERS, np.concatenate(rows).mean(axis=0).tolist(), strict=True))
+    return levels
+
+
+def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
+    """Return the levels that hold for all conditions; none where their environments differ in them."""
+    levels = [list(level.values()) for level in reference_levels(data, quantity).values()]
+    if not levels or np.ptp(levels, axis=0).max() > NEAR:
+        return {}
+    return dict(zip(PLAYERS, np.mean(levels, axis=0).tolist(), strict=True))

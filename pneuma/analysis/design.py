@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.contrasts import CONTRAST_KINDS
 from pneuma.analysis.estimates import finite
 from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
 
@@ -42,7 +41,7 @@ class Plan:
         seeds: of each arm.
         alpha: the contrast's own part of the list's error rate.
         spread: between runs, from the pilot; of an incidence the share of runs of arm b; None without one.
-        detectable: the least difference that is found with 80 % power; of spreads, the least ratio.
+        detectable: the least difference that is found with 80 % power.
         provable: the least margin within which arms alike are shown to lie with 80 % power.
         plausible: the largest effect thought possible.
         reason: why it cannot be decided; empty where it can.
@@ -139,22 +138,11 @@ def _limits(
     if claim.kind == "incidence":
         base = claim.value if claim.value is not None else spread
         return _least_share(claim, seeds, alpha, UNKNOWN_SHARE if base is None else base), None
-    if claim.kind == "mean":
-        if spread is None:
-            return None, None
-        error = spread * math.sqrt(sum(1 / own for own in seeds))
-        return _of_error(error, sum(seeds) - len(seeds), alpha)
-    # of normal runs; the tests of spread take more, so this is a lower bound
-    error = math.sqrt(sum(1 / (2 * max(own - 1, 1)) for own in seeds))
-    found, shown = _of_error(error, sum(seeds) - len(seeds), alpha)
-    return math.exp(min(found, 700.0)), math.exp(min(shown, 700.0))
-
-
-def _of_error(error: float, freedom: int, alpha: float) -> tuple[float, float]:
-    """Return both limits of an effect with that standard error, by Student's quantiles."""
-    power, both = special.ndtri(POWER), special.ndtri((1 + POWER) / 2)
-    found = error * (special.stdtrit(max(freedom, 1), 1 - alpha / 2) + power)
-    shown = error * (special.stdtrit(max(freedom, 1), 1 - alpha) + both)
+    if spread is None:
+        return None, None
+    error, freedom = spread * math.sqrt(sum(1 / own for own in seeds)), max(sum(seeds) - len(seeds), 1)
+    found = error * (special.stdtrit(freedom, 1 - alpha / 2) + special.ndtri(POWER))
+    shown = error * (special.stdtrit(freedom, 1 - alpha) + special.ndtri((1 + POWER) / 2))
     return float(found), float(shown)
 
 
@@ -192,7 +180,7 @@ def seeds_needed(
     """Return how many seeds each arm needs, in all, for a contrast to be decided either way.
 
     Args:
-        kind: one of `CONTRAST_KINDS`.
+        kind: mean or incidence.
         a: (runs,) values seen so far: their means, deviations and shares are taken for the truth.
         b: the same of the other arm.
         margin: as for `compare`; decided is also what is shown to lie within it.
@@ -202,13 +190,11 @@ def seeds_needed(
 
     Returns:
         The least number of runs per arm, counting those there are, and not below what a permutation test of
-        that alpha takes; None where that is above `MOST_SEEDS`, where what was seen has no spread to plan
-        with, and for "spread", whose tests take far more runs than a normal approximation says.
+        that alpha takes; None where that is above `MOST_SEEDS`, and where what was seen has no spread to
+        plan with.
     """
-    if kind not in CONTRAST_KINDS:
-        raise ValueError(f"contrast of kind {kind!r}; there are " + ", ".join(CONTRAST_KINDS))
     first, second = finite(a), finite(b)
-    if kind == "spread" or min(first.size, second.size) < (1 if kind == "incidence" else 2):
+    if min(first.size, second.size) < (1 if kind == "incidence" else 2):
         return None
     error = _error(kind, first, second)
     if error <= 0:

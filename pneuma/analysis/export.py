@@ -10,9 +10,9 @@ import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES, EXPORTED_BAND
 from pneuma.analysis.curves import curves_table, evaluation_curves, training_curves
-from pneuma.analysis.rounding import decimals, shown
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.summaries import summary_table
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 
 

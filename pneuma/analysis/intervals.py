@@ -7,9 +7,9 @@ none: its ends are NaN and its method is "none". What each covers at which numbe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,10 @@ LEVEL = 0.95
 LEAST_RESAMPLED = 3
 """Runs of which there is a bootstrap interval."""
 RESAMPLES = 2_000
+SIGNIFICANT = 2
+"""Digits of the half width of an interval that are shown."""
+ALONE = 3
+"""Digits of a number without an interval."""
 
 
 @dataclass(frozen=True)
@@ -83,43 +87,14 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     if runs.size < 5 or np.ptp(runs) == 0:
         return no_interval(level)
     z = special.ndtri((1 + level) / 2)
+    cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
+    kept = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
+    fourth, squares = ((runs - np.mean(kept)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
+    kurtosis = runs.size * fourth / squares**2
+    error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
     factor = runs.size / (runs.size - z)
-    half = z * factor * np.sqrt(_log_variance_error((runs,)))
-    return _of_log_variance(np.log(factor * runs.var(ddof=1)), half, level)
-
-
-def deviation_ratio_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Bonett's interval of the ratio of standard deviations, a over b.
-
-    Source: Bonett (2006), Robust confidence interval for a ratio of standard deviations: the error of
-    a log variance follows from the kurtosis of both arms together. Each is taken here in units of its own
-    deviation, for otherwise arms of unlike spread would look heavy-tailed by that alone.
-    """
-    first, second = finite(a), finite(b)
-    if min(first.size, second.size) < 5 or np.ptp(first) == 0 or np.ptp(second) == 0:
-        return no_interval(level)
-    z = special.ndtri((1 + level) / 2)
-    factor = first.size / (first.size - z) * (second.size - z) / second.size
-    half = z * np.sqrt(_log_variance_error(tuple(arm / arm.std(ddof=1) for arm in (first, second))))
-    return _of_log_variance(np.log(factor * first.var(ddof=1) / second.var(ddof=1)), half, level)
-
-
-def _of_log_variance(centre: float, half: float, level: float) -> Interval:
-    low, high = exp((centre - half) / 2), exp((centre + half) / 2)
-    return Interval(low, high, level, "Bonett")
-
-
-def _log_variance_error(arms: tuple[np.ndarray, ...]) -> float:
-    """Return the variance of the log variance, or of the difference of two, by their joint kurtosis."""
-    fourth = sum(((arm - _trimmed_centre(arm)) ** 4).sum() for arm in arms)
-    squares = sum((arm.size - 1) * arm.var(ddof=1) for arm in arms)
-    kurtosis = sum(arm.size for arm in arms) * fourth / squares**2
-    return sum((kurtosis - (arm.size - 3) / arm.size) / (arm.size - 1) for arm in arms)
-
-
-def _trimmed_centre(arm: np.ndarray) -> float:
-    cut = int(arm.size / (2 * np.sqrt(arm.size - 4)))
-    return float(np.sort(arm)[cut : arm.size - cut].mean()) if 2 * cut < arm.size else float(np.median(arm))
+    centre, half = np.log(factor * runs.var(ddof=1)), z * factor * error
+    return Interval(math.exp((centre - half) / 2), math.exp((centre + half) / 2), level, "Bonett")
 
 
 def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
@@ -197,3 +172,34 @@ def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]
     skew = left.mean() - left
     squares = (skew**2).sum()
     return float((skew**3).sum() / (6 * squares**1.5)) if squares > 0 else 0.0
+
+
+# --- In digits -------------------------------------------------------------------------------------
+
+
+def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int:
+    """Return to how many places after the point a number is shown; fewer than 0 for tens and more."""
+    half = (high - low) / 2
+    if math.isfinite(half) and half > 0:
+        return SIGNIFICANT - 1 - math.floor(math.log10(half))
+    if not math.isfinite(value) or value == 0:
+        return 0
+    return ALONE - 1 - math.floor(math.log10(abs(value)))
+
+
+def shown(value: float, places: int) -> str:
+    """Return a number rounded to so many places; – for none."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "never" if value > 0 else "-inf"
+    rounded = round(value, places) + 0.0  # no minus zero
+    return f"{rounded:,.{max(places, 0)}f}"
+
+
+def shown_with_interval(value: float, low: float, high: float) -> str:
+    """Return a number and its interval, all to the digits that the interval leaves certain."""
+    places = decimals(value, low, high)
+    if math.isnan(low) or math.isnan(high):
+        return shown(value, places)
+    return f"{shown(value, places)} [{shown(low, places)}, {shown(high, places)}]"

@@ -10,7 +10,6 @@ list's alpha.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,7 +34,6 @@ from pneuma.analysis.verdicts import (
 from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
@@ -121,14 +119,12 @@ class Verdict:
         own = self.decisive
         margin = self.claim.of("margin", own.outcome) if own else None
         if own and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
-            size = abs(math.log(own.contrast.effect)) if self.claim.kind == "spread" else own.contrast.effect
-            within = math.log(margin) if self.claim.kind == "spread" else margin
-            return BY_LETTER if abs(size) < within else WITH_CONTENT
+            return BY_LETTER if abs(own.contrast.effect) < margin else WITH_CONTENT
         return WITH_CONTENT
 
 
 def judge(claims: ClaimList, store: Store) -> list[Verdict]:
-    """Return the verdict on every claim of a list in every world.
+    """Return the verdict on every claim of a list in every world that it is about.
 
     Args:
         claims: all of them: none can be judged without the others.
@@ -141,15 +137,13 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     return [
         _judge_one(claim.in_world(place), place, runs, claims, refused.get((claim.name, place), ""))
         for claim in claims.claims.values()
-        for place in WORLDS
+        for place in claim.worlds
     ]
 
 
 def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
     if refused:
         return Verdict(claim, place, UNTESTABLE, f"not admitted: {refused}")
-    if place not in claim.worlds:
-        return Verdict(claim, place, UNTESTABLE, runs.undefined(claim, place))
     level = 1 - claims.head.alpha / claims.factor(claim, place)  # of intervals that hold all at once
     made = [
         _compared(claim, place, runs, name, *pair, level) for name in claim.outcome for pair in claim.pairs
@@ -240,13 +234,13 @@ def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
 def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     """Say so where every run of both arms lies at the outcome's least or greatest value.
 
-    As near as the margin counts as there. The margin of a spread is a ratio; what is near an end is then the
-    outcome's to say. Of an outcome of play, arms at the least value are the gate's.
+    As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
+    the least value are the gate's.
     """
     if len(arms) < 2 or claim.event is not None:
         return ""
     measure = measure_of(outcome)
-    near = (claim.of("margin", outcome) if claim.kind == "mean" else None) or measure.near
+    near = claim.of("margin", outcome) or measure.near
     known = measure.of_play and all(arm.learned is not None for arm in arms)
     values = np.concatenate([arm.values for arm in arms])
     for end, bound in zip(("floor", "ceiling"), measure.bounds, strict=True):
@@ -287,10 +281,8 @@ def _seeds_needed(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, al
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
-    none, interval = contrast.none, contrast.interval
-    as_claimed = (direction == "greater" and interval.low > none) or (
-        direction == "less" and interval.high < none
-    )
+    low, high = contrast.interval.low, contrast.interval.high
+    as_claimed = (direction == "greater" and low > 0) or (direction == "less" and high < 0)
     return found(contrast) == "equal" and as_claimed
 
 

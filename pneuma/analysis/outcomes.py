@@ -11,15 +11,15 @@ of the budget. Runs and their published table give the same numbers.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from pneuma.analysis.collapse import diagnose
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.run_view import RunView, Series, ends_before, mean_height, view
-from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError, nearest_name, unknown_name
 
@@ -29,8 +29,7 @@ SHARE = (0.0, 1.0)
 HALF_A_MONSTER = 0.5 / 14
 """Of the level's 14: shares killed that differ by less count as alike."""
 NEAR_AN_END = 0.0357
-"""How near 0 or 1 a share killed counts as there: that much, as claims write it, so that claims on spread and
-on means have one floor."""
+"""How near 0 or 1 a share killed counts as there, for claims without a margin: about half a monster."""
 QUIET = 0.9
 """The share of a core below which a run's time tells more of what ran beside it than of its training."""
 
@@ -63,6 +62,30 @@ class Outcome:
 def is_return(name: str) -> bool:
     """Tell whether an outcome is a return, whose unit is its reward's."""
     return name.endswith("-return")
+
+
+_OF_RETURNS = ("reward", "players")
+"""Settings of which a return is the sum: where they differ, returns are in unlike units."""
+
+
+def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
+    """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
+    names = data.conditions if conditions is None else conditions
+    settings = [data.settings(own[0]) for name in names if (own := data.of_condition(name))]
+    return len({str([own.get(key) for key in _OF_RETURNS]) for own in settings}) <= 1
+
+
+def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
+    """Refuse to compare conditions, or all, by an outcome that is of another unit in some.
+
+    Raises:
+        UserError: for a return, where rewards or numbers of players differ.
+    """
+    if is_return(name) and not have_one_return(data, conditions):
+        raise UserError(
+            f"outcome {name}: returns of unlike rewards, or of more players, cannot be compared; "
+            "name another, such as final-share-killed"
+        )
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
@@ -240,135 +263,81 @@ def _pace(seen: RunView) -> float:
 
 # --- The list --------------------------------------------------------------------------------------
 
-
-def _evaluated(
-    words: str, measure: Measure, better: str = "higher", bounds: tuple[float, float] = ANYTHING
-) -> Outcome:
-    """Return an outcome that is taken from evaluations; within 0 and 1 it is a share."""
-    return Outcome(words, "share" if bounds == SHARE else "", better, bounds, "evaluations", measure)
-
-
-def _of_kills(words: str, measure: Measure, better: str = "higher", supposes_rise: bool = False) -> Outcome:
-    """Return an outcome that is a share of the monsters."""
-    return replace(
-        _evaluated(words, measure, better, SHARE),
-        supposes_rise=supposes_rise,
-        alike=Outcome.alike if supposes_rise else NEAR_AN_END,
-    )
-
-
-def _trained(
-    words: str,
-    quantity: str,
-    better: str = "",
-    bounds: tuple[float, float] = ANYTHING,
-    unit: str = "",
-    measure: Measure | None = None,
-) -> Outcome:
-    """Return an outcome that is taken from a training curve, from its last point unless told otherwise."""
-    return Outcome(words, unit, better, bounds, quantity, measure or _curve(quantity, _last))
-
-
 POSITIVE = (0.0, np.inf)
+UP, DOWN, EVALUATED = "higher", "lower", "evaluations"
+KILLED = ("share", UP, SHARE, EVALUATED)
 
 OUTCOMES: dict[str, Outcome] = {
-    "final-share-killed": _of_kills("monsters killed, last evaluation", _evaluations("share_killed", _last)),
-    "auc-share-killed": _of_kills("monsters killed, mean over all evaluations", _share_area),
-    "argmax-share-killed": _of_kills(
-        "monsters killed by the most probable actions", _evaluations("argmax_share_killed", _last)
-    ),
-    "normalised-score": _evaluated(
-        "score (0 random player, 1 scripted hunter)", _evaluations("score", _last)
-    ),
-    "best-score": _evaluated("best score of any evaluation", _evaluations("score", np.max)),
-    "evaluated-return": _evaluated("return, last evaluation", _evaluations("return", _last)),
-    "final-return": _trained("return at the end of training", "return", "higher"),
-    "auc-return": _trained(
-        "return, mean over training",
-        "return",
-        "higher",
-        measure=lambda seen: mean_height(seen.curve("return"), seen.until),
-    ),
-    "best-return": _trained("best return of training", "return", "higher", measure=_curve("return", np.max)),
-    "final-length": _trained("episode length at the end", "length", "", POSITIVE, "steps"),
-    "final-hp": _trained("HP at the end of an episode", "hp", "higher", POSITIVE, "points"),
-    "final-died": _evaluated(
-        "evaluation episodes that ended in death", _evaluations("died", _last), "lower", SHARE
-    ),
-    "final-entropy": _trained("entropy of the policy at the end", "entropy", "", POSITIVE, "nats"),
-    "least-entropy": _trained(
-        "least entropy of any update", "entropy", "", POSITIVE, "nats", _peaks("entropy", np.min)
-    ),
-    "max-grad-norm": _trained(
-        "greatest gradient norm of any update",
-        "grad_norm",
-        "lower",
-        POSITIVE,
-        "",
-        _peaks("grad_norm", np.max),
-    ),
-    "median-grad-norm": _trained(
-        "median of the curve of gradient norms",
-        "grad_norm",
-        "lower",
-        POSITIVE,
-        "",
-        _curve("grad_norm", np.median),
-    ),
-    "final-dead-units": _trained("dead hidden units at the end", "dead_units", "lower", SHARE, "share"),
+    "final-share-killed": Outcome(
+        "monsters killed, last evaluation", *KILLED, _evaluations("share_killed", _last), alike=NEAR_AN_END),
+    "auc-share-killed": Outcome(
+        "monsters killed, mean over all evaluations", *KILLED, _share_area, alike=NEAR_AN_END),
+    "argmax-share-killed": Outcome(
+        "monsters killed by the most probable actions", *KILLED,
+        _evaluations("argmax_share_killed", _last), alike=NEAR_AN_END),
+    "normalised-score": Outcome(
+        "score (0 random player, 1 scripted hunter)", "", UP, ANYTHING, EVALUATED,
+        _evaluations("score", _last)),
+    "best-score": Outcome(
+        "best score of any evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("score", np.max)),
+    "evaluated-return": Outcome(
+        "return, last evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("return", _last)),
+    "final-return": Outcome(
+        "return at the end of training", "", UP, ANYTHING, "return", _curve("return", _last)),
+    "auc-return": Outcome(
+        "return, mean over training", "", UP, ANYTHING, "return",
+        lambda seen: mean_height(seen.curve("return"), seen.until)),
+    "best-return": Outcome("best return of training", "", UP, ANYTHING, "return", _curve("return", np.max)),
+    "final-length": Outcome(
+        "episode length at the end", "steps", "", POSITIVE, "length", _curve("length", _last)),
+    "final-hp": Outcome("HP at the end of an episode", "points", UP, POSITIVE, "hp", _curve("hp", _last)),
+    "final-died": Outcome(
+        "evaluation episodes that ended in death", "share", DOWN, SHARE, EVALUATED,
+        _evaluations("died", _last)),
+    "final-entropy": Outcome(
+        "entropy of the policy at the end", "nats", "", POSITIVE, "entropy", _curve("entropy", _last)),
+    "least-entropy": Outcome(
+        "least entropy of any update", "nats", "", POSITIVE, "entropy", _peaks("entropy", np.min)),
+    "max-grad-norm": Outcome(
+        "greatest gradient norm of any update", "", DOWN, POSITIVE, "grad_norm",
+        _peaks("grad_norm", np.max)),
+    "median-grad-norm": Outcome(
+        "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm",
+        _curve("grad_norm", np.median)),
+    "final-dead-units": Outcome(
+        "dead hidden units at the end", "share", DOWN, SHARE, "dead_units", _curve("dead_units", _last)),
     **{
-        f"final-action-{i}": _trained(
-            f"share of the action {name} at the end", f"action_{i}", "", SHARE, "share"
-        )
+        f"final-action-{i}": Outcome(
+            f"share of the action {name} at the end", "share", "", SHARE, f"action_{i}",
+            _curve(f"action_{i}", _last))
         for i, name in enumerate(ACTION_NAMES)
     },
-    "one-action": _trained(
-        "share of the most frequent action at the end", "action_0", "", SHARE, "share", _most_of_one
-    ),
-    "mean-kl": _trained(
-        "mean KL divergence of an update from the policy before",
-        "approx_kl",
-        measure=_curve("approx_kl", np.mean),
-    ),
-    "early-explained-variance": _trained(
+    "one-action": Outcome(
+        "share of the most frequent action at the end", "share", "", SHARE, "action_0", _most_of_one),
+    "mean-kl": Outcome(
+        "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl",
+        _curve("approx_kl", np.mean)),
+    "early-explained-variance": Outcome(
         "share of the returns' variance that the critic explains, first tenth of training",
-        "explained_variance",
-        "higher",
-        (-np.inf, 1.0),
-        measure=_early("explained_variance"),
-    ),
+        "", UP, (-np.inf, 1.0), "explained_variance", _early("explained_variance")),
     "collapsed": Outcome(
-        "the run collapsed (1) or not (0)", "", "lower", SHARE, "signs", _diagnosed("collapsed")
-    ),
+        "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", _diagnosed("collapsed")),
     "collapse-step": Outcome(
-        "onset of its collapse", "steps", "", POSITIVE, "signs", _diagnosed("onset_step")
-    ),
+        "onset of its collapse", "steps", "", POSITIVE, "signs", _diagnosed("onset_step")),
     "relearned": Outcome(
-        "a collapsed run played as before again (1) or not (0)",
-        "",
-        "higher",
-        SHARE,
-        "signs",
-        _diagnosed("relearned"),
-    ),
-    "fall-from-best": _of_kills(
-        "best evaluation less the last, in monsters killed",
-        _evaluations("share_killed", _fall),
-        "lower",
-        supposes_rise=True,
-    ),
-    "curve-roughness": _of_kills(
-        "ups and downs of monsters killed beyond the net change, per evaluation",
-        _evaluations("share_killed", _roughness),
-        "lower",
-        supposes_rise=True,
-    ),
-    "wall-seconds": Outcome("time that training took", "s", "lower", POSITIVE, "times", _wall_seconds),
-    "steps-per-second": Outcome(
-        "agent steps trained per second", "steps/s", "higher", POSITIVE, "times", _pace
-    ),
-    "q-overestimation": _evaluated("estimated value of play less what it returned", _overestimation, "lower"),
-}
+        "a collapsed run played as before again (1) or not (0)", "", UP, SHARE, "signs",
+        _diagnosed("relearned")),
+    "fall-from-best": Outcome(
+        "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, EVALUATED,
+        _evaluations("share_killed", _fall), supposes_rise=True),
+    "curve-roughness": Outcome(
+        "ups and downs of monsters killed beyond the net change, per evaluation", "share", DOWN, SHARE,
+        EVALUATED, _evaluations("share_killed", _roughness), supposes_rise=True),
+    "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", _wall_seconds),
+    "steps-per-second": Outcome("agent steps trained per second", "steps/s", UP, POSITIVE, "times", _pace),
+    "q-overestimation": Outcome(
+        "estimated value of play less what it returned", "", DOWN, ANYTHING, EVALUATED, _overestimation),
+}  # fmt: skip
 """By name; `find_outcome` also knows steps-to:X."""
 
 PRIMARY = "final-share-killed"

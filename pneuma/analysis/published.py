@@ -89,7 +89,9 @@ def read_published(store: Store, study: str) -> PublishedTable:
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from None
     if not is_whole(data):
-        raise UserError(f"{path}: damaged; take it from version control again, or publish the study anew")
+        raise UserError(
+            f"{path}: damaged; take it from version control again, or remove it and publish the study anew"
+        )
     try:
         table = from_parquet(data)
         head = parse_json((table.schema.metadata or {}).get(b"pneuma", b""))
@@ -262,44 +264,32 @@ def _check(head: Mapping[str, Any], table: pa.Table) -> None:
     Raises:
         ValueError: naming what is amiss.
     """
-    windows, budget = head.get("windows") or (), head.get("budget")
-    sound = isinstance(windows, list) and all(own in WINDOWS for own in windows)
-    sound = sound and isinstance(budget, int) and budget > 0 and head.get("tables") in ([], [EVALUATIONS])
-    if not sound or not isinstance(head.get("averaged_over", ""), int | None):
+    windows, budget = head.get("windows") or [], head.get("budget")
+    sound = {*windows} <= {*WINDOWS} and isinstance(budget, int) and budget > 0
+    if not sound or head.get("tables") not in ([], [EVALUATIONS]) or not windows:
         raise ValueError("its metadata make no sense")
-    needed = {*NAMING, "settings", "end", "provenance", SIGNS, *head["tables"]}
-    if missing := needed - {*table.column_names}:
+    kinds = {name: pa.string() for name in TEXTS} | {"seed": pa.int64(), "end": pa.int64()}
+    if missing := {*kinds, *head["tables"]} - {*table.column_names}:
         raise ValueError(f"column {min(missing)} is missing")
+    curves = {f"{name} {window}" for name in QUANTITIES for window in (*windows, PEAKS)} | {
+        *UPDATE_QUANTITIES
+    }
+    kinds |= {name: pa.list_(pa.float32()) for name in curves}
+    for field in table.schema:
+        kind = kinds.get(field.name, pa.float64())
+        if field.name != EVALUATIONS and field.type not in (kind, _WIDER.get(kind)):
+            raise ValueError(f"column {field.name} makes no sense")
     if not fits(_record(head, table), Record):
         raise ValueError("its runs make no sense")
     rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))
-    for field in table.schema:
-        if not _is_column(field, rows[field.name]):
-            raise ValueError(f"column {field.name} makes no sense")
-    for name in ("provenance", SIGNS):
-        for text in rows[name].to_pylist():
-            unpack_signs(text) if name == SIGNS else parse_json(text)
-    held = {*table.column_names}
-    for name in QUANTITIES:
-        if f"final_{name}" not in held and held & {name, *(f"{name} {window}" for window in windows)}:
-            raise ValueError(f"column final_{name} is missing")
+    for name in rows.column_names:
+        lengths = pc.list_value_length(rows[name]).to_pylist() if name in curves else ()
+        if rows[name].null_count or {*lengths} - {GRID_POINTS}:
+            raise ValueError(f"column {name} makes no sense")
+    for told, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
+        parse_json(told)
+        unpack_signs(signs)
 
 
-def _is_column(field: pa.Field, finished: pa.ChunkedArray) -> bool:
-    """Tell whether a column has its type, and a value for every run that finished."""
-    kind = field.type
-    if field.name in NAMING or field.name in TEXTS or field.name == "end":
-        whole = pa.types.is_string(kind) if field.name in TEXTS else pa.types.is_integer(kind)
-        return whole and not finished.null_count
-    if not pa.types.is_list(kind):
-        return pa.types.is_floating(kind) and not finished.null_count
-    values = finished.combine_chunks().flatten()
-    if finished.null_count or values.null_count:
-        return False
-    if field.name == EVALUATIONS:
-        fields = list(kind.value_type) if pa.types.is_struct(kind.value_type) else []
-        numbers = all(pa.types.is_integer(own.type) or pa.types.is_floating(own.type) for own in fields)
-        return numbers and "step" in {own.name for own in fields}
-    lengths = pc.list_value_length(finished)
-    known = pa.types.is_floating(kind.value_type) and field.name.split(" ")[0] in QUANTITIES
-    return known and all(own == GRID_POINTS for own in lengths.to_pylist())
+_WIDER = {pa.list_(pa.float32()): pa.list_(pa.float64())}
+"""Curves of episodes are kept exactly, unless they are rounded."""

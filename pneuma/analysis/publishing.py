@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.analysis import PEAKED_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.published import (
     EVALUATIONS,
@@ -28,7 +29,6 @@ from pneuma.analysis.published import (
     with_sum,
 )
 from pneuma.analysis.signs import Stretch
-from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
 from pneuma.study.provenance import other_processors
 from pneuma.study.store import to_json

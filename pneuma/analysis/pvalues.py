@@ -1,4 +1,4 @@
-"""P-values of one arm of runs, or of two: means, ratios of deviations, shares.
+"""P-values of one arm of runs, or of two: means and shares.
 
 Each test of two arms takes many samples at once, one a row, so that the verdicts on claims and their
 calibration (`pneuma bench calibration`) are the same code. Which test is used for what, and what it supposes,
@@ -10,8 +10,6 @@ seen is always among them, so that no p-value is zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from math import comb
@@ -85,35 +83,20 @@ def shifts(margin: float | None) -> list[float]:
 # --- Relabelings -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Relabelings:
-    """Which runs are called arm a, in every relabeling.
+def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
+    """Return which runs are called arm a, 1.0 or 0.0, (relabelings, runs), the seen one first.
 
-    Attributes:
-        in_a: (relabelings, runs) 1.0 or 0.0; the first is what was seen.
-        exact: whether these are all there are.
+    All ways to call so many runs a and the others b; of too many, that many draws.
     """
-
-    in_a: np.ndarray
-    exact: bool
-
-    @property
-    def smallest_p(self) -> float:
-        """The smallest one-sided p-value that they can give."""
-        return 1 / len(self.in_a)
-
-
-def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> Relabelings:
-    """Return all ways to call so many runs a and the others b, or the seen one and that many draws."""
     if comb(size_a + size_b, size_a) <= (MOST_COUNTED if draws >= DRAWS else FEW_COUNTED):
-        return Relabelings(_every(size_a, size_b), exact=True)
+        return _every(size_a, size_b)
     in_a = np.zeros((1 + draws, size_a + size_b))
     in_a[0, :size_a] = 1.0
     for first in range(1, 1 + draws, _AT_ONCE):
         rows = in_a[first : first + _AT_ONCE]
         keys = generator.random(rows.shape)
         rows[:] = keys <= np.partition(keys, size_a - 1, axis=1)[:, size_a - 1 : size_a]
-    return Relabelings(in_a, exact=False)
+    return in_a
 
 
 @lru_cache(maxsize=8)  # 30 MB of ten runs against ten
@@ -155,21 +138,10 @@ def scaled(samples: np.ndarray) -> np.ndarray:
     return np.divide(centred, size, out=np.zeros_like(centred), where=differs)
 
 
-def _moments(values: np.ndarray, labels: Relabelings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return difference of means, and variance of a and of b, in every relabeling: (relabelings, samples)."""
-    size_a = labels.in_a[0].sum()
-    size_b = values.shape[1] - size_a
-    sum_a, squares_a = labels.in_a @ values.T, labels.in_a @ (values**2).T
-    sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
-    variance_a = (squares_a - sum_a**2 / size_a) / (size_a - 1)
-    variance_b = (squares_b - sum_b**2 / size_b) / (size_b - 1)
-    return sum_a / size_a - sum_b / size_b, variance_a, variance_b
-
-
 # --- Means -----------------------------------------------------------------------------------------
 
 
-def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
+def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np.ndarray) -> PValues:
     """Test differences of means by Welch's t, by relabelings and by Student's distribution.
 
     The greater p-value counts. Relabelings are exact for arms alike but for a shift, and far off their
@@ -179,7 +151,7 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
         a: (samples, runs) of arm a.
         b: (samples, runs) of arm b.
         margin: within what a difference counts as none, or None.
-        labels: relabelings of both arms' runs.
+        labels: of `relabel`.
     """
     rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts(margin)])
     relabeled = tails(_welch(rows, labels))
@@ -189,12 +161,17 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Re
     return by_shift(p_greater, p_less, len(a))
 
 
-def _welch(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
+def _welch(samples: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Return Welch's t of arm a against arm b in every relabeling, (relabelings, samples)."""
-    size_a = labels.in_a[0].sum()
-    difference, variance_a, variance_b = _moments(scaled(samples), labels)
-    variance = variance_a / size_a + variance_b / (samples.shape[1] - size_a)
-    return difference / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
+    size_a = labels[0].sum()
+    size_b = samples.shape[1] - size_a
+    values = scaled(samples)
+    sum_a, squares_a = labels @ values.T, labels @ (values**2).T
+    sum_b, squares_b = values.sum(axis=1) - sum_a, (values**2).sum(axis=1) - squares_a
+    variance_a = (squares_a - sum_a**2 / size_a) / (size_a - 1)
+    variance_b = (squares_b - sum_b**2 / size_b) / (size_b - 1)
+    variance = variance_a / size_a + variance_b / size_b
+    return (sum_a / size_a - sum_b / size_b) / np.sqrt(np.maximum(variance, LEAST_VARIANCE))
 
 
 def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | float) -> OneSided:
@@ -225,53 +202,6 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
     by_student = student_tails(rows.mean(axis=1) / size, errors, samples.shape[1] - 1)
     p_greater, p_less = map(np.maximum, tails(flips @ (rows / size).T), by_student)
     return by_shift(p_greater, p_less, len(samples))
-
-
-# --- Spread ----------------------------------------------------------------------------------------
-
-
-def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: Relabelings) -> PValues:
-    """Test ratios of standard deviations by permutation of their logs.
-
-    The arms may differ in level, so each is set off from its median first. That alone finds too much where a
-    few runs lie far from the rest, for an arm may have none of them by chance. So a test of the runs as they
-    are must find it too. Where the number of runs is even, the test is made with both middle runs instead of
-    the median, since between them may be a gap. The greatest p-value counts.
-
-    Args:
-        a: (samples, runs) of arm a, none of equal runs.
-        b: (samples, runs) of arm b, the same.
-        margin: the ratio above 1 within which, either way, deviations count as alike, or None.
-        labels: relabelings of both arms' runs.
-    """
-    scales = [1.0] if margin is None else [1.0, margin**-0.5, margin**0.5]
-    found = []
-    for middle_a, middle_b, apart in _middles(a, b):
-        rows = [np.hstack([(a - middle_a) * scale + apart, (b - middle_b) / scale]) for scale in scales]
-        found.append(tails(_log_ratios(np.concatenate(rows), labels)))
-    p_greater, p_less = np.max(found, axis=0)
-    return by_shift(p_greater, p_less, len(a))
-
-
-def _middles(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
-    """Yield what to set the runs of either arm off from, and how far to leave the arms apart."""
-    ranked_a, ranked_b = np.sort(a, axis=1), np.sort(b, axis=1)
-    lower, upper = (
-        [ranked[:, (ranked.shape[1] - odd) // 2, None] for ranked in (ranked_a, ranked_b)] for odd in (1, 0)
-    )
-    middle_a, middle_b = (np.median(arm, axis=1, keepdims=True) for arm in (a, b))
-    yield middle_a, middle_b, middle_a - middle_b
-    yield lower[0], lower[1], 0.0
-    if a.shape[1] % 2 == 0 or b.shape[1] % 2 == 0:
-        yield upper[0], upper[1], 0.0
-
-
-def _log_ratios(samples: np.ndarray, labels: Relabelings) -> np.ndarray:
-    """Return the log ratio of variances of arm a and arm b in every relabeling, (relabelings, samples)."""
-    level = samples.mean(axis=1, keepdims=True)
-    values = (samples - level) / np.abs(samples - level).max(axis=1, keepdims=True)
-    _, variance_a, variance_b = _moments(values, labels)
-    return np.log(np.maximum(variance_a, LEAST_VARIANCE) / np.maximum(variance_b, LEAST_VARIANCE))
 
 
 # --- Shares ----------------------------------------------------------------------------------------

@@ -12,9 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.published import PublishedTable, published_path, published_studies, read_published
 from pneuma.analysis.records import LoggedRecords, Records
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.study.store import SCALARS_FILE, Status, Store
 
@@ -67,8 +67,10 @@ class RunIndex:
             record: the selection.
             mixed: whether published runs may stand beside those that are stored.
             others: whether the tables of other studies count too.
-            curves: whether these count only where they have all curves that the others have, on the
-                same points.
+            curves: whether these count only where they have all curves that the others have.
+
+        Tables whose curves end at one step add up; of several such steps that counts which gives the most
+        runs, and none at which the curves of a run that is here would not have ended.
 
         Returns:
             The records; and, where some are published, the step at which all curves end.
@@ -83,20 +85,24 @@ class RunIndex:
             return found, None
         longest = max((steps[run_id] for run_id in here), default=0)
         own = self.table(record["study"])
-        some, budget = _joined(found, here, [own] if own else [], longest)
-        if mixed and others and not all(each.status.finished for each in some.values()):
-            sources = [own] if own else [*here.values()]
-            held = {name for each in sources for name in each.quantities}
+        tables = [own] if own else []
+        if mixed and others and not (own and {*found} <= {*here} | own.finished):
+            held = {name for each in (tables or here.values()) for name in each.quantities}
             whole = own.budget if own else max(steps.values())
-            fit = [
+            tables += [
                 each
                 for each in self._others()
-                if not curves or (each.budget == whole and {*each.quantities} >= held)
+                if each is not own and (not curves or (each.budget == whole and {*each.quantities} >= held))
             ]
-            more, other = _joined(found, here, [*([own] if own else []), *fit], longest)
-            if _finished(more) > _finished(some):
-                some, budget = more, other
-        return some, budget
+        best: tuple[dict[str, Records], int | None] = found, None
+        for budget in sorted({table.budget for table in tables if table.budget >= longest}):
+            some = dict(found)
+            for table in (each for each in tables if each.budget == budget):
+                lacking = {run_id for run_id, each in some.items() if not each.status.finished}
+                some |= {run_id: table(run_id) for run_id in lacking & table.finished}
+            if _finished(some) > _finished(best[0]):
+                best = some, budget
+        return best
 
     def _table(self, study: str) -> PublishedTable | None:
         """Return a study's published table, if it has one.
@@ -153,24 +159,6 @@ def open_published(results: Path, names: Sequence[str] | None = None) -> list[St
     if missing := [name for name, record in records.items() if record is None]:
         raise UserError(f"{published_path(index.store, missing[0])}: there is no such table")
     return [open_study(index, record) for record in records.values() if record]
-
-
-def _joined(
-    found: Mapping[str, Records], here: Mapping[str, Records], tables: Sequence[PublishedTable], longest: int
-) -> tuple[dict[str, Records], int | None]:
-    """Return the most runs that are had from the folder and from tables whose curves end at one step.
-
-    Tables of one such step add up. None counts whose curves end before those of a run that is here would.
-    """
-    best: tuple[dict[str, Records], int | None] = dict(found), None
-    for budget in sorted({table.budget for table in tables if table.budget >= longest}):
-        some = dict(found)
-        for table in reversed([table for table in tables if table.budget == budget]):
-            added = [run_id for run_id in found if run_id in table.finished and run_id not in here]
-            some |= {run_id: table(run_id) for run_id in added}
-        if _finished(some) > _finished(best[0]):
-            best = some, budget
-    return best
 
 
 def _finished(records: Mapping[str, Records]) -> int:

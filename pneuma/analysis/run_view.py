@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneuma.analysis.tables import FinishedRun, StudyData
+from pneuma.analysis.frames import FinishedRun, StudyData
 
 SLACK = 1 / 40
 """Share of a step count by which budgets of whole horizons may miss it: half way to the next evaluation."""

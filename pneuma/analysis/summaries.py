@@ -20,6 +20,7 @@ from pneuma.analysis.estimates import (
     median,
     probability_of_improvement,
 )
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import (
     LEAST_RESAMPLED,
     LEVEL,
@@ -31,10 +32,8 @@ from pneuma.analysis.intervals import (
     mean_interval,
     no_interval,
 )
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
-from pneuma.analysis.references import have_one_return
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, have_one_return, is_return, outcome_values
 from pneuma.analysis.run_view import common_step
-from pneuma.analysis.tables import StudyData
 from pneuma.config import stream_seed
 
 SUMMARISED = (

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -23,13 +24,13 @@ from pneuma.analysis.verdicts import INCONCLUSIVE, decide, found
 
 LISTS = 2_000
 SEEDS = (3, 5, 10, 20, 50)
-CLAIMS = {"mean": 36, "spread": 14, "incidence": 10}
+CLAIMS = {"mean": 50, "incidence": 10}
 """How many of each kind a list has."""
 MEANS = {"mean": 60}
 ONE_ARM = {"one mean": 30, "one share": 30}
-MARGINS = {"mean": 0.5, "spread": 1.5, "incidence": 0.2, "one mean": 0.5, "one share": 0.2}
+MARGINS = {"mean": 0.5, "incidence": 0.2, "one mean": 0.5, "one share": 0.2}
 """Of means, in standard deviations."""
-FAR = {"mean": 2.0, "spread": 6.0, "incidence": 0.7, "one mean": 2.0, "one share": 0.7}
+FAR = {"mean": 2.0, "incidence": 0.7, "one mean": 2.0, "one share": 0.7}
 """What lies far apart: the effect itself."""
 FOUND_EQUAL = 4.5
 """Standard errors to the margin at which most of 60 claims are found equivalent, and the others look large:
@@ -158,15 +159,12 @@ def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: 
     arms: Arms = {}
     for kind, size in setting.sizes.items():
         margin = setting.margin(kind, seeds)
-        none, half = (1.0, margin**0.5) if kind == "spread" else (0.0, margin / 2)
-        effects = {"alike": none, "half": half, "edge": margin, "far": FAR[kind]}
+        effects = {"alike": 0.0, "half": margin / 2, "edge": margin, "far": FAR[kind]}
         each = np.tile([effects[truth] for truth in setting.truths_of(size)], lists)[:, None]
         shape = (lists * size, seeds)
         narrow = np.sqrt(2 / (1 + setting.spread**2))  # what the difference of means varies by stays
         if kind in ("incidence", "one share"):
             arms[kind] = generator.random(shape) < EVENT_SHARE + each, generator.random(shape) < EVENT_SHARE
-        elif kind == "spread":
-            arms[kind] = draw(generator, shape) * each, draw(generator, shape)
         else:
             wide = setting.spread * narrow * draw(generator, shape) + each
             arms[kind] = wide, narrow * draw(generator, shape)
@@ -207,10 +205,9 @@ def p_of_kind(
                 p[:, rows] = pvalues.one_mean_p_values(a[rows], margin, flips)
                 exact = len(flips) == 2**seeds
             else:
-                test = pvalues.mean_p_values if kind == "mean" else pvalues.spread_p_values
                 labels = pvalues.relabel(seeds, seeds, generator, draws)
-                p[:, rows] = test(a[rows], b[rows], margin, labels)
-                exact = labels.exact
+                p[:, rows] = pvalues.mean_p_values(a[rows], b[rows], margin, labels)
+                exact = len(labels) == comb(2 * seeds, seeds)
         if exact:
             break
     return PValues(*p)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import print_json, print_table, say
+from pneuma.cli.output import print_json, print_table
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
@@ -61,37 +61,27 @@ def list_(json: opt.Json = False) -> None:
 
 @app.command(short_help="Check that an environment is sound.")
 def check(
-    name: Annotated[str | None, typer.Argument(metavar="[ID]", help="The environment to check.")] = None,
-    all_: Annotated[bool, opt.flag("--all", "Check every environment.")] = False,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[ID]", help="The environment; left out: all.")
+    ] = None,
     set_: EnvSettings = None,
     json: opt.Json = False,
 ) -> int:
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
-    from pneuma.algorithms import MAILMAN
     from pneuma.config import ENVIRONMENTS
-    from pneuma.env import MO_ENVIRONMENTS, REGISTERED
+    from pneuma.env import REGISTERED
     from pneuma.env.check import check_environment
 
-    if all_ and name is not None:
-        raise UserError(f"--all {name}: give one or the other")
     settings = opt.read_settings_options(set_)
-    left: tuple[str, ...] = ()
-    names = REGISTERED if all_ or name is None and not settings else (name or ENVIRONMENTS[0],)
-    if len(names) > 1 and settings:
-        left = (MAILMAN, *(MO_ENVIRONMENTS if {"reward", "players"} & {*settings} else ()))
-        names = tuple(each for each in names if each not in left)
-    failed, rows = 0, []
-    for each in names:
+    rows = []
+    for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
         for verdict in check_environment(each, settings):
-            failed += bool(verdict.problem)
             rows.append({"env": each, "check": verdict.check, "problem": verdict.problem})
             if not json:
                 print(f"{each:<26} {verdict.check:<26} {verdict.problem or 'ok'}")
-    if left:
-        say(f"Left out, as these settings do not go with them: {', '.join(left)}", json)
     if json:
         print_json({"schema": 1, "checks": rows})
-    return 1 if failed else 0
+    return int(any(row["problem"] for row in rows))
 
 
 @app.command()

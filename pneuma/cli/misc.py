@@ -31,13 +31,13 @@ def report(
     store = Store(results)
     if lacking := nothing_yet(store):
         say(f"Note: {lacking}.", aside=True, quiet=quiet)
-    from pneuma.cli.report_contents import gather_report
+    from pneuma.cli.report import gather_report
     from pneuma.figures.report import report_page
 
     found = gather_report(store, names or [], lambda told: say(plain(told), aside=True, quiet=quiet))
-    page = report_page(found)
+    page = report_page(**found)
     write_file(out, page)
-    studies, claims = len(found.studies), len(found.claims)
+    studies, claims = len(found["studies"]), len(found["claims"])
     if json:
         return print_json(
             {"schema": 1, "file": str(out), "bytes": len(page), "studies": studies, "claims": claims}

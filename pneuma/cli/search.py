@@ -378,19 +378,15 @@ def _refuse_untrusted(winner: Winner, name: str) -> None:
 def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
     search = winner.searched.task.search
     print(f"Trial {winner.trial.number} of search {search.name} on {seeds} fresh seeds:")
+    heads = ("", "in the search", "on fresh seeds", "base", "difference of means", "95 % interval", "luck")
+    rows = []
     for objective in search.objectives:
         own = gains[objective.name]
-        low, high = map(_signed, own.interval)
-        print(f"  {objective.over_seeds} over seeds of {plain(objective.outcome)}:")
-        print_table(
-            ("", "", ""),
-            (
-                ("    in the search", f"{own.seen:.4f}", ""),
-                ("    on fresh seeds", f"{own.fresh:.4f}", f"(base: {own.fresh_baseline:.4f})"),
-                ("    difference of means", _signed(own.difference), f"(95 % interval {low} to {high})"),
-                ("    luck", _signed(own.luck), "(by how much the search's seeds had flattered it)"),
-            ),
-        )
+        values = (f"{value:.4f}" for value in (own.seen, own.fresh, own.fresh_baseline))
+        gained = _signed(own.difference), " to ".join(map(_signed, own.interval)), _signed(own.luck)
+        rows.append((f"{objective.over_seeds} of {objective.outcome}", *values, *gained))
+    print_table(heads, rows)
+    print("Luck: by how much the search's seeds had flattered it.")
 
 
 def _signed(value: float) -> str:

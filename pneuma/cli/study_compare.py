@@ -49,7 +49,7 @@ def compare(
 
 
 def _row(row: dict[Any, Any]) -> tuple[object, ...]:
-    from pneuma.analysis.rounding import decimals, shown, shown_with_interval
+    from pneuma.analysis.intervals import decimals, shown, shown_with_interval
 
     places = decimals(row["difference"], row["low"], row["high"])
     return (

@@ -48,8 +48,8 @@ from pneuma.figures import FIGURE_KINDS
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
+    from pneuma.analysis.frames import StudyData
     from pneuma.analysis.published import PublishedTable
-    from pneuma.analysis.tables import StudyData
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 

@@ -13,7 +13,7 @@ from pneuma.study.store import FINISHED, Status, Store
 from pneuma.worlds import check_world, split_world
 
 if TYPE_CHECKING:
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
 
 Read = TypeVar("Read")
 

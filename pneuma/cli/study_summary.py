@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.crossed import Effects, Map
-    from pneuma.analysis.tables import StudyData
+    from pneuma.analysis.frames import StudyData
 
 PRIMARY = "final-share-killed"
 FORK_SEEDS = "3"
@@ -77,6 +77,21 @@ def tell_step(data: StudyData) -> None:
         print(f"Budgets are unlike: all as they stood at {step:,} steps, {plain(step_words(data))}.")
 
 
+Cells = dict[tuple[str, str, str], str]
+"""A summary's numbers with their intervals, by condition, outcome and statistic."""
+
+
+def _cells(table: pd.DataFrame) -> Cells:
+    from pneuma.analysis.intervals import shown_with_interval
+
+    return {
+        (row["condition"], row["outcome"], row["statistic"]): shown_with_interval(
+            row["value"], row["low"], row["high"]
+        )
+        for row in table.to_dict("records")
+    }
+
+
 def _print_means(data: StudyData, table: pd.DataFrame) -> None:
     """Print a line for each condition: the means of the first outcomes that any has, and its failures."""
     from pneuma.analysis.outcomes import find_outcome
@@ -84,14 +99,15 @@ def _print_means(data: StudyData, table: pd.DataFrame) -> None:
     names = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))[:COLUMNS]
     units = [find_outcome(name).unit for name in names]
     heads = [f"{name} ({unit})" if unit else name for name, unit in zip(names, units, strict=True)]
-    cells = [*((name, "mean") for name in names), ("collapsed", "share"), ("diverged", "share")]
+    pairs = [*((name, "mean") for name in names), ("collapsed", "share"), ("diverged", "share")]
+    cells = _cells(table)
     print()
     print_table(
         ("condition", "runs", *heads, "collapsed", "diverged"),
-        (
-            (name, len(data.of_condition(name)), *(_cell(table, name, *cell) for cell in cells))
+        [
+            (name, len(data.of_condition(name)), *(cells.get((name, *pair), "–") for pair in pairs))
             for name in data.conditions
-        ),
+        ],
     )
     print("\nMeans, and shares of runs, with 95 % intervals. Medians, spread and other outcomes: --all.")
 
@@ -100,40 +116,27 @@ def _print_statistics(data: StudyData, table: pd.DataFrame, asked: Sequence[str]
     """Print a table for each outcome that was asked for or has a value, and one of failures."""
     from pneuma.analysis.outcomes import find_outcome
 
+    cells = _cells(table)
     for outcome in dict.fromkeys([*asked, *table["outcome"]]):
         if outcome in COUNTS:
             continue
-        found = find_outcome(outcome)
-        print(f"\n{outcome}: {found.words}{_core_share(data) if found.source == 'times' else ''}")
+        print(f"\n{outcome}: {find_outcome(outcome).words}")
         own = table[table["outcome"] == outcome]
+        runs = dict(zip(own["condition"], own["runs"], strict=True))
         statistics = list(dict.fromkeys(own["statistic"]))
-        rows: list[Sequence[object]] = []
-        for name in data.conditions:
-            told = own[own["condition"] == name]
-            if told.empty:
-                rows.append((name, 0, _lack(data, name, outcome)))
-            else:
-                rows.append(
-                    (name, told["runs"].iloc[0], *(_cell(told, name, outcome, s) for s in statistics))
-                )
+        rows = [
+            (name, runs[name], *(cells.get((name, outcome, each), "–") for each in statistics))
+            if name in runs
+            else (name, 0, _lack(data, name, outcome))
+            for name in data.conditions
+        ]
         print_table(("condition", "n", *(_HEADS.get(name, name) for name in statistics or [""])), rows)
     print("\nshare of runs that diverged, and that collapsed (pneuma study collapse)")
     heads = list(dict.fromkeys(table["outcome"][table["statistic"] == "share"]))
     print_table(
         ("condition", *heads),
-        ((name, *(_cell(table, name, head, "share") for head in heads)) for name in data.conditions),
+        [(name, *(cells.get((name, head, "share"), "–") for head in heads)) for name in data.conditions],
     )
-
-
-def _cell(table: pd.DataFrame, condition: str, outcome: str, statistic: str) -> str:
-    """Return a statistic of a condition with its interval; – for none."""
-    from pneuma.analysis.rounding import shown_with_interval
-
-    own = table[(table[["condition", "outcome", "statistic"]] == [condition, outcome, statistic]).all(axis=1)]
-    if own.empty:
-        return "–"
-    row = own.iloc[0]
-    return shown_with_interval(row["value"], row["low"], row["high"])
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:
@@ -143,18 +146,6 @@ def _lack(data: StudyData, condition: str, outcome: str) -> str:
 
     runs = data.of_condition(condition)
     return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
-
-
-def _core_share(data: StudyData) -> str:
-    """Say how much of a core those runs had whose times are told, where one had too little."""
-    from pneuma.analysis.outcomes import QUIET
-
-    shares = [run.records.processor_share for run in data.runs]
-    known = [share for share in shares if share is not None]
-    if len(known) == len(shares) and min(known) >= QUIET:
-        return ""
-    told = f"least {min(known):.0%}" if known else "not recorded"
-    return f" (share of a core: {told}; no claim is judged below {QUIET:.0%})"
 
 
 # --- collapse -------------------------------------------------------------------------------------
@@ -284,8 +275,8 @@ def effects(
 
 
 def _print_effects(found: Effects, table: pd.DataFrame) -> None:
+    from pneuma.analysis.intervals import decimals, shown
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import decimals, shown
 
     outcome = find_outcome(found.outcome)
     unit = f" ({outcome.unit})" if outcome.unit else ""
@@ -328,13 +319,13 @@ def robustness(
 ) -> None:
     """Compare two values of a field in every combination of a study's other factors."""
     formats = read_formats(format, out)
-    readings = _read_contrast(contrast)
+    setting, better, worse = _read_contrast(contrast)
     data = open_data(Store(results), name, selection, world)
-    from pneuma.analysis.crossed import map_table
+    from pneuma.analysis.crossed import map_table, robustness_map
     from pneuma.analysis.outcomes import find_outcome
     from pneuma.analysis.run_view import common_step
 
-    found = _first_map(data, readings, outcome)
+    found = robustness_map(data, setting, better, worse, outcome)
     files = []
     if out is not None:
         from pneuma.figures.maps import draw_robustness
@@ -355,35 +346,20 @@ def robustness(
     )
 
 
-def _read_contrast(text: str) -> list[tuple[str, Any, Any]]:
-    """Read KEY=A:B, once for every colon that may stand between the two: a value may have colons too."""
+def _read_contrast(text: str) -> tuple[str, Any, Any]:
+    """Read KEY=A:B, where either value may have colons of its own, as many as the other."""
     key, _, values = (part.strip() for part in text.partition("="))
-    pairs = [(values[:i].strip(), values[i + 1 :].strip()) for i, c in enumerate(values) if c == ":"]
-    read = [
-        tuple(opt.read_settings_options([f"{key}={value}"])[key] for value in pair)
-        for pair in pairs
-        if key and all(pair)
-    ]
-    if not read:
+    parts = values.split(":")
+    pair = [":".join(own).strip() for own in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]
+    if not (key and all(pair)) or len(parts) % 2:
         raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
-    return [(key, better, worse) for better, worse in read]
-
-
-def _first_map(data: StudyData, readings: Sequence[tuple[str, Any, Any]], outcome: str) -> Map:
-    """Return the map of the first reading whose values the study's conditions have."""
-    from pneuma.analysis.crossed import robustness_map
-
-    for reading in readings[:-1]:
-        try:
-            return robustness_map(data, *reading, outcome)
-        except UserError:
-            continue
-    return robustness_map(data, *readings[-1], outcome)
+    better, worse = (opt.read_settings_options([f"{key}={value}"])[key] for value in pair)
+    return key, better, worse
 
 
 def _print_map(found: Map, turned: bool) -> None:
+    from pneuma.analysis.intervals import shown_with_interval
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.rounding import shown_with_interval
 
     better, worse = map(shown_value, found.values)
     outcome = found.outcome + (" (turned, as less is better)" if turned else "")

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Comparison, Verdict
 
+PARTICULAR = r"^.+ seed \d+: .*"
+"""A reason that is of one run; others end where a colon or semicolon begins what is particular in them."""
 _HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "interval", "seeds")
 
 
@@ -71,29 +73,26 @@ def verify(
 
 
 def _document(one: Verdict) -> dict[str, Any]:
-    claim, decisive = one.claim, one.decisive
-    contrast = decisive.contrast if decisive else None
+    claim = one.claim
+    nothing: dict[str, Any] = {"effect": None, "interval": None, "seeds": [], "p": None, "simultaneous": None}
+    decisive = _contrast(one.decisive) if one.decisive else nothing
     return {
         "claim": claim.name,
         "section": claim.section,
         "world": one.place,
         "verdict": one.verdict,
-        "effect": contrast.effect if contrast else None,
-        "interval": _ends(contrast.interval) if contrast else None,
-        "seeds": list(contrast.seeds) if contrast else [],
+        **{key: decisive[key] for key in ("effect", "interval", "seeds")},
         "seeds_needed": one.seeds_needed,
         "reason": one.reason,
-        "p": decisive.p if decisive else None,
-        "quote": claim.quote,
-        "study": claim.study,
+        "p": decisive["p"],
+        **{key: getattr(claim, key) for key in ("quote", "study")},
         "outcome": claim.outcome[0],
-        "kind": claim.kind,
-        "direction": claim.direction,
+        **{key: getattr(claim, key) for key in ("kind", "direction")},
         "margin": claim.of("margin", claim.outcome[0]),
         "need": claim.need,
         "standing": one.standing,
         "outcomes": list(claim.outcome),
-        "simultaneous": _ends(contrast.simultaneous) if contrast else None,
+        "simultaneous": decisive["simultaneous"],
         "context": claim.context,
         "contrasts": [_contrast(own) for own in one.comparisons],
         "run_ids": one.run_ids,
@@ -102,10 +101,7 @@ def _document(one: Verdict) -> dict[str, Any]:
 
 def _contrast(own: Comparison) -> dict[str, Any]:
     return {
-        "a": own.a,
-        "b": own.b,
-        "outcome": own.outcome,
-        "verdict": own.verdict,
+        **{key: getattr(own, key) for key in ("a", "b", "outcome", "verdict")},
         "effect": own.contrast.effect,
         "interval": _ends(own.contrast.interval),
         "simultaneous": _ends(own.contrast.simultaneous),
@@ -196,7 +192,7 @@ def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
                 print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
         return
     reasons = Counter(
-        f"{one.place}: {_kind_of(one.reason)}"
+        f"{one.place}: {re.split('[:;]', re.sub(PARTICULAR, 'a run without a value', one.reason))[0]}"
         for one in shown
         if one.verdict == UNTESTABLE and one.standing != NOT_RUN
     )
@@ -207,38 +203,19 @@ def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
 
 
 def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
-    some = next(iter(places.values()))
-    numbers = [
-        (place, *_numbers(one.decisive))
-        for place, one in places.items()
-        if one.decisive and not one.decisive.contrast.reason
-    ]
-    verdicts = [_verdict(places.get(place)) for place in WORLDS]
-    return (
-        some.claim.name,
-        some.claim.section,
-        *verdicts,
-        *(numbers[0] if numbers else [""] * 4),
-    )
-
-
-def _verdict(one: Verdict | None) -> str:
-    """Return a verdict, with the seeds that it needs where that is known."""
     from pneuma.analysis.judgement import NOT_RUN
 
-    if one is None or one.standing == NOT_RUN:
-        return NOT_RUN if one else "-"
-    return f"{one.verdict} ({one.seeds_needed:,} seeds)" if one.seeds_needed else one.verdict
-
-
-def _numbers(own: Comparison) -> tuple[str, str, str]:
-    contrast, interval = own.contrast, own.contrast.simultaneous
-    between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""
-    return f"{contrast.effect:.3g}", between, " and ".join(str(count) for count in contrast.seeds if count)
-
-
-def _kind_of(reason: str) -> str:
-    """Return a reason without its particulars, so that equal ones can be counted."""
-    if re.match(r".+ seed \d+: ", reason):
-        return "a run without a value"
-    return reason.split(":")[0].split(";")[0]
+    numbers, verdicts = [""] * 4, []
+    for place in WORLDS:
+        one = places.get(place)
+        if one is None or one.standing == NOT_RUN:
+            verdicts.append(NOT_RUN if one else "-")
+            continue
+        verdicts.append(one.verdict + (f" ({one.seeds_needed:,} seeds)" if one.seeds_needed else ""))
+        if one.decisive and not one.decisive.contrast.reason and not numbers[0]:
+            contrast, interval = one.decisive.contrast, one.decisive.contrast.simultaneous
+            between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""
+            seeds = " and ".join(str(count) for count in contrast.seeds if count)
+            numbers = [place, f"{contrast.effect:.3g}", between, seeds]
+    claim = next(iter(places.values())).claim
+    return (claim.name, claim.section, *verdicts, *numbers)

@@ -14,9 +14,9 @@ from matplotlib.ticker import EngFormatter
 
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.run_view import Series, common_step, view
 from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
-from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import (
     BELOW_ZERO,

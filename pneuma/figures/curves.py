@@ -20,13 +20,14 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS
-from pneuma.analysis.curves import Curve, curve_names, study_curves
-from pneuma.analysis.references import have_one_return, shared_levels
+from pneuma.analysis.curves import Curve, curve_names, shared_levels, study_curves
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.outcomes import have_one_return
 from pneuma.analysis.run_view import common_step, step_words
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import (
-    draw_common_step,
+    PLAYER_DASHES,
+    QUANTITIES,
     draw_panel,
     draw_players,
     headline_of,
@@ -34,7 +35,6 @@ from pneuma.figures.panels import (
     label_of,
     notes_of,
     put_texts,
-    quantity_of,
     round_ticks,
     set_axes,
     shows_band,
@@ -43,6 +43,7 @@ from pneuma.figures.panels import (
 )
 from pneuma.figures.style import (
     COLUMNS,
+    GREY,
     INK,
     LINE_INCHES,
     MOST_IN_A_PANEL,
@@ -66,6 +67,7 @@ MOST_OTHERS = 24
 """Panels up to which all other means stand behind each; of more they would be a grey blur."""
 LONGEST_INCHES = 7.6
 """Of small panels: with the texts around them a figure fits a page, unless they are too many."""
+OF_BUDGET = "of the last 5 % of the budget"
 OTHERS_COLOUR, BESIDE_COLOUR = "#C4C4C4", "#404040"
 
 
@@ -170,42 +172,38 @@ def _draw_panels(data: StudyData, curves: Curves, drawing: Drawing, beside: Stud
     labels = {name: label_of(data, name) for name in data.conditions if data.of_condition(name)}
     looks = condition_looks(data.conditions)
     entries: dict[str, Any] = {}
-    others = _curves_beside(beside, drawing) if beside else {}
+    others: Curves = {}
+    if beside:
+        window = drawing.window if drawing.window in beside.windows else beside.windows[0]
+        named = [name for name in drawing.quantities if name in beside.quantities]
+        others = study_curves(beside, named, window)
     for axes, (name, group) in zip(panels, curves.items(), strict=False):
-        quantity = quantity_of(name, data.averaged_over)
+        quantity = QUANTITIES[name]
         draw_panel(axes, group, drawing.band, looks, labels, quantity)
         _draw_around(axes, data, name, group)
         for curve in others.get(name, ()):
             lines = axes.plot(
                 curve.step, curve.runs.T, color=BESIDE_COLOUR, linewidth=0.7, linestyle=(0, (3, 1))
             )
-            lines[0].set_label(curve.condition)
-        axes.set(title=quantity.title, ylabel=quantity.label, xlabel="Environment steps")
+            lines[0].set_label(beside.title if beside else "")
+        label = quantity.label
+        if data.averaged_over:  # in the log
+            label = label.replace(" of an episode", f", mean of {data.averaged_over} episodes")
+        axes.set(title=quantity.title, ylabel=label, xlabel="Environment steps")
         handles, names = axes.get_legend_handles_labels()
         entries |= dict(zip(names, handles, strict=True))
     for axes in panels[len(curves) :]:
         axes.remove()
-    players_last = dict(
-        sorted(entries.items(), key=lambda entry: entry[0].startswith(("random player", "scripted hunter")))
-    )
+    players_last = dict(sorted(entries.items(), key=lambda entry: entry[0].startswith((*PLAYER_DASHES,))))
     return figure, rows * PANEL_INCHES * (1.2 if columns == 1 else 1), players_last, ""
 
 
 def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]) -> None:
     """Draw what any panel of a quantity has beside its curves."""
     draw_players(axes, shared_levels(data, name), highest_point(curves))
-    draw_common_step(axes, data)
-    set_axes(axes, quantity_of(name), data.budget, curves)
-
-
-def _curves_beside(beside: StudyData, drawing: Drawing) -> dict[str, list[Curve]]:
-    """Return the curves of another study, all under its title, for each quantity that it has."""
-    window = drawing.window if drawing.window in beside.windows else beside.windows[0]
-    names = [name for name in drawing.quantities if name in beside.quantities]
-    return {
-        name: [Curve(beside.title, curve.step, curve.runs) for curve in group]
-        for name, group in study_curves(beside, names, window).items()
-    }
+    if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
+        axes.axvline(step, color=GREY, linewidth=0.9, zorder=1.2)
+    set_axes(axes, QUANTITIES[name], data.budget, curves)
 
 
 def _draw_small_panels(data: StudyData, curves: Curves, drawing: Drawing) -> Drawn:
@@ -223,7 +221,7 @@ def _draw_small_panels(data: StudyData, curves: Curves, drawing: Drawing) -> Dra
     panels = figure.subplots(rows * len(curves), columns, squeeze=False, sharex=True)
     looks = {name: {**look, "marker": ""} for name, look in condition_looks(data.conditions).items()}
     for place, (name, group) in enumerate(curves.items()):
-        quantity = quantity_of(name)  # the caption says what was averaged before
+        quantity = QUANTITIES[name]  # the caption says what was averaged before
         block = panels[place * rows : (place + 1) * rows].ravel()
         for axes, curve, title in zip(block, group, titles, strict=False):
             _draw_others(axes, group, curve, data.record.get("baseline"))
@@ -308,20 +306,18 @@ def _caption(data: StudyData, curves: Curves, drawing: Drawing) -> list[str]:
     if any(curve.count[-1] < len(curve.runs) for curve in drawn):
         told.append("Faint: not all runs have a value.")
     told.append(_averages(data, curves, drawing.window))
-    if any(quantity_of(name).log for name in curves):
+    if any(QUANTITIES[name].log for name in curves):
         told.append("On logarithmic axes means and bands are of logarithms.")
     return told
 
 
 def _averages(data: StudyData, curves: Curves, window: str) -> str:
     """Say what each point of a training curve averages; '' where there is none."""
-    episodes, updates = ({*curves} & {*kind} for kind in (EPISODE_QUANTITIES, UPDATE_QUANTITIES))
-    budget = "of the last 5 % of the budget"
     told = []
-    if episodes and data.averaged_over:
-        told.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")
-    elif episodes:
-        told.append("the last 100 episodes" if window == TRAILING_WINDOW else f"the episodes {budget}")
-    if updates:
-        told.append(f"the updates {budget}")
+    if {*curves} & {*EPISODE_QUANTITIES}:
+        trailing = "the last 100 episodes" if window == TRAILING_WINDOW else f"the episodes {OF_BUDGET}"
+        logged = f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them"
+        told.append(logged if data.averaged_over else trailing)
+    if {*curves} & {*UPDATE_QUANTITIES}:
+        told.append(f"the updates {OF_BUDGET}")
     return f"Training curves average {', or '.join(told)}." if told else ""

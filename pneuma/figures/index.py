@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import changed_fields, title_of
 

@@ -17,8 +17,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullForm
 
 from pneuma.analysis.bands import BANDS, is_trusted
 from pneuma.analysis.curves import Curve, LogCurve
-from pneuma.analysis.run_view import common_step
-from pneuma.analysis.tables import StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.config import ACTION_NAMES
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, MARKERS, TYPE_POINTS, WIDTH, characters, clean
@@ -128,16 +127,6 @@ def runs_told(counts: Iterable[int]) -> str:
     return str(known[0]) if len(known) == 1 else f"{known[0]} to {known[-1]}"
 
 
-def caption_lines(sentences: Iterable[str]) -> list[str]:
-    """Return as many sentences as three lines have room for, wrapped."""
-    lines: list[str] = []
-    for sentence in filter(None, sentences):
-        told = " ".join([*lines, sentence])
-        longer = textwrap.wrap(told, characters(CAPTION * TYPE_POINTS))
-        lines = longer if len(longer) <= CAPTION_LINES else lines
-    return lines
-
-
 def put_texts(
     figure: Figure,
     panels_inches: float,
@@ -165,7 +154,10 @@ def put_texts(
     rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
     title = textwrap.wrap(legend_title, characters(0.9 * points)) if labels else []
     rows += len(title)
-    below_lines = caption_lines(caption)
+    below_lines: list[str] = []
+    for sentence in filter(None, caption):  # as many as three lines have room for
+        longer = textwrap.wrap(" ".join([*below_lines, sentence]), characters(CAPTION * points))
+        below_lines = longer if len(longer) <= CAPTION_LINES else below_lines
     above = line * (1.2 * len(heading) + rows) + 0.1
     below = CAPTION * line * len(below_lines) + 0.08
     height = above + panels_inches + below
@@ -205,7 +197,7 @@ class Quantity:
     log: bool = False
 
 
-_QUANTITIES = {
+QUANTITIES = {
     "share_killed": Quantity("Monsters killed in evaluation", "Share killed", percent=True),
     "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", percent=True),
     "score": Quantity("Normalised score in evaluation", "0 random player, 1 hunter"),
@@ -225,20 +217,6 @@ _QUANTITIES = {
         for number, name in enumerate(ACTION_NAMES)
     },
 }
-
-
-def quantity_of(name: str, averaged_over: int | None = None) -> Quantity:
-    """Return how a quantity of `CURVE_QUANTITIES` is drawn.
-
-    Args:
-        name: of the quantity.
-        averaged_over: episodes that each value of an episode's quantity was averaged over before.
-    """
-    found = _QUANTITIES[name]
-    if averaged_over and found.label.endswith(" of an episode"):
-        label = f"{found.label.removesuffix(' of an episode')}, mean of {averaged_over} episodes"
-        return Quantity(found.title, label, found.percent, found.log)
-    return found
 
 
 # --- One panel ---------------------------------------------------------------------------------------
@@ -263,11 +241,11 @@ def draw_panel(
     labels: Mapping[str, str],
     quantity: Quantity,
 ) -> None:
-    """Draw curves into one panel, on a logarithmic axis with means and bands of logarithms.
+    """Draw means and bands of curves into one panel, faint where not all runs have a value.
 
     Args:
         axes: where.
-        curves: one for each condition.
+        curves: one for each condition; on a logarithmic axis means and bands are of logarithms.
         band: one of `BANDS`.
         looks: of the conditions, as `condition_looks` gives them.
         labels: of the conditions, for the legend; none where it needs no entry.
@@ -277,31 +255,26 @@ def draw_panel(
         curves = [LogCurve(curve.condition, curve.step, curve.runs, curve.diverged) for curve in curves]
     lines = sum(len(curve.runs) for curve in curves if shows_runs(curve, band))
     alpha = 0.4 * min(1.0, MANY_RUNS / max(lines, 1))
-    shade = 0.16 if len(curves) < 5 else 0.09
+    shade, width = 0.16 if len(curves) < 5 else 0.09, mpl.rcParams["lines.linewidth"]
     for curve in curves:
-        _draw_curve(axes, curve, band, looks[curve.condition], labels.get(curve.condition, ""), shade, alpha)
-
-
-def _draw_curve(
-    axes: Axes, curve: Curve, band: str, look: Mapping[str, Any], label: str, shade: float, alpha: float
-) -> None:
-    """Draw a condition's mean and band, faint where not all of its runs have a value."""
-    colour, width = look["color"], mpl.rcParams["lines.linewidth"]
-    whole = curve.count == len(curve.runs)
-    if shows_band(curve, band):
-        low, high = curve.band(band)
-        if BANDS[band].about_mean:  # those that are left where others diverged are no sample
-            low = np.where(whole, low, np.nan)
-        axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
-    if shows_runs(curve, band):
-        axes.plot(curve.step, curve.runs.T, color=colour, linewidth=0.3 * width, alpha=alpha, zorder=1.4)
-    marks = {"marker": look["marker"], "markersize": 2.2 * width, "markevery": _marked(curve, look["marker"])}
-    mean = np.where(whole, curve.mean, np.nan)
-    (line,) = axes.plot(curve.step, mean, label=label, color=colour, clip_on=False, **marks)
-    line.set_in_layout(False)  # it may reach over the edge, and may be empty
-    axes.plot(curve.step, curve.mean, color=colour, alpha=0.35, zorder=1.5)
-    for step, value in curve.stops:
-        axes.plot(step, value, "x", color=colour, markersize=4 * width)
+        look = looks[curve.condition]
+        colour, whole = look["color"], curve.count == len(curve.runs)
+        if shows_band(curve, band):
+            low, high = curve.band(band)
+            if BANDS[band].about_mean:  # those that are left where others diverged are no sample
+                low = np.where(whole, low, np.nan)
+            axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
+        if shows_runs(curve, band):
+            axes.plot(curve.step, curve.runs.T, color=colour, linewidth=0.3 * width, alpha=alpha, zorder=1.4)
+        marks = {"marker": look["marker"], "markevery": _marked(curve, look["marker"])}
+        (line,) = axes.plot(
+            curve.step, np.where(whole, curve.mean, np.nan), label=labels.get(curve.condition, ""),
+            color=colour, clip_on=False, markersize=2.2 * width, **marks,
+        )  # fmt: skip
+        line.set_in_layout(False)  # it may reach over the edge, and may be empty
+        axes.plot(curve.step, curve.mean, color=colour, alpha=0.35, zorder=1.5)
+        for step, value in curve.stops:
+            axes.plot(step, value, "x", color=colour, markersize=4 * width)
 
 
 def _marked(curve: Curve, marker: str) -> tuple[int, int]:
@@ -327,13 +300,6 @@ def draw_players(axes: Axes, levels: Mapping[str, float], top: float, upright: b
             axes.plot([], [], label=f"{label}: above", **look)
         else:
             (axes.axvline if upright else axes.axhline)(level, label=label, **look)
-
-
-def draw_common_step(axes: Axes, data: StudyData) -> None:
-    """Draw the step at which conditions of different budgets are compared; nothing where all are the same."""
-    step = common_step(data)
-    if step is not None:
-        axes.axvline(step, color=GREY, linewidth=0.9, zorder=1.2)
 
 
 def highest_point(curves: Sequence[Curve]) -> float:

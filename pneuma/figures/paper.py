@@ -23,9 +23,9 @@ import pandas as pd
 
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
+from pneuma.analysis.frames import StudyData, tell_figures_apart
 from pneuma.analysis.run_index import open_published
 from pneuma.analysis.summaries import summary_table
-from pneuma.analysis.tables import StudyData, tell_figures_apart
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.collapse import collapsed_shares, draw_collapse

@@ -17,13 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pneuma.analysis.curves import curve_names
+from pneuma.analysis.curves import curve_names, shared_levels
 from pneuma.analysis.estimates import performance_profile
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
-from pneuma.analysis.references import have_one_return, shared_levels
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, have_one_return, is_return, outcome_values
 from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.summaries import summary_table
-from pneuma.analysis.tables import StudyData
 from pneuma.figures.panels import (
     FEW_RUNS,
     draw_players,

@@ -1,4 +1,4 @@
-"""All verdicts as a picture and as tables: a row for each claim, a column for each place where it is judged.
+"""All verdicts in words, as tables and as a picture: a row for each claim, a column for each world.
 
 In a cell stand the effect and its simultaneous interval in units of the margin, turned so that right is what
 the thesis says; its marker is filled by the verdict. An empty cell says why in a word.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -18,15 +18,36 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from pneuma.analysis.claims import Claim
-from pneuma.analysis.judgement import BY_LETTER, NOT_RUN, STANDINGS, Comparison, Verdict, decisive_of
+from pneuma.analysis.claims import MINUS, Claim, load_claims
+from pneuma.analysis.intervals import decimals
+from pneuma.analysis.judgement import BY_LETTER, NOT_RUN, STANDINGS, Comparison, Verdict, decisive_of, judge
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.published import PUBLISHED
-from pneuma.analysis.verdicts import INCONCLUSIVE, MIXED, REFUTED, SUPPORTED
-from pneuma.figures import verdict_words as words
+from pneuma.analysis.verdicts import INCONCLUSIVE, MIXED, REFUTED, SUPPORTED, UNTESTABLE
 from pneuma.figures.style import COLOURS, house_style, save_figure
-from pneuma.figures.verdict_words import PLACES, JudgedClaim, judged_claims
 from pneuma.study.files import write_whole
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
+
+MEANINGS = {
+    "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction; "
+    "where none is claimed, it shows that there is none larger than the margin.",
+    "refuted": "It finds one in the other direction, or shows that there is none larger than the margin; "
+    "where none is claimed, it finds one beyond it.",
+    "mixed": "One of two outcomes supports it, and the other refutes it.",
+    "inconclusive": "It finds neither; where it can be told, with how many seeds an arm it might.",
+    "untestable": "Nothing can be concluded from these runs, for the reason given.",
+}
+"""Every verdict, and what it says."""
+
+PLACES = {name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()}
+"""Where a claim is judged, each for itself."""
+_CLAIMED = {
+    "greater": "greater than",
+    "less": "less than",
+    "different": "unlike",
+    "equal": "the same as",
+}
 
 STEM = "verdicts"
 MOST = 40.0
@@ -40,7 +61,6 @@ MARKS = {SUPPORTED: "o", REFUTED: "s", MIXED: "D", INCONCLUSIVE: "o"}
 _WORDS = {
     "not admitted": "not admitted",
     "no runs": "not run",
-    "budget not reached": "not run",
     "too few seeds": "few seeds",
     "A/A": "same arms",
     "engines": "two engines",
@@ -48,59 +68,136 @@ _WORDS = {
     "arms at floor": "floor",
     "both arms are at the floor": "floor",
     "both arms are at the ceiling": "ceiling",
-    "world not defined": "",
     "timed": "unlike machines",
     "confounded": "confounded",
-    "one published run": "one run",
     "no published runs": "no pairs",
-    "all runs of": "no spread",
 }
 """Why a cell is empty, by how the reason begins."""
 
 
-def published_claims(results: Path) -> dict[str, JudgedClaim]:
+Verdicts = dict[str, dict[str, Verdict]]
+"""The verdicts on each claim by its name, and by the place where it is judged."""
+
+
+def judged_claims(store: Store, studies: Collection[str] | None = None) -> tuple[Verdicts, str]:
+    """Return the verdicts on claims that bear on some studies or all, and words on the list they are from.
+
+    The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
+
+    Raises:
+        UserError: for a damaged published table.
+    """
+    known = load_claims()
+    verdicts: Verdicts = {}
+    for one in judge(known, store):
+        if studies is None or one.claim.study in studies:
+            verdicts.setdefault(one.claim.name, {})[one.place] = one
+    note = (
+        f"Claims: {known.path.name}, SHA-256 {known.digest}, fixed before the runs. The chance of any false "
+        f"verdict in the whole list of {len(known.claims)} is at most {known.head.alpha:.0%} (Bonferroni)."
+    )
+    return verdicts, note
+
+
+def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
+    """Return the claim that some verdicts are on."""
+    return next(iter(verdicts.values())).claim
+
+
+def published_claims(results: Path) -> Verdicts:
     """Return every claim by its name, judged by the published tables alone: every clone says the same."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / PUBLISHED).symlink_to((results / PUBLISHED).resolve(), target_is_directory=True)
         return judged_claims(Store(Path(folder)))[0]
 
 
-def write_verdicts(claims: Mapping[str, JudgedClaim], folder: Path) -> list[Path]:
+def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
     """Write the verdicts on all claims as a picture, and as a page of tables; return both files."""
     page = folder / f"{STEM}.md"
     write_whole(page, "\n".join(["# Verdicts", "", *_counts(claims), "", *_table(claims), ""]).encode())
     return [*draw_verdicts(claims, folder), page]
 
 
-def _places(claims: Mapping[str, JudgedClaim]) -> dict[str, str]:
+def places_of(claims: Verdicts) -> dict[str, str]:
     """Return the places where any of the claims is judged, with their titles."""
-    return {
-        place: title
-        for place, title in PLACES.items()
-        if any(place in own.verdicts for own in claims.values())
-    }
+    judged = {place for verdicts in claims.values() for place in verdicts}
+    return {place: title for place, title in PLACES.items() if place in judged}
+
+
+# --- Words ----------------------------------------------------------------------------------------
+
+
+def compared(claim: Claim) -> str:
+    """Say what is compared, as 'monsters killed, last evaluation'."""
+    told = (", less ".join(find_outcome(part).words for part in own.split(MINUS)) for own in claim.outcome)
+    words = " and ".join(told)
+    if claim.event:
+        return f"share of runs, {words} {claim.event.words}"
+    return words if claim.kind == "mean" else f"deviation between seeds of {words}"
+
+
+def tested(claim: Claim) -> str:
+    """Say what is claimed of which arms, as 'tanh greater than relu'."""
+    joined = " and " if claim.need == "all" else " or "
+    a, b = joined.join(claim.a), joined.join(claim.b) if claim.value is None else f"{claim.value:g}"
+    if claim.c:
+        a, b = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
+    return f"{a} {_CLAIMED[claim.direction]} {b}"
+
+
+def decisive(verdict: Verdict) -> Comparison | None:
+    """Return the contrast that decides, where it has a number."""
+    own = verdict.decisive
+    return own if own and math.isfinite(own.contrast.effect) else None
+
+
+def effect(own: Comparison) -> str:
+    """Return the number with its simultaneous interval, as '+0.020 [+0.002, +0.039]'."""
+    contrast = own.contrast
+    if not math.isfinite(contrast.effect):
+        return "no number"
+    interval = contrast.simultaneous
+    places = decimals(contrast.effect, interval.low, interval.high)
+    value, low, high = (_number(each, places) for each in (contrast.effect, interval.low, interval.high))
+    between = f" [{low}, {high}]" if interval.exists else ""
+    return f"{value}{between}"
+
+
+def arms(own: Comparison) -> str:
+    """Return which arms are compared, how many runs each has, and the p-value."""
+    seeds = " and ".join(f"{count:,}" for count in own.contrast.seeds if count)
+    p = "" if own.contrast.reason else "p < 0.001" if own.p < 0.001 else f"p = {own.p:.3f}"
+    return ", ".join(filter(None, [f"{own.a} against {own.b}", f"n = {seeds}" if seeds else "", p]))
+
+
+def _number(value: float, places: int) -> str:
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
+    rounded = round(value, places)
+    sign = "−" if rounded < 0 else "+" if rounded > 0 else ""
+    return f"{sign}{abs(rounded):,.{max(places, 0)}f}"
 
 
 # --- Tables ---------------------------------------------------------------------------------------
 
 
-def _counts(claims: Mapping[str, JudgedClaim]) -> list[str]:
+def _counts(claims: Verdicts) -> list[str]:
     """Return what the verdicts come to, place by place."""
     rows = [["Judged in", *STANDINGS]]
-    for place, label in _places(claims).items():
-        counted = Counter(own.verdicts[place].standing for own in claims.values() if place in own.verdicts)
+    for place, label in places_of(claims).items():
+        counted = Counter(own[place].standing for own in claims.values() if place in own)
         rows.append([label, *(str(counted[word]) for word in STANDINGS)])
     return _markdown(rows)
 
 
-def _table(claims: Mapping[str, JudgedClaim]) -> list[str]:
+def _table(claims: Verdicts) -> list[str]:
     """Return a row for each claim, place beside place."""
-    places = _places(claims)
+    places = places_of(claims)
     rows = [["Claim", "Thesis", *places.values()]]
     for own in claims.values():
-        claim = own.claim
-        said = f"{words.tested(claim)}: {words.compared(claim)}"
-        cells = [_told(own.verdicts.get(place)) for place in places]
+        claim = claim_of(own)
+        said = f"{tested(claim)}: {compared(claim)}"
+        cells = [_told(own.get(place)) for place in places]
         rows.append([said, f"{claim.section}: “{claim.quote}”", *cells])
     return _markdown(rows)
 
@@ -110,8 +207,8 @@ def _told(verdict: Verdict | None) -> str:
         return "–"
     if verdict.standing == NOT_RUN:
         return NOT_RUN
-    own = None if verdict.verdict == "untestable" else words.decisive(verdict)
-    return f"**{verdict.verdict}** {words.effect(own) if own else ''}".strip()
+    own = None if verdict.verdict == UNTESTABLE else decisive(verdict)
+    return f"**{verdict.verdict}** {effect(own) if own else ''}".strip()
 
 
 def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -122,21 +219,23 @@ def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
 # --- The picture ----------------------------------------------------------------------------------
 
 
-def draw_verdicts(
-    claims: Mapping[str, JudgedClaim], folder: Path, formats: tuple[str, ...] = ("png",)
-) -> list[Path]:
+def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("png",)) -> list[Path]:
     """Draw the verdicts on all claims; return the files written."""
-    rows = sorted(claims.values(), key=lambda own: own.claim.section)
-    sections = [(name, [*own]) for name, own in groupby(rows, key=lambda own: own.claim.section)]
-    heights, places = len(rows) + len(sections), _places(claims)
+    rows: list[tuple[str, dict[str, Verdict]]] = []
+    for section, own in groupby(sorted(claims.values(), key=_section), key=_section):
+        rows += [(f"Section {section}", {}), *((claim_of(verdicts).name, verdicts) for verdicts in own)]
+    places = places_of(claims)
     with house_style(6.5):
         figure, panels = plt.subplots(
             1, len(places), sharey=True, layout="constrained", squeeze=False,
-            figsize=(7.4, 1.1 + ROW_INCHES * heights),
+            figsize=(7.4, 1.1 + ROW_INCHES * len(rows)),
         )  # fmt: skip
         for axes, (place, title) in zip(panels[0], places.items(), strict=True):
-            _draw_place(axes, place, title, sections)
-        _name_rows(panels[0][0], sections)
+            _draw_place(axes, place, title, rows)
+        panels[0][0].set_yticks(range(len(rows)), [name for name, _ in rows])
+        for label, (_, verdicts) in zip(panels[0][0].get_yticklabels(), rows, strict=True):
+            if not verdicts:
+                label.set_fontweight("bold")
         figure.legend(handles=_legend(), loc="outside upper center", ncols=5, handletextpad=0.4)
         figure.supxlabel("effect in margins: right is what the thesis says, the band counts as no difference")
         paths = save_figure(figure, folder, STEM, formats)
@@ -144,9 +243,11 @@ def draw_verdicts(
     return paths
 
 
-def _draw_place(
-    axes: Axes, place: str, title: str, sections: Sequence[tuple[str, list[JudgedClaim]]]
-) -> None:
+def _section(verdicts: Mapping[str, Verdict]) -> str:
+    return claim_of(verdicts).section
+
+
+def _draw_place(axes: Axes, place: str, title: str, rows: Sequence[tuple[str, dict[str, Verdict]]]) -> None:
     axes.set_title(title, loc="center")
     axes.set_xscale("symlog", linthresh=1, linscale=0.8)
     axes.set_xlim(-MOST * 1.4, MOST * 1.4)
@@ -155,16 +256,12 @@ def _draw_place(
     axes.tick_params(axis="y", length=0)
     axes.axvspan(-1, 1, color="#EDEDED", zorder=0)
     axes.axvline(0, color="#BBBBBB", linewidth=0.6, zorder=0)
-    row = 0
-    for _, claims in sections:
-        axes.axhline(row - 0.5, color="#CCCCCC", linewidth=0.5)
-        row += 1
-        for own in claims:
-            verdict = own.verdicts.get(place)
-            if verdict is not None:
-                _draw_cell(axes, row, verdict)
-            row += 1
-    axes.set_ylim(row - 0.4, -0.6)
+    for row, (_, verdicts) in enumerate(rows):
+        if not verdicts:
+            axes.axhline(row - 0.5, color="#CCCCCC", linewidth=0.5)
+        if place in verdicts:
+            _draw_cell(axes, row, verdicts[place])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
 
 
 def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
@@ -193,16 +290,13 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
 def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | None:
     """Return effect and ends of its simultaneous interval in margins, right being as claimed.
 
-    Ratios are taken by their logarithms. None without a margin, or without a number.
+    None without a margin, or without a number.
     """
     margin = claim.of("margin", own.outcome)
     if margin is None:
         return None
     contrast = own.contrast
     numbers = contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high
-    if claim.kind == "spread":
-        numbers = tuple(math.log(own) if own > 0 else math.nan for own in numbers)  # type: ignore[assignment]
-        margin = math.log(margin)
     effect, low, high = (number / margin for number in numbers)
     if not math.isfinite(effect):
         return None
@@ -218,20 +312,6 @@ def empty_word(verdict: Verdict) -> str:
 
 def _clipped(value: float) -> float:
     return max(-MOST, min(MOST, value))
-
-
-def _name_rows(axes: Axes, sections: Sequence[tuple[str, list[JudgedClaim]]]) -> None:
-    names, row = {}, 0
-    for section, claims in sections:
-        names[row] = f"Section {section}"
-        for own in claims:
-            row += 1
-            names[row] = own.claim.name
-        row += 1
-    axes.set_yticks([*names], [*names.values()])
-    for label in axes.get_yticklabels():
-        if label.get_text().startswith("Section "):
-            label.set_fontweight("bold")
 
 
 def _legend() -> list[Line2D]:

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Verdict, judge
-from pneuma.analysis.published import published_path, times_path
-from pneuma.analysis.publishing import encode_study, encode_times
 from pneuma.analysis.run_index import open_study
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
@@ -16,6 +14,7 @@ from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
 from .. import hand_made
+from .published_runs import publish
 
 STEPS = 1024
 SEEDS = 8
@@ -134,9 +133,7 @@ def published_alone(
     """Publish runs of high and low as a study's table; return a store of tables alone, as a clone has."""
     selection = Selection("quick", tuple(seeds), STEPS, conditions=conditions)
     record = selection_record(make_plan(load_study(str(folder / "mine.toml")), selection))
-    data, clone = open_study(store, {**record, "study": study}), Store(folder / "clone")
-    clone.write(published_path(clone, study), encode_study(data))
-    clone.write(times_path(clone, study), encode_times(data))
+    publish(open_study(store, {**record, "study": study}), clone := Store(folder / "clone"))
     return clone
 
 

@@ -1,9 +1,14 @@
-"""Small stored runs for the tests of published tables."""
+"""Small stored runs for the tests of published tables, and studies read back from such tables."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.published import published_path, times_path
+from pneuma.analysis.publishing import encode_study, encode_times
+from pneuma.analysis.run_index import open_published
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.study.store import Store
 
@@ -38,3 +43,17 @@ def save_run(
     ]  # fmt: skip
     about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc", **about}
     hand_made.save_run(store, run_id, episodes, updates, evaluations, 1000, **about)
+
+
+def publish(data: StudyData, store: Store, times: bool = True, **options: Any) -> None:
+    """Write a study's published table, and the times beside it, into a results folder."""
+    store.write(published_path(store, data.study), encode_study(data, **options))
+    if times:
+        store.write(times_path(store, data.study), encode_times(data))
+
+
+def republished(data: StudyData, folder: Path, times: bool = True) -> StudyData:
+    """Return a study as it is read from its published table in a folder that holds nothing else."""
+    publish(data, clone := Store(folder / "clone"), times)
+    (again,) = open_published(clone.root)
+    return again

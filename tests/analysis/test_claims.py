@@ -56,7 +56,10 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "unknown key": ("margin = 0.04", "margn = 0.04", 14, ("'margn'", "did you mean margin?")),
     "unknown study": ('"mine.toml"', '"activaton"', 8, ("'activaton'", "did you mean activation?")),
     "unknown condition": ('"low"', '"lwo"', 10, ("b: ", "'lwo'", "did you mean low?")),
-    "margin of a ratio": ('"mean"', '"spread"', 14, ("margin = 0.04", "above 1 for spread")),
+    "margin of a share": (
+        '"mean"\ndirection = "greater"\nmargin = 0.04',
+        '"incidence"\nabove = 0.5\ndirection = "greater"\nmargin = 2', 15, ("margin = 2", "below 1"),
+    ),
     "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 5, ("'margin'", "missing")),
     "b and value": ('b = "low"', 'b = "low"\nvalue = 1', 5, ("either b", "or value")),
     "less than none": (

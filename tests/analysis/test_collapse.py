@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pneuma.analysis import signs
 from pneuma.analysis.collapse import Diagnosis, diagnose, incidence
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.tables import StudyData
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
@@ -19,10 +20,10 @@ from ..hand_made import BUDGET, collapse_record, healthy, learning, one_action, 
 
 
 def diagnosed(
-    folder: Path, updates: np.ndarray, shares: np.ndarray, at_step: float | None = None, **more: object
+    folder: Path, updates: np.ndarray, shares: np.ndarray, at_step: float | None = None, **more: Any
 ) -> Diagnosis:
     store = Store(folder / "results")
-    save_collapse(store, "a0" * 8, updates, shares, **more)  # type: ignore[arg-type]
+    save_collapse(store, "a0" * 8, updates, shares, **more)
     data = open_study(store, collapse_record({("a", 0): "a0" * 8}))
     return diagnose(data, data.runs[0], at_step)
 
@@ -34,36 +35,62 @@ def after(shares: np.ndarray, first: int, value: float, last: int = 20) -> np.nd
     return shares
 
 
-# --- Onset ----------------------------------------------------------------------------------------
+# --- Onset and recovery ---------------------------------------------------------------------------
 
 
-def test_a_policy_of_one_action_to_the_end_collapsed_at_its_first_update(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, one_action(61), after(learning(), 13, 0.05))
-    assert found == Diagnosis(
-        collapsed=True,
-        onset_step=6100,
-        onset_update=61,
-        sound_step=6000,
-        signs=("no entropy", "one action", "dead units", "fall"),
-        recovered_step=None,
-        relearned=False,
-    )
+def interrupted(*updates: int) -> np.ndarray:
+    """Return a spell of one action from update 61 to 84, in health at some of them."""
+    rows = one_action(61, 84)
+    rows[[update - 1 for update in updates]] = healthy()[0]
+    return rows
 
 
-def test_a_fall_for_good_is_a_collapse_without_any_loss_of_entropy(tmp_path: Path) -> None:
-    """Section 6.1: the agents "completely collapsed and reverted to doing nonsensical moves"."""
-    found = diagnosed(tmp_path, healthy(), after(learning(), 15, 0.1))
-    assert (found.collapsed, found.signs) == (True, ("fall",))
-    assert (found.onset_step, found.sound_step) == (7500, 7000)
+def twice(last: int) -> np.ndarray:
+    """Return a spell from update 21 to 40, and another from 71 on."""
+    return np.where(np.arange(1, 101)[:, None] > 60, one_action(71, last), one_action(21, 40))
 
 
-def test_an_interruption_shorter_than_a_hundredth_of_the_budget_is_none(tmp_path: Path) -> None:
-    """What comes after a longer one is too short to be a collapse of its own."""
-    updates = one_action(61, 84)
-    updates[79] = healthy()[79]
-    assert diagnosed(tmp_path, updates, learning()).recovered_step == 8400
-    updates[80] = healthy()[80]
-    assert diagnosed(tmp_path, updates, learning()).recovered_step == 7900
+SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] = {
+    # name: (updates, evaluations, what else is told of the run, what is found)
+    "one action to the end": (
+        one_action(61), after(learning(), 13, 0.05), {},
+        {
+            "collapsed": True, "onset_step": 6100, "onset_update": 61, "sound_step": 6000,
+            "signs": ("no entropy", "one action", "dead units", "fall"), "recovered_step": None,
+            "relearned": False,
+        },
+    ),
+    "a fall for good, without any loss of entropy": (
+        healthy(), after(learning(), 15, 0.1), {},
+        {"collapsed": True, "signs": ("fall",), "onset_step": 7500, "sound_step": 7000},
+    ),
+    "an interruption shorter than a hundredth of the budget": (
+        interrupted(80), learning(), {}, {"recovered_step": 8400},
+    ),
+    "a longer one, after which a spell is too short": (
+        interrupted(80, 81), learning(), {}, {"recovered_step": 7900},
+    ),
+    "one that recovered, and collapses again": (
+        twice(90), learning(), {}, {"onset_update": 21, "recovered_step": 9000, "relearned": True},
+    ),
+    "and for good": (twice(100), learning(), {}, {"recovered_step": None, "relearned": False}),
+    "diverged": (
+        one_action(61), learning(), {"end": 8000},
+        {"collapsed": True, "onset_update": 61, "recovered_step": None},
+    ),
+    "as it stood before": (one_action(61), learning(), {"at_step": 6000}, {"collapsed": False}),
+    "as it stood after": (one_action(61), learning(), {"at_step": 8000}, {"onset_update": 61}),
+    # From update 61 at step 6,100 on, a twentieth of the budget, 500 steps, is over at update 66.
+    "shorter than a twentieth": (one_action(61, 65), learning(), {}, {"collapsed": False}),
+    "as long as a twentieth": (one_action(61, 66), learning(), {}, {"collapsed": True}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SEEN)
+def test_what_is_found_of_a_run(case: str, tmp_path: Path) -> None:
+    updates, shares, more, expected = SEEN[case]
+    found = vars(diagnosed(tmp_path, updates, shares, **more))
+    assert {key: found[key] for key in expected} == expected
 
 
 # --- What is none ---------------------------------------------------------------------------------
@@ -124,14 +151,6 @@ def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
     assert not diagnose(data, data.runs[0]).collapsed
 
 
-@pytest.mark.parametrize(("last", "collapsed"), [(65, False), (66, True)])
-def test_a_spell_shorter_than_a_twentieth_of_the_budget_is_none(
-    tmp_path: Path, last: int, collapsed: bool
-) -> None:
-    """From update 61 at step 6,100 on, 500 steps are over at update 66."""
-    assert diagnosed(tmp_path, one_action(61, last), learning()).collapsed is collapsed
-
-
 # --- Recovery -------------------------------------------------------------------------------------
 
 
@@ -158,26 +177,6 @@ def test_of_a_fork_it_is_said_that_a_fall_from_what_its_parent_had_cannot_be_see
     assert recovered.recovered_step is not None and recovered.relearned is None
     fell = diagnosed(tmp_path / "whole", healthy(), after(learning(0.1), 1, 0.1))
     assert fell.unseen == ()
-
-
-@pytest.mark.parametrize(("last", "recovered"), [(90, 9_000), (100, None)])
-def test_a_run_that_collapses_again_has_recovered_only_once_that_ends_too(
-    tmp_path: Path, last: int, recovered: int | None
-) -> None:
-    updates = np.where(np.arange(1, 101)[:, None] > 60, one_action(71, last), one_action(21, 40))
-    found = diagnosed(tmp_path, updates, learning())
-    assert (found.onset_update, found.recovered_step) == (21, recovered)
-    assert found.relearned is (recovered is not None)
-
-
-def test_a_diverged_run_is_diagnosed_up_to_its_end(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, one_action(61), learning(), end=8000)
-    assert (found.collapsed, found.onset_update, found.recovered_step) == (True, 61, None)
-
-
-def test_a_run_is_diagnosed_as_it_stood_at_a_step(tmp_path: Path) -> None:
-    assert not diagnosed(tmp_path, one_action(61), learning(), at_step=6000).collapsed
-    assert diagnosed(tmp_path, one_action(61), learning(), at_step=8000).onset_update == 61
 
 
 # --- Studies --------------------------------------------------------------------------------------

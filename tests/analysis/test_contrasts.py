@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import pvalues
-from pneuma.analysis.contrasts import CONTRAST_KINDS, compare, compare_with
+from pneuma.analysis.contrasts import compare, compare_with
 from pneuma.analysis.pvalues import p_share_greater, relabel
 
 Arm = list[float]
@@ -62,16 +61,14 @@ def test_values_that_differ_by_rounding_alone_are_equal() -> None:
     assert (own.p_greater, own.p_less) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("kind", CONTRAST_KINDS)
+@pytest.mark.parametrize("kind", ["mean", "incidence"])
 def test_turning_the_arms_turns_the_verdict(kind: str) -> None:
     a = [0, 1, 1, 1, 1, 1] if kind == "incidence" else [3, 7.5, 4, 9, 8, 1]
     b = [0, 1, 0, 0, 0, 0] if kind == "incidence" else [1, 2.5, 5, 2, 3, 3.5]
-    margin = 1.5 if kind == "spread" else 0.5
-    own, turned = compare(kind, a, b, margin, rng()), compare(kind, b, a, margin, rng())
+    own, turned = compare(kind, a, b, 0.5, rng()), compare(kind, b, a, 0.5, rng())
     assert (own.p_greater, own.p_less) == pytest.approx((turned.p_less, turned.p_greater))
     assert own.p_equivalent == pytest.approx(turned.p_equivalent)
-    effect = 1 / turned.effect if kind == "spread" else -turned.effect
-    assert own.effect == pytest.approx(effect)
+    assert own.effect == pytest.approx(-turned.effect)
 
 
 def test_units_do_not_matter() -> None:
@@ -121,45 +118,16 @@ def test_a_margin_that_reaches_past_an_end_of_the_scale_binds_on_the_other_side_
     assert compare_with("incidence", always, 0.95, 0.1, rng()).p_equivalent == pytest.approx(0.85**50)
 
 
-@pytest.mark.parametrize("shape", ["normal", "bimodal"])
-def test_spread_is_not_found_where_there_is_none(shape: str) -> None:
-    """At the 0.2 % that a list of claims asks for; set off from means it is found in 6 % of bimodal runs."""
-    generator = rng()
-    runs = generator.normal(size=(2, 800, 10))
-    if shape == "bimodal":
-        runs += np.where(generator.random(runs.shape) < 0.8, 10, 2)
-    a, b = runs
-    p = pvalues.spread_p_values(a, b + 40, 1.5, relabel(10, 10, generator, draws=999))
-    different = 2 * np.minimum(p.greater, p.less)
-    assert (different <= 0.002).mean() < 0.01 and (different <= 0.05).mean() < 0.065
-    same = pvalues.spread_p_values(a, b, None, relabel(10, 10, generator, draws=999))
-    assert (2 * np.minimum(same.greater, same.less) <= 0.002).mean() < 0.006
-
-
-def test_spread_is_found_where_there_is_some() -> None:
-    generator = rng()
-    own = compare("spread", 4 * generator.normal(size=12), generator.normal(size=12) + 9, 1.5, generator)
-    assert own.p_greater < 0.01 and own.effect > 1.5 and own.interval.low > 1
-
-
 def test_equal_runs_are_handled_without_a_warning() -> None:
     apart = compare("mean", [3.0] * 4, [5.0] * 4, 0.5, rng())
     assert apart.p_less == pytest.approx(1 / 70) and not apart.interval.exists
     same = compare("mean", [3.0] * 4, [3.0] * 4, 0.5, rng())
     assert (same.p_greater, same.p_less) == (1, 1) and same.p_equivalent == pytest.approx(1 / 70)
-    for a, b in product(([3.0] * 4, [0.3, 0.1 + 0.2] * 2), ([3.0] * 4, [1.0, 2.0, 3.0, 4.0])):
-        spread = compare("spread", a, b, 1.5, rng())
-        assert spread.p_any == 1 and "arm a" in spread.reason and "equal" in spread.reason
-    nearly = [0.3, 0.1 + 0.2] * 2
-    assert math.isnan(compare("spread", [3.0] * 4, [3.0] * 4, 1.5, rng()).effect)
-    assert math.isnan(compare("spread", nearly, nearly, 1.5, rng()).effect)
-    assert compare("spread", [1.0, 2.0, 3.0, 4.0], nearly, 1.5, rng()).effect == math.inf
 
 
-@pytest.mark.parametrize("kind", ["mean", "spread"])
 @pytest.mark.parametrize(("a", "b"), [([], []), ([1.0], [2.0])])
-def test_too_few_runs_decide_nothing_and_say_so(kind: str, a: Arm, b: Arm) -> None:
-    own = compare(kind, a, b, 1.5, rng())
+def test_too_few_runs_decide_nothing_and_say_so(a: Arm, b: Arm) -> None:
+    own = compare("mean", a, b, 1.5, rng())
     assert own.p_any == 1 and "run" in own.reason and not own.interval.exists
     assert own.seeds == (len(a), len(b))
 
@@ -176,10 +144,7 @@ def test_the_smallest_p_possible_is_told() -> None:
 @pytest.mark.parametrize(
     ("kind", "a", "margin", "message"),
     [
-        ("median", [1.0, 2.0], 0.5, "there are mean, spread, incidence"),
         ("mean", [1.0, math.nan], 0.5, "1 of 2 values are not finite"),
-        ("spread", [1.0, 2.0], 0.7, "a margin of 0.7"),
-        ("mean", [1.0, 2.0], 0.0, "a margin of 0.0"),
         ("incidence", [1.0, 2.0], 0.1, "values 0 or 1"),
     ],
 )

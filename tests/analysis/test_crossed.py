@@ -16,8 +16,8 @@ from pneuma.analysis.crossed import (
     robustness_map,
     study_effects,
 )
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.tables import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.collapse import draw_collapse
 from pneuma.figures.maps import draw_robustness

@@ -17,8 +17,8 @@ from pneuma.analysis.curves import (
     evaluation_curves,
     training_curves,
 )
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.records import Records
-from pneuma.analysis.tables import StudyData
 from pneuma.study.store import Status, Store
 
 NAN = float("nan")

@@ -38,9 +38,6 @@ CASES = {
     "equal, and it is": ((('"greater"', '"equal"'),), NEAR, "supported"),
     "greater, and it is equal": ((), NEAR, "refuted"),
     "greater, and nothing is seen": ((), WIDE[::-1], "inconclusive"),
-    "more spread, and there is": (
-        (('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5")), WIDE, "supported",
-    ),
     "more often above, and it is": (
         (('"mean"', '"incidence"\nabove = 0.5'), ("margin = 0.04\n", "")), HIGH, "supported",
     ),
@@ -146,23 +143,14 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
 
 # --- Of how many contrasts a claim speaks ------------------------------------------------------------
 
-TOP = [share + 0.7 for share in LOW]
-HOW_MANY = {
-    # name: (need, runs of middle, verdict); high is as claimed, unlike low
-    "all, and both are": ("all", LOW[::-1], "supported"),
-    "all, and one is not": ("all", TOP, "refuted"),
-    "all, and one is open": ("all", WIDE, "inconclusive"),
-    "any, and both are": ("any", LOW[::-1], "supported"),
-    "any, and one is": ("any", TOP, "supported"),
-    "any, and one is open": ("any", WIDE, "supported"),
-}
 
-
-@pytest.mark.parametrize("case", HOW_MANY)
-def test_a_claim_speaks_of_all_its_contrasts_or_of_any(case: str, store: Store, tmp_path: Path) -> None:
-    need, middle, verdict = HOW_MANY[case]
+@pytest.mark.parametrize(("need", "verdict"), [("all", "refuted"), ("any", "supported")])
+def test_a_claim_speaks_of_all_its_contrasts_or_of_any(
+    need: str, verdict: str, store: Store, tmp_path: Path
+) -> None:
+    """Against low it is so, against middle it is not."""
     claims = changed(('b = "low"', f'b = ["low", "middle"]\nneed = "{need}"'))
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": middle})
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": [share + 0.7 for share in LOW]})
     assert judge_one(store, tmp_path, claims).verdict == verdict
 
 

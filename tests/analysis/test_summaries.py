@@ -12,11 +12,10 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.intervals import RESAMPLES
-from pneuma.analysis.rounding import shown_with_interval
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.intervals import RESAMPLES, shown_with_interval
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import _improvement_interval, summary_table
-from pneuma.analysis.tables import StudyData
 from pneuma.study.store import Store
 
 from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse

@@ -7,9 +7,6 @@ from typing import Any
 
 import pytest
 
-from pneuma.study.execute import selection_record
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
 from .claim_files import HIGH, LOW, changed, judge_one, published_alone, save_runs
@@ -53,10 +50,6 @@ CASES: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = {
         {"high": HIGH}, [('b = "low"', 'value = 0.1\nonly = "collapsed"')],
         "no run of high counts: collapsed is 0 in all",
     ),
-    "no spread": (
-        {"high": [0.5] * 8, "low": LOW}, [('"mean"', '"spread"'), ("margin = 0.04", "margin = 1.5")],
-        "are equal: there is no spread to compare",
-    ),
 }  # fmt: skip
 
 
@@ -65,15 +58,6 @@ def test_what_no_run_can_tell(case: str, store: Store, tmp_path: Path) -> None:
     runs, changes, reason = CASES[case]
     save_runs(store, tmp_path, runs)
     assert reason in _untestable(store, tmp_path, *changes)
-
-
-def test_a_budget_that_was_not_reached(store: Store, tmp_path: Path) -> None:
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW}, steps=512)
-    study = load_study(str(tmp_path / "mine.toml"))
-    plan = make_plan(study, Selection(seeds=tuple(range(8)), steps=512, conditions=("low", "high")))
-    store.save_selection("mine", selection_record(plan))
-    reason = _untestable(store, tmp_path)
-    assert "budget not reached: high has runs of 512 steps, not of 1,024 steps" in reason
 
 
 @pytest.mark.parametrize("direction", ["greater", "equal"])
@@ -98,10 +82,6 @@ def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: P
     risen = Store(tmp_path / "risen")
     save_runs(risen, tmp_path, {"high": [[0.1, 0.2, 0.3]] * 8, "low": rough})
     assert judge_one(risen, tmp_path, changed(*changes)).verdict == "supported"
-
-
-def test_a_world_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
-    assert "world not defined" in judge_one(store, tmp_path, place="godot").reason
 
 
 @pytest.mark.parametrize("published", [False, True])

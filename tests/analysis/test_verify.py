@@ -78,7 +78,7 @@ def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
     assert main(command) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split()[:3] == ["better", "6", "supported"]
-    assert any("text: no runs" in line for line in lines)
+    assert any("not run yet" in line for line in lines)
 
 
 @pytest.mark.parametrize(

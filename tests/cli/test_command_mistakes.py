@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -82,19 +80,6 @@ def test_counts_and_seeds_are_read_as_they_look(here: Path) -> None:
     assert [row["run_id"] for row in again] == [row["run_id"] for row in rows]
 
 
-def test_a_file_that_is_not_toml_is_told_with_its_line(here: Path) -> None:
-    (here / "mine.toml").write_text('title = "Mine"\nbase = \n')
-    line = refused("study", "run", "mine.toml")
-    assert "mine.toml" in line and "line 2" in line
-
-
-def test_results_that_cannot_be_written_are_refused(here: Path) -> None:
-    (here / "file").write_text("mine")
-    for folder in ("file", "file/below"):
-        assert f"--results {folder}" in refused(*RUN.split(), "--results", folder)
-    assert (here / "file").read_text() == "mine"
-
-
 def test_the_status_of_nothing_is_no_mistake(here: Path) -> None:
     assert "No study was run" in printed("study", "status")
     assert described("study", "status", "--json") == {"schema": 1, "studies": []}
@@ -132,11 +117,3 @@ def test_a_command_left_out_is_answered_with_readable_help() -> None:
         lines = (told.out + told.err).splitlines()
         assert len(lines) > 5 and max(map(len, lines)) < 200
         assert any(line.startswith("Usage:") for line in lines)
-
-
-def test_a_process_leaves_with_code_2_and_one_line(here: Path) -> None:
-    command = [sys.executable, str(CLI), "study", "run", "activaton"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("pneuma: ") and "did you mean activation?" in line

@@ -14,7 +14,7 @@ import pytest
 
 from pneuma.config import as_fields, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.figures.verdict_words import MEANINGS
+from pneuma.figures.verdicts import MEANINGS
 from pneuma.study import spec
 from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store

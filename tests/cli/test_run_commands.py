@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pneuma.config import Run, make_run
@@ -165,17 +164,6 @@ def test_a_run_that_is_not_there_is_one_line(name: str, words: str, store: Store
 
 
 # --- export ----------------------------------------------------------------------------------------
-
-
-def test_export_writes_what_stable_baselines3_loads(store: Store, tmp_path: Path) -> None:
-    from stable_baselines3 import PPO
-
-    out = tmp_path / "policy.zip"
-    document = described("run", "export", "00aa0", "--out", out, "--json")
-    assert (document["run_id"], document["bytes"], document["note"]) == (ALONE, out.stat().st_size, "")
-    observations = np.random.default_rng(1).standard_normal((50, 60)).astype(np.float32)
-    chosen, _ = PPO.load(out, device="cpu").predict(observations, deterministic=True)
-    np.testing.assert_array_equal(chosen, policy_of(make_run({}).activation).best(observations))
 
 
 def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_path: Path) -> None:

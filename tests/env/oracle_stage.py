@@ -48,9 +48,3 @@ def put(pair: Pair, **fields: object) -> None:
     for name, value in fields.items():
         pair.worlds.players[name][0] = value
     pair.take_over()
-
-
-def place_of(pair: Pair, monster: int = 0) -> tuple[float, float]:
-    """Return where a bamboo is."""
-    row = pair.worlds.monsters[0, monster]
-    return float(row["x"]), float(row["y"])

@@ -72,18 +72,9 @@ def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
     assert (row["half_width"], row["half_height"]) == (23.5, 24)
     assert (row["knock_speed"], row["knock_ticks"]) == (2, 30)
     assert (row["body_x"], row["body_y"]) == (-1.5, 2)
-    # By facing: down, left, up, right. The shape of the weapon's scene is 51 x 79 px at (10.5, -15.5), turned
-    # about the weapon's place, which is the hilt's.
-    assert row["sword_x"].tolist() == [-12 + 10.5, -54 + 15.5, 8 - 10.5, 54 - 15.5]
-    assert row["sword_y"].tolist() == [52 - 15.5, 14 + 10.5, -44 + 15.5, 14 - 10.5]
-    assert row["sword_half_width"].tolist() == [25.5, 39.5, 25.5, 39.5]
-    assert row["sword_half_height"].tolist() == [39.5, 25.5, 39.5, 25.5]
-    assert row["hilt_x"].tolist() == [-12, -54, 8, 54] and row["hilt_y"].tolist() == [52, 14, -44, 14]
     bamboo = monster_rows(zoo, "")["bamboo"]
     assert (bamboo["hp"], bamboo["speed"], bamboo["damage"], bamboo["bite_ticks"]) == (40, 2.5, 7, 60)
     assert (bamboo["half_width"], bamboo["half_height"], bamboo["stand_off"]) == (12, 25, 30)
-    assert (bamboo["body_y"], bamboo["notice_y"], bamboo["attack_y"]) == (2, 7, 5)
-    assert not (bamboo["body_x"] or bamboo["notice_x"] or bamboo["attack_x"])
     assert (bamboo["notice_squared"], bamboo["attack_squared"]) == (300**2, 40**2)
     assert (bamboo["xp"], bamboo["heal"], bamboo["safe"]) == (1, 7, 0)
     assert bamboo["knock_ticks"] == -1  # as the striker's weapon has it
@@ -177,18 +168,13 @@ def complaint(file: str, **settings: object) -> str:
     ("text", "told"),
     [
         ("[players.base]\nhpp = 3", "line 2: [players.base] unknown key 'hpp' (did you mean hp?)"),
-        ("[player.base]\nhp = 3", "unknown key 'player' (did you mean players?)"),
         ("[players.base]\nhp = 0", "line 2: [players.base] hp = 0 is not allowed: above 0"),
-        ("[players.base]\nhp = nan", "hp = NaN is not allowed"),
-        ("[players.base]\nbody = [47]", "body = [47] is not allowed"),
         ("[monsters.bamboo]\nbody_at = [12, 0]", "the position must lie inside"),
         ('[players.base]\nweapon = "swrod"', "unknown weapon 'swrod' (did you mean sword?)"),
         ("[weapons.axe]\nreach = 50", "reach must be a table"),
-        ("[monsters.bamboo]\ncode = 3.5", "code = 3.5 is not allowed: a whole number"),
         ("[monsters.bamboo]\ncode = 400", "code = 400 already stands for a start place"),
         ("[monsters.bamboo]\nknock_back = 9", "knock_back and knock_back_time go"),
         ("[players.tankk]\nhp = 3", "[players.tankk] the key 'speed' is missing"),
-        ("players = 3", "players must be a table"),
         ("[players.base", "not TOML"),
     ],
 )

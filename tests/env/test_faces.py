@@ -7,7 +7,6 @@ import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
@@ -20,7 +19,7 @@ from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.errors import UserError
 
-from .arena import ATTACK, GODOT, RIGHT, THESIS
+from .arena import ATTACK, GODOT, THESIS
 
 FACES: dict[str, Callable[..., Any]] = {
     "single": PneumaEnv,
@@ -225,31 +224,6 @@ def test_a_wrong_argument_is_named_in_one_line(make: Callable[[], Any], said: st
     with pytest.raises(UserError) as caught:
         make()
     assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
-
-
-# --- The single face -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("end_on_clear", [False, True])
-def test_clearing_the_level_terminates_if_asked(end_on_clear: bool) -> None:
-    env = gymnasium.make(THESIS, end_on_clear=end_on_clear).unwrapped
-    assert isinstance(env, PneumaEnv)
-    env.reset(seed=0)
-    player, monsters = env.state.players[0, 0], env.state.monsters
-    player["facing"] = RIGHT
-    monsters["hp"] = 0
-    monsters[0, 0] = monsters[0, 1]
-    monsters["hp"][0, 0] = 20
-    monsters["x"][0, 0], monsters["y"][0, 0] = player["x"] + 54, player["y"]
-    env.state.worlds["monsters_left"] = 1
-    _, reward, terminated, truncated, info = env.step(np.int64(ATTACK))
-    assert (terminated, truncated) == (end_on_clear, False)
-    del info["action_mask"]
-    assert info == ({"ending": "cleared", "kills": 1, "xp": 1.0, "hp": 107.0} if end_on_clear else {})
-    assert reward == pytest.approx(-0.07)  # 1 XP - 107 / 100
-    if end_on_clear:
-        with pytest.raises(ResetNeeded):
-            env.step(np.int64(ATTACK))
 
 
 # --- The vector face -----------------------------------------------------------------------------

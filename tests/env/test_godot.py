@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 from pneuma.env.single import PneumaEnv
 
@@ -41,6 +42,8 @@ def test_clearing_the_level_costs_1_xp_and_terminates() -> None:
     _, paid, terminated, truncated, info = env.step(np.int64(ATTACK))
     assert (terminated, truncated, paid) == (True, False, 4.0)
     assert (info["ending"], info["kills"], info["xp"], info["hp"]) == ("cleared", 1, 4.0, 107.0)  # 4 + 1 - 1
+    with pytest.raises(ResetNeeded):
+        env.step(np.int64(ATTACK))
 
 
 def test_the_time_limit_terminates_and_costs_1_xp() -> None:

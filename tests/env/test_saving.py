@@ -1,10 +1,7 @@
-"""Worlds saved and put back, elsewhere and in other processes; copies that go their own way."""
+"""Worlds saved and put back, elsewhere and in other processes."""
 
 from __future__ import annotations
 
-import copy
-import pickle
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,9 +26,6 @@ CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "random levels": (THESIS, {"level": "random:train:3", "random_levels": 4}),
     "godot": (GODOT, {"players": 2, "start": "random"}),
 }
-both_copies = pytest.mark.parametrize(
-    "duplicate", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))], ids=["deepcopy", "pickle"]
-)
 each_config = pytest.mark.parametrize("name", CONFIGS)
 
 
@@ -109,19 +103,3 @@ def test_what_is_seen_paid_and_allowed_may_differ() -> None:
     worlds, other = played("thesis", 1), begin(1, **settings)
     other.restore(0, worlds.save(0))
     assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)
-
-
-@both_copies
-@each_config
-def test_copied_worlds_go_on_alike_and_apart(name: str, duplicate: Callable[[Worlds], Worlds]) -> None:
-    worlds = played(name, 4)
-    copied = duplicate(worlds)
-    before = state_bits(worlds)
-    assert state_bits(copied) == before
-    actions = plan(worlds, 150)
-    told = go_on(copied, 2, actions)
-    assert state_bits(worlds) == before  # the original has not moved
-    assert go_on(worlds, 2, actions) == told
-    assert copied.player_stats is copied._arrays.player_stats
-    copied.monster_stats["damage"] = 0.0
-    assert worlds.monster_stats["damage"].all()

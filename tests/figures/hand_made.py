@@ -9,8 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.tables import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import draw_study
 from pneuma.study.store import Store

@@ -8,7 +8,6 @@ from pneuma.analysis.claims import Claim
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.intervals import Interval, no_interval
 from pneuma.analysis.judgement import Comparison, Verdict
-from pneuma.figures.verdict_words import JudgedClaim
 
 
 def claim(name: str = "tanh-better", **fields: Any) -> Claim:
@@ -37,6 +36,6 @@ def comparison(
     return Comparison("tanh", "relu", own.outcome[0], contrast, verdict=verdict, p=p, **more)
 
 
-def judged(own: Claim, **verdicts: tuple[str, str, tuple[Comparison, ...]]) -> JudgedClaim:
+def judged(own: Claim, **verdicts: tuple[str, str, tuple[Comparison, ...]]) -> dict[str, Verdict]:
     """Return a claim with its verdict, reason and contrasts in each place."""
-    return JudgedClaim(own, {place: Verdict(own, place, *each) for place, each in verdicts.items()})
+    return {place: Verdict(own, place, *each) for place, each in verdicts.items()}

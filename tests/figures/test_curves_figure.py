@@ -49,17 +49,6 @@ def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
     assert first.name == f"fig-mine.{form}"
 
 
-def test_a_variant_never_has_the_studys_own_file_and_says_what_it_changed(
-    study: HandMade, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    study.record["selection"] = {"settings": {"learning_rate": 0.001, "level": "/a/path/" + 200 * "x"}}
-    (path,) = study.draw(tmp_path)
-    assert path.name.startswith("fig-mine-learning_rate=0.001-level=") and len(path.name) < 120
-    assert "Mine (learning_rate = 0.001" in words(drawn[0])
-    study.record["selection"]["settings"]["level"] += "y"
-    assert study.draw(tmp_path) != [path]  # though a long name is cut
-
-
 def test_every_run_of_another_study_is_drawn_beside(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
@@ -171,25 +160,6 @@ def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, draw
 
 
 # --- Words -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("changed", "options", "said"),
-    [
-        ({"parent": "a" * 16}, {}, "Runs are forks of one run: intervals take them for independent."),
-        ({"engine": ("batched", "sb3")}, {}, "Engines are mixed (batched, sb3): no contrast holds."),
-        ({"reward": ("thesis", "kills")}, {"quantities": ("return",)}, "unlike rewards"),
-        ({}, {"window": "trailing-100"}, "Training curves average the last 100 episodes."),
-        ({}, {"quantities": ("entropy",)}, "average the updates of the last 5 % of the budget."),
-    ],
-)
-def test_a_figure_says_what_to_mind(
-    study: HandMade, tmp_path: Path, drawn: list[Figure], changed: Any, options: Any, said: str
-) -> None:
-    for place, run in enumerate(study.record["runs"]):
-        run["run"] |= {k: v[place % 2] if isinstance(v, tuple) else v for k, v in changed.items()}
-    study.draw(tmp_path, **options)
-    assert said in words(drawn[0])
 
 
 def test_what_is_missing_is_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:

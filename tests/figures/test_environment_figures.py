@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.env.level import load_level
 from pneuma.env.render import Renderer
 from pneuma.env.watch import fight_worlds, level_worlds
 from pneuma.env.worlds import Worlds
@@ -42,16 +40,3 @@ def test_screens_show_the_view_that_follows_the_player(
     with Image.open(drawn / f"{name}.png") as image:
         shown = np.asarray(image.convert("RGB"))
     np.testing.assert_array_equal(shown, Renderer(worlds, "follow").frame())
-
-
-def test_level_is_drawn_with_all_its_start_places_and_monsters(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept: list[Figure] = []
-    monkeypatch.setattr(environment, "save_figure", lambda figure, *_: kept.append(figure))
-    environment.draw_level(Path("nowhere"))
-    (axes,) = kept[0].axes
-    level = load_level("thesis", {390: "bamboo"})
-    assert axes.get_title(loc="left") == level.title and axes.get_xlabel() == "x (pixels)"
-    np.testing.assert_array_equal(np.asarray(axes.lines[0].get_xydata()), level.starts)
-    left, right, bottom, top = axes.images[0].get_extent()
-    rows, columns = level.terrain.shape
-    assert (right - left, bottom - top) == (columns * 64, rows * 64)

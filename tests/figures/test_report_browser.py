@@ -12,9 +12,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.figures.report import report_page
-
-from .test_report import _report
+from .test_report import _page
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 QUIET = (
@@ -34,7 +32,7 @@ def test_a_browser_opens_it_at_any_width_and_asks_for_nothing(tmp_path: Path) ->
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         pytest.skip("no Chromium here: install it (Debian: apt-get install chromium) to test the page in it")
-    measured = _measure(browser, tmp_path, report_page(_report()).decode())
+    measured = _measure(browser, tmp_path, _page().decode())
     for width, found in measured.items():
         assert found["whole"] == [int(width), int(width)]  # the page itself never scrolls sideways
         assert found["pictures"] == [700]

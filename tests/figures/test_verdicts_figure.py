@@ -26,7 +26,6 @@ def shown(verdict: str, effect: float, low: float, high: float, **fields: Any) -
         ({"margin": 0.5}, (1.0, 0.5, 2.0), (2, 1, 4)),
         ({"margin": 0.5, "direction": "less"}, (1.0, 0.5, 2.0), (-2, -4, -1)),
         ({"margin": 0.5, "direction": "different"}, (-1.0, -2.0, -0.5), (2, 1, 4)),
-        ({"margin": 2, "kind": "spread"}, (4.0, 0.5, 8.0), (2, -1, 3)),
         ({}, (1.0, 0.5, 2.0), None),
     ],
 )

@@ -11,33 +11,21 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pneuma import __version__
 from pneuma.analysis.crossed import effects_table, study_effects
+from pneuma.analysis.frames import FinishedRun
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
-from pneuma.analysis.tables import FinishedRun, StudyData
 from pneuma.cli.options import selecting_words
 from pneuma.cli.output import command
 from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted
-from pneuma.figures.report import (
-    Conditions,
-    Part,
-    Report,
-    StudySection,
-    Table,
-    factors_table,
-    numbers_table,
-    statistics_table,
-    study_pictures,
-)
-from pneuma.figures.verdict_words import judged_claims
+from pneuma.figures.report import factors_table, numbers_table, statistics_table, study_pictures
+from pneuma.figures.verdicts import judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
@@ -46,16 +34,17 @@ from pneuma.worlds import TEXT, WORLDS, in_world, split_world, world_option
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """What is told of a run's provenance: without times, in which equal runs differ."""
-
 LONGEST_VALUE = 300
 """Characters of a value that are shown."""
-MOST_ROWS = 1000
-"""Of a summary that is shown whole."""
 
 
-def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> Report:
-    """Return the report on some studies, or on all shipped and all that were run here."""
-    studies = _studies(store, names)
+def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> dict[str, Any]:
+    """Return what `report_page` shows of some studies, or of all shipped and all that were run here."""
+    known = {*known_studies(store), *spec.list_studies()}
+    for name in names:
+        if _own_name(name) not in known:
+            study_record(store, name, None)  # says that there is none
+    studies = sorted({_own_name(name) for name in names or known}, key=_place)
     unjudged = ""
     try:
         claims, note = judged_claims(store, studies)
@@ -66,19 +55,7 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     for place, study in enumerate(studies, 1):
         tell(f"{place}/{len(studies)} {study}")
         sections.append(_section(store, study))
-    return Report([*claims.values()], sections, note, __version__, unjudged)
-
-
-# --- Which studies ---------------------------------------------------------------------------------
-
-
-def _studies(store: Store, names: Sequence[str]) -> list[str]:
-    """Return the studies of the report, those of the thesis first, in its order."""
-    known = {*known_studies(store), *spec.list_studies()}
-    for name in names:
-        if _own_name(name) not in known:
-            study_record(store, name, None)  # says that there is none
-    return sorted({_own_name(name) for name in names or known}, key=_place)
+    return {"claims": claims, "studies": sections, "note": note, "unjudged": unjudged}
 
 
 def _own_name(name: str) -> str:
@@ -94,55 +71,72 @@ def _place(study: str) -> tuple[bool, list[int], str]:
     return (not numbers, numbers, study)
 
 
-def _section(store: Store, study: str) -> StudySection:
+def _section(store: Store, study: str) -> dict[str, Any]:
     """Return a study in the worlds that it is meant for, and those it was run in."""
     shipped = spec.load_study(study) if study in spec.list_studies() else None
     known, meant = known_studies(store), shipped.worlds if shipped else ()
     worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
-    parts = [_part(store, study, world) for world in worlds]
+    about = {"study": study, "parts": [_part(store, study, world) for world in worlds]}
     if shipped:
-        return StudySection(study, shipped.title, shipped.section, shipped.about, parts)
+        return about | {key: getattr(shipped, key) for key in ("title", "section", "about")}
     title = study
     for world in worlds:
         with suppress(UserError):  # which its part tells of
             title = str(study_record(store, in_world(study, world), None)["title"])
             break
-    return StudySection(study, title, "", "", parts)
+    return {**about, "title": title, "section": "", "about": ""}
 
 
 # --- One study in one world ------------------------------------------------------------------------
 
 
-def _part(store: Store, study: str, world: str) -> Part:
+def part_of(record: str, where: str, **known: Any) -> dict[str, Any]:
+    """Return what is shown of a study in one world.
+
+    Args:
+        record: the name that its runs are recorded under.
+        where: its heading: in which world its runs are played.
+        known: of `notes`, sentences that a person should know first; `mend`, the command that would train
+            what is missing; `extent`, how much it is; `pictures`; the tables `numbers`, `statistics`,
+            `effects`; `conditions`, as `_conditions` sorts them; `runs`, of each its id, condition, seed,
+            status and engine; `origins`, what produced them: facts by name, and for how many runs they hold.
+    """
+    empty = dict.fromkeys(("notes", "pictures", "runs", "origins"), ())
+    return {
+        "record": record, "where": where, "mend": "", "extent": "",
+        **dict.fromkeys(("numbers", "statistics", "effects", "conditions")), **empty, **known,
+    }  # fmt: skip
+
+
+def _part(store: Store, study: str, world: str) -> dict[str, Any]:
     name, title = in_world(study, world), f"In {WORLDS[world].title}"
-    mend = _command(study, world)
+    mend, shipped = _command(study, world), study in spec.list_studies()
+    nothing = ["No runs yet."]
     if name not in known_studies(store):
         record = execute.selection_record(plan.make_plan(spec.load_study(study, world), plan.Selection()))
         conditions = _conditions(study, name, record)
-        return Part(name, _where(record, title), ["No runs yet."], mend, conditions=conditions)
+        return part_of(name, _where(record, title), notes=nothing, mend=mend, conditions=conditions)
     try:
         record = study_record(store, name, None)
         states = run_states(store, record)
     except UserError as error:
-        return Part(
-            name, title, [_without_folder(store, error)], mend if study in spec.list_studies() else ""
-        )
+        return part_of(name, title, notes=[_without_folder(store, error)], mend=mend if shipped else "")
     if not record["runs"]:
-        return Part(name, title, ["No runs yet."], mend)
+        return part_of(name, title, notes=nothing, mend=mend)
     done = sum(state.status in FINISHED for state in states)
-    part = Part(
-        name,
-        _where(record, title),
-        _notes(record, [state.status for state in states]),
-        "" if done == len(states) else _same_again(study, record),
-        _extent(record),
-        conditions=_conditions(study, name, record),
-        runs=[
-            (own.run["run_id"], own.run["condition"], own.run["seed"], own.status, _engine(own.run))
-            for own in states
-        ],
-    )
-    return _with_data(store, part, record) if done else part
+    runs = [
+        (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status,
+         str(own.run["run"].get("engine") or "unknown"))
+        for own in states
+    ]  # fmt: skip
+    part = part_of(
+        name, _where(record, title), notes=_notes(record, [state.status for state in states]),
+        mend="" if done == len(states) else _same_again(study, record), extent=_extent(record),
+        conditions=_conditions(study, name, record), runs=runs,
+    )  # fmt: skip
+    if done:
+        _add_data(store, part, record)
+    return part
 
 
 def _where(record: Mapping[str, Any], usual: str) -> str:
@@ -154,38 +148,23 @@ def _where(record: Mapping[str, Any], usual: str) -> str:
     return f"In {titles.get(names[0] if len(names) == 1 else '', ', '.join(names))}" if names else usual
 
 
-def _engine(run: Mapping[str, Any]) -> str:
-    return str(run["run"].get("engine") or "unknown")
-
-
-def _with_data(store: Store, part: Part, record: Mapping[str, Any]) -> Part:
+def _add_data(store: Store, part: dict[str, Any], record: Mapping[str, Any]) -> None:
     """Add what only finished runs have: figures, numbers, and what produced them."""
+    name = part["record"]
     try:
         data = open_study(store, record)
-        notes = [*part.notes]
         if step := common_step(data):
             told = f"numbers and effects are of runs as they stood at {step:,} steps, figures of whole runs"
-            notes.append(f"Budgets are unlike: {told}.")
+            part["notes"].append(f"Budgets are unlike: {told}.")
         summary = summary_table(data)
-        part = replace(
-            part,
-            notes=notes,
-            numbers=numbers_table(part.record, summary),
-            statistics=statistics_table(part.record, summary) if len(summary) <= MOST_ROWS else None,
-            effects=_effects(data),
-            origins=_origins(data),
-        )
-        return replace(part, pictures=[*study_pictures(data)])
+        part["numbers"], part["statistics"] = numbers_table(name, summary), statistics_table(name, summary)
+        with suppress(UserError):  # it is not crossed, or not whole
+            part["effects"] = factors_table(name, effects_table(study_effects(data)))
+        origins = Counter(tuple(_facts(run).items()) for run in data.runs)
+        part["origins"] = [(dict(facts), runs) for facts, runs in origins.items()]
+        part["pictures"] = [*study_pictures(data)]
     except (UserError, UnicodeError) as error:  # a name in a record may be no text that can be written
-        return replace(part, notes=[*part.notes, _without_folder(store, error)])
-
-
-def _effects(data: StudyData) -> Table | None:
-    """Return what the factors of a crossed study do; None of another, or one that is not whole."""
-    try:
-        return factors_table(data.study, effects_table(study_effects(data)))
-    except UserError:
-        return None
+        part["notes"].append(_without_folder(store, error))
 
 
 def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
@@ -216,9 +195,7 @@ def _extent(record: Mapping[str, Any]) -> str:
 def _without_folder(store: Store, error: Exception) -> str:
     """Return an error's words without this machine's folder: the page is for others to read."""
     root = str(store.root)
-    if root == ".":
-        return str(error)
-    return re.sub(rf"(?<![\w./~-]){re.escape(root)}(?![\w.-])", "results", str(error))
+    return str(error) if root == "." else str(error).replace(root, "results")
 
 
 # --- Commands -------------------------------------------------------------------------------------
@@ -245,8 +222,8 @@ def _same_again(study: str, record: Mapping[str, Any]) -> str:
 # --- Settings and provenance -----------------------------------------------------------------------
 
 
-def _conditions(study: str, name: str, record: Mapping[str, Any]) -> Conditions:
-    """Sort a record's settings by whether its conditions differ in them, and from the base."""
+def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+    """Sort a record's fields: those that conditions differ in, those alike but not the base's, the rest."""
     resolved: dict[str, Mapping[str, Any]] = {}
     for run in record["runs"]:
         resolved.setdefault(run["condition"], run["run"])
@@ -257,13 +234,13 @@ def _conditions(study: str, name: str, record: Mapping[str, Any]) -> Conditions:
     unlike = [key for key in keys if len(set(told[key][1:])) > 1]
     alike = {key: (told[key][1], told[key][0]) for key in keys if key not in unlike}
     rows = [[label, *(told[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
-    columns = ("Condition", *unlike)
-    return Conditions(
-        base,
-        Table(f"What the conditions of {name} differ in", columns, rows, len(columns)) if unlike else None,
-        shared={key: (value, usual) for key, (value, usual) in alike.items() if value != usual},
-        rest={key: value for key, (value, usual) in alike.items() if value == usual},
-    )
+    caption, columns = f"What the conditions of {name} differ in", ("Condition", *unlike)
+    return {
+        "base": base,
+        "differing": (caption, columns, rows, len(columns)) if unlike else None,
+        "shared": {key: (value, usual) for key, (value, usual) in alike.items() if value != usual},
+        "rest": {key: value for key, (value, usual) in alike.items() if value == usual},
+    }
 
 
 def _base(study: str, some: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
@@ -283,24 +260,18 @@ def _value(settings: Mapping[str, Any], key: str) -> str:
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
-def _origins(data: StudyData) -> list[tuple[dict[str, str], int]]:
-    """Return what produced a study's runs, with how many runs each set-up produced."""
-    runs_of = Counter(tuple(_facts(data, run).items()) for run in data.runs)
-    return [(dict(facts), runs) for facts, runs in runs_of.items()]
-
-
-def _facts(data: StudyData, run: FinishedRun) -> dict[str, str]:
+def _facts(run: FinishedRun) -> dict[str, str]:
+    """Return what produced a run."""
     try:
         found = run.records.provenance()
     except (UserError, ValueError):
         found = None
     if not isinstance(found, dict):
         return {"provenance": "missing or damaged"}
-    facts = {key: _fact(found[key]) for key in ORIGIN_FACTS if found.get(key) is not None}
+    facts = {}
+    for key in ORIGIN_FACTS:
+        if (value := found.get(key)) is not None:
+            several = isinstance(value, dict)
+            told = ", ".join(f"{name} {own}" for name, own in value.items()) if several else value
+            facts[key] = _value({key: told}, key)
     return facts or {"provenance": "tells nothing"}
-
-
-def _fact(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {told}" for name, told in value.items())[:LONGEST_VALUE]
-    return _value({"": value}, "")
