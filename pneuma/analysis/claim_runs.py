@@ -75,12 +75,6 @@ class ClaimRuns:
         rest = " --unpublished" if published_studies(self._store) else ""
         return "; ".join([*missing, *([f"{TRAIN_WITH} {command}{rest}"] if command else [])])
 
-    def undefined(self, claim: Claim, world: str) -> str:
-        """Say why a claim is not judged in a world at all."""
-        if world in self.study(claim.study, "").worlds:
-            return f"world not defined: the claim is not about {world}"
-        return f"world not defined: the study {claim.study} is not run in {world}"
-
     def arm(self, claim: Claim, world: str, outcome: str, condition: str) -> Arm:
         """Return an arm whose runs have all finished."""
         key = claim.name, world, outcome, condition

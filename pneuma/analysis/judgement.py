@@ -34,7 +34,6 @@ from pneuma.analysis.verdicts import (
 from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
@@ -125,7 +124,7 @@ class Verdict:
 
 
 def judge(claims: ClaimList, store: Store) -> list[Verdict]:
-    """Return the verdict on every claim of a list in every world.
+    """Return the verdict on every claim of a list in every world that it is about.
 
     Args:
         claims: all of them: none can be judged without the others.
@@ -138,15 +137,13 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     return [
         _judge_one(claim.in_world(place), place, runs, claims, refused.get((claim.name, place), ""))
         for claim in claims.claims.values()
-        for place in WORLDS
+        for place in claim.worlds
     ]
 
 
 def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
     if refused:
         return Verdict(claim, place, UNTESTABLE, f"not admitted: {refused}")
-    if place not in claim.worlds:
-        return Verdict(claim, place, UNTESTABLE, runs.undefined(claim, place))
     level = 1 - claims.head.alpha / claims.factor(claim, place)  # of intervals that hold all at once
     made = [
         _compared(claim, place, runs, name, *pair, level) for name in claim.outcome for pair in claim.pairs

@@ -279,6 +279,9 @@ def _check(head: Mapping[str, Any], table: pa.Table) -> None:
         kind = kinds.get(field.name, pa.float64())
         if field.name != EVALUATIONS and field.type not in (kind, _WIDER.get(kind)):
             raise ValueError(f"column {field.name} makes no sense")
+        rows_of = field.type.value_type if pa.types.is_list(field.type) else field.type
+        if field.name == EVALUATIONS and not pa.types.is_struct(rows_of):
+            raise ValueError(f"column {field.name} makes no sense")
     if not fits(_record(head, table), Record):
         raise ValueError("its runs make no sense")
     rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))

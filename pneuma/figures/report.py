@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
@@ -101,11 +101,11 @@ def _visible(value: Any) -> Any:
 def numbers_table(study: str, summary: pd.DataFrame) -> Table:
     """Return the outcomes of a summary that matter most: a row for each condition."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
-    for row in _rows(summary):
-        pair = str(row.outcome), str(row.statistic)
+    for row in summary.to_dict("records"):
+        pair = str(row["outcome"]), str(row["statistic"])
         if pair in LEADING or pair[1] in LEADING:
-            told = shown_with_interval(row.value, row.low, row.high)
-            cells.setdefault(pair, {})[row.condition] = f"{told}\nn = {int(row.runs)}"
+            told = shown_with_interval(row["value"], row["low"], row["high"])
+            cells.setdefault(pair, {})[row["condition"]] = f"{told}\nn = {int(row['runs'])}"
     pairs = sorted(cells, key=lambda pair: pair[1] == "share")  # how many failed comes last
     rows = [
         [name, *(cells[pair].get(name, "–") for pair in pairs)]
@@ -120,9 +120,9 @@ def statistics_table(study: str, summary: pd.DataFrame) -> Table | None:
     if len(summary) > MOST_ROWS:
         return None
     rows = [
-        (row.condition, row.outcome, row.statistic, row.interval or "none",
-         shown_with_interval(row.value, row.low, row.high), int(row.runs))
-        for row in _rows(summary)
+        (row["condition"], row["outcome"], row["statistic"], row["interval"] or "none",
+         shown_with_interval(row["value"], row["low"], row["high"]), int(row["runs"]))
+        for row in summary.to_dict("records")
     ]  # fmt: skip
     columns = ("Condition", "Outcome", "Statistic", "Interval by", "Value", "Runs")
     return f"Every statistic of {study}'s outcomes", columns, rows, 4
@@ -131,17 +131,13 @@ def statistics_table(study: str, summary: pd.DataFrame) -> Table | None:
 def factors_table(study: str, effects: pd.DataFrame) -> Table:
     """Return what each factor of a crossed study does, alone and with each other."""
     rows = [
-        (row.effect, row.levels, f"{row.df}, {row.df_error}", shown(row.f, decimals(row.f)),
-         shown(row.partial_r2, decimals(row.partial_r2)), f"{row.p_holm:.4f}")
-        for row in _rows(effects)
+        (row["effect"], row["levels"], f"{row['df']}, {row['df_error']}", shown(row["f"], decimals(row["f"])),
+         shown(row["partial_r2"], decimals(row["partial_r2"])), f"{row['p_holm']:.4f}")
+        for row in effects.to_dict("records")
     ]  # fmt: skip
     outcome, runs = effects["outcome"].iloc[0], effects["runs"].iloc[0]
     caption = f"Effects of {study}'s factors on {outcome}, tested by permutation; {runs} runs"
     return caption, ("Effect", "Levels", "df", "F", "Share of variance", "p (Holm)"), rows, 2
-
-
-def _rows(frame: pd.DataFrame) -> Iterable[Any]:
-    return frame.itertuples()
 
 
 # --- Pictures ----------------------------------------------------------------------------------------

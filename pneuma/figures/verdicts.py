@@ -68,10 +68,8 @@ _WORDS = {
     "arms at floor": "floor",
     "both arms are at the floor": "floor",
     "both arms are at the ceiling": "ceiling",
-    "world not defined": "",
     "timed": "unlike machines",
     "confounded": "confounded",
-    "one published run": "one run",
     "no published runs": "no pairs",
 }
 """Why a cell is empty, by how the reason begins."""
@@ -154,11 +152,11 @@ def decisive(verdict: Verdict) -> Comparison | None:
 
 
 def effect(own: Comparison) -> str:
-    """Return the number with its interval, as '+0.020 [+0.002, +0.039]'."""
+    """Return the number with its simultaneous interval, as '+0.020 [+0.002, +0.039]'."""
     contrast = own.contrast
     if not math.isfinite(contrast.effect):
         return "no number"
-    interval = contrast.interval
+    interval = contrast.simultaneous
     places = decimals(contrast.effect, interval.low, interval.high)
     value, low, high = (_number(each, places) for each in (contrast.effect, interval.low, interval.high))
     between = f" [{low}, {high}]" if interval.exists else ""

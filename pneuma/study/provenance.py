@@ -28,7 +28,6 @@ PACKAGES = (
     "pneuma", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib",
     "pyarrow",
 )  # fmt: skip
-OTHERS = "other processor", "other packages"
 CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable of a process whose code was carried to its machine: its version and its commit."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
@@ -237,20 +236,15 @@ def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[st
 
     Of two that are as frequent the one of the run that was begun first counts as the usual.
     """
-    by_start = sorted(
-        (
-            str(told.get("started")),
-            name,
-            {OTHERS[0]: processors(told), OTHERS[1]: _packages_of(told)},
-        )
-        for name, told in origins
+    rows = sorted(
+        (str(own.get("started")), name, processors(own), _packages_of(own)) for name, own in origins
     )
     marks: dict[str, list[str]] = {}
-    for word in OTHERS:
-        for usual, _ in Counter(own[word] for _, _, own in by_start).most_common(1):
-            for _, name, own in by_start:
-                if own[word] != usual:
-                    marks.setdefault(name, []).append(word)
+    for word, place in (("other processor", 2), ("other packages", 3)):
+        for usual, _ in Counter(row[place] for row in rows).most_common(1):
+            for row in rows:
+                if row[place] != usual:
+                    marks.setdefault(row[1], []).append(word)
     return {name: ", ".join(words) for name, words in marks.items()}
 
 

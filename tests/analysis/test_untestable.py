@@ -84,10 +84,6 @@ def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: P
     assert judge_one(risen, tmp_path, changed(*changes)).verdict == "supported"
 
 
-def test_a_world_in_which_the_study_is_not_run(store: Store, tmp_path: Path) -> None:
-    assert "world not defined" in judge_one(store, tmp_path, place="godot").reason
-
-
 @pytest.mark.parametrize("published", [False, True])
 @pytest.mark.parametrize(
     "told",

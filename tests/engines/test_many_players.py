@@ -11,10 +11,11 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3
-from pneuma.engines.base import Result, load_engine
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.batched.rollout import Collector, Rollout
 from pneuma.engines.records import EPISODE_COLUMNS
+
+from .trained import train
 
 SMALL: dict[str, Any] = {
     "players": 3, "slots": 2, "horizon": 200, "minibatch": 50, "epochs": 2, "steps": 1200, "actor": (16,),
@@ -25,10 +26,6 @@ OWN_THESIS = """
 def thesis(events, players, player_stats):
     return players["xp"] - players["hp"] / player_stats["hp"]
 """
-
-
-def train(run: Run) -> Result:
-    return next(load_engine(run.engine).train([run], {}, lambda progress: True))
 
 
 def rollouts(run: Run, count: int = 3) -> list[Rollout]:
@@ -76,7 +73,7 @@ def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "own_thesis", raising=False)
     built_in, own = (
-        train(make_run({**SMALL, "players": 2, "reward": reward}))
+        train(make_run({**SMALL, "players": 2, "reward": reward}))[0]
         for reward in ("thesis", "own_thesis:thesis")
     )
     assert own.run.engine == "batched" and own.run.reward == ("own_thesis:thesis",)

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pneuma.cli.study_records import study_record
 from pneuma.config import as_fields
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.errors import UserError
+from pneuma.study.checkpoints import TABLES
 from pneuma.study.execute import (
     CellProgress,
     CellResult,
@@ -27,13 +26,10 @@ from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
-from pneuma.study.tables import from_parquet
 
 from .tiny import TINY, tiny_plan
 
-COLUMNS = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
-RECORDS = tuple(f"{table}.parquet" for table in COLUMNS)
-FILES = {*RECORDS, "run.json", "provenance.json", "policy.safetensors", "status.json"}
+RECORDS = tuple(f"{table}.parquet" for table in TABLES)
 
 
 @dataclass(frozen=True)
@@ -71,11 +67,6 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Executed, Executed]
     return first, _execute(tiny_plan(folder, conditions=("one",)), folder, workers=1)
 
 
-def _rows(executed: Executed, seed: int, table: str) -> list[dict[str, Any]]:
-    name = _run_id(executed, seed)
-    return list(from_parquet(executed.store.read_file(name, f"{table}.parquet")).to_pylist())
-
-
 def _run_id(executed: Executed, seed: int) -> str:
     return next(cell.run_id for cell in executed.plan.cells if cell.seed == seed)
 
@@ -90,25 +81,6 @@ def test_one_configuration_is_trained_once_for_two_conditions(together: Executed
     names = [cell.run_id for cell in together.plan.cells]
     assert names[0] == names[1] and names[2] == names[3]
     assert together.store.runs() == sorted({*names})
-
-
-def test_every_update_episode_and_evaluation_is_recorded(together: Executed) -> None:
-    """256 steps are 4 horizons of 64; with fewer than 20 updates each is evaluated.
-
-    Episodes of the one slot follow one another without a gap, but for the one that the budget cut off.
-    """
-    tables = {name: _rows(together, 0, name) for name in COLUMNS}
-    assert {name: {tuple(row) for row in rows} for name, rows in tables.items()} == {
-        name: {columns} for name, columns in COLUMNS.items()
-    }
-    steps = [64, 128, 192, 256]
-    assert [row["step"] for row in tables["metrics"]] == steps
-    assert [(row["step"], row["episodes"]) for row in tables["evaluations"]] == [(step, 2) for step in steps]
-    total = 0
-    for i, row in enumerate(tables["episodes"]):
-        total += row["length"]
-        assert (row["episode"], row["step"]) == (i, total) and row["length"] <= 50
-    assert 256 - 50 < total <= 256
 
 
 def test_the_selection_is_recorded(together: Executed) -> None:
