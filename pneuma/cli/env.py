@@ -64,6 +64,7 @@ def check(
     name: Annotated[
         str | None, typer.Argument(metavar="[ID]", help="The environment; left out: all.")
     ] = None,
+    all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID.")] = False,
     set_: EnvSettings = None,
     json: opt.Json = False,
 ) -> int:
@@ -73,6 +74,8 @@ def check(
     from pneuma.env.check import check_environment
 
     settings = opt.read_settings_options(set_)
+    if all_ and (name or settings):
+        raise UserError("--all: checks all environments as they are; name one, or give --set, without it")
     rows = []
     for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
         for verdict in check_environment(each, settings):
