@@ -279,8 +279,8 @@ def _check(head: Mapping[str, Any], table: pa.Table) -> None:
         kind = kinds.get(field.name, pa.float64())
         if field.name != EVALUATIONS and field.type not in (kind, _WIDER.get(kind)):
             raise ValueError(f"column {field.name} makes no sense")
-        rows_of = field.type.value_type if pa.types.is_list(field.type) else field.type
-        if field.name == EVALUATIONS and not pa.types.is_struct(rows_of):
+        row = field.type.value_type if pa.types.is_list(field.type) else field.type
+        if field.name == EVALUATIONS and not (pa.types.is_struct(row) and row.get_field_index("step") >= 0):
             raise ValueError(f"column {field.name} makes no sense")
     if not fits(_record(head, table), Record):
         raise ValueError("its runs make no sense")

@@ -267,8 +267,8 @@ def publish(
     if as_ is not None:
         if is_shipped(as_) or not re.fullmatch(r"[\w-]+", as_):
             raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
-        own = in_world(as_, split_world(record["study"])[1])
-        record = {**record, "study": own, "figure": own, "title": f"{record['title']}: {as_}"}
+        table = in_world(as_, split_world(record["study"])[1])
+        record = {**record, "study": table, "figure": table, "title": f"{record['title']}: {as_}"}
     from pneuma.analysis.published import published_path, read_published, times_path
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import open_study
