@@ -197,7 +197,7 @@ def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[D
         yield drawn(contrasted)
         if data.figure.startswith("fig-") and "return" in data.quantities:
             yield drawn(contrasted, **AS_IN_THESIS)
-        if names:
+        if 0 < len(names) < len(data.conditions):
             every = data.of_conditions(data.conditions)
             every.figure = f"{data.figure}-all"
             yield drawn(every, "every condition")
