@@ -149,7 +149,7 @@ def damage_sweep(engine: str, steps: int, seed: int = 0, every: int = 1) -> Stor
         for source, file, how in cases[::every]:
             disturbed = storm.folder / "disturbed"
             shutil.rmtree(disturbed, ignore_errors=True)
-            shutil.copytree(source, disturbed)
+            shutil.copytree(storm.folder / source, disturbed)
             damage(disturbed / file, how, storm.dice)
             storm.kills[how] += 1
             told = storm.run_whole("disturbed")
