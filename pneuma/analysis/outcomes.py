@@ -26,10 +26,8 @@ from pneuma.errors import UserError, nearest_name, unknown_name
 NAN = float("nan")
 ANYTHING = (-np.inf, np.inf)
 SHARE = (0.0, 1.0)
-HALF_A_MONSTER = 0.5 / 14
-"""Of the level's 14: shares killed that differ by less count as alike."""
-NEAR_AN_END = 0.0357
-"""How near 0 or 1 a share killed counts as there, for claims without a margin: about half a monster."""
+NEAR_AN_END = 0.5 / 14
+"""How near 0 or 1 a share killed counts as there, for claims without a margin: half a monster of 14."""
 QUIET = 0.9
 """The share of a core below which a run's time tells more of what ran beside it than of its training."""
 
