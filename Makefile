@@ -27,7 +27,8 @@ study: install  ## Run the activation study (thesis Fig. 6.5) in the arena at it
 figures: RESULTS = results
 figures: install  ## Draw everything in paper_figures/, the verdicts among it
 	$(call takes_results_alone)
-	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)" --beside published-logs=author-logs
+	$(BIN)/python -m pneuma.figures.paper paper_figures --results "$(RESULTS)" --beside published-logs=author-logs \
+	  --beside published-logs-sb3=author-logs
 
 # --- The reproduction ---------------------------------------------------------------------------
 #
