@@ -82,7 +82,7 @@ def _pneuma(*words: str) -> tuple[int, str]:
     stream = io.TextIOWrapper(io.BytesIO(), write_through=True)
     with contextlib.redirect_stdout(stream):
         code = main(words)
-    return code, stream.buffer.getvalue().decode()  # type: ignore[attr-defined]
+    return code, stream.buffer.getvalue().decode()
 
 
 def _digest(text: str) -> str:
