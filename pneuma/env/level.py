@@ -221,7 +221,7 @@ def _refuse_off_the_grid(level: Level, bodies: Sequence[_Body]) -> None:
     left, top, right, bottom = level.grid
     for body in bodies:
         inside = left <= body.x - body.half[0] and body.x + body.half[0] <= right
-        if not inside or body.y - body.half[1] < top or body.y + body.half[1] > bottom:
+        if not (inside and top <= body.y - body.half[1] and body.y + body.half[1] <= bottom):
             raise body.refusal(level, "reaches beyond the grid")
 
 

@@ -16,7 +16,7 @@ from .arena import THESIS
 
 def problems(env_id: str, **settings: object) -> dict[str, str]:
     """Return what each check finds."""
-    return {verdict.check: verdict.problem for verdict in check_environment(env_id, settings)}
+    return dict(check_environment(env_id, settings))
 
 
 def test_a_sound_world_can_be_put_back() -> None:
