@@ -55,10 +55,7 @@ def check_environment(env_id: str, settings: Settings) -> Iterator[tuple[str, st
             "PettingZoo": _check_pettingzoo
         }
     for name, check in checks.items():
-        problem, unseen = (
-            "",
-            mock.patch.dict(os.environ, UNSEEN | os.environ),
-        )  # unless the user has said where
+        problem = ""
         with _unseen(), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("error")
             try:
