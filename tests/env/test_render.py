@@ -11,7 +11,6 @@ import pytest
 from pneuma.env import rules, sprites
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 from .arena import ATTACK, DOWN, LEFT, RIGHT, begin, play, stage
 
@@ -89,12 +88,6 @@ def test_following_camera_is_the_map_around_the_player(
     left, top = corner
     expected = bare(worlds)[top : top + 176, left : left + 240].repeat(4, 0).repeat(4, 1)
     np.testing.assert_array_equal(Renderer(worlds, "follow", panel=False).frame(), expected)
-
-
-def test_an_unknown_camera_is_told(arena: str) -> None:
-    worlds = stage(arena)
-    with pytest.raises(UserError, match=r"unknown camera 'folow' \(did you mean follow\?\)"):
-        Renderer(worlds, "folow")
 
 
 def test_same_state_gives_the_same_bytes() -> None:
