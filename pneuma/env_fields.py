@@ -41,7 +41,7 @@ class EnvConfig:
     """
 
     level: Annotated[str, MinLen(1)] = "thesis"
-    """A shipped level, a folder of CSV layers, a .tmx map, or random:train:N or random:test:N."""
+    """A shipped level, a folder of CSV layers, or random:train:N or random:test:N."""
     random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
     """How many random levels, from number N on; each episode draws one."""
     characters: str = ""

@@ -78,10 +78,10 @@ def check(
         raise UserError("--all: checks all environments as they are; name one, or give --set, without it")
     rows = []
     for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
-        for verdict in check_environment(each, settings):
-            rows.append({"env": each, "check": verdict.check, "problem": verdict.problem})
+        for check_name, problem in check_environment(each, settings):
+            rows.append({"env": each, "check": check_name, "problem": problem})
             if not json:
-                print(f"{each:<26} {verdict.check:<26} {verdict.problem or 'ok'}")
+                print(f"{each:<26} {check_name:<26} {problem or 'ok'}")
     if json:
         print_json({"schema": 1, "checks": rows})
     return int(any(row["problem"] for row in rows))
@@ -100,17 +100,6 @@ def render(
             "--camera", "map|follow", "The whole map (usual for a picture), or one player (for a video)."
         ),
     ] = None,
-    scale: Annotated[
-        int | None,
-        typer.Option(
-            "--scale",
-            metavar="N",
-            min=1,
-            max=32,
-            help="Pixels for each of the 16 x 16 dots of a tile (default: 4 to follow, else about 900 px).",
-        ),
-    ] = None,
-    no_hud: Annotated[bool, opt.flag("--no-hud", "Leave out the strip of numbers.")] = False,
     seed: Seed = 0,
     set_: EnvSettings = None,
     trust: opt.Trust = False,
@@ -133,7 +122,7 @@ def render(
     settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     with _blaming_rewards(worlds):
-        renderer = Renderer(worlds, camera or ("follow" if moving else "map"), not no_hud, scale)
+        renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
         frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
         write_video(out, frames, FRAMES_PER_SECOND)
     print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))

@@ -3,8 +3,7 @@
 A level's name is one of
 
     thesis              a level that comes with the package, as a folder of CSV tables
-    path/to/folder      a user's own folder; see `tiled.py`
-    path/to/map.tmx     a map as the editor Tiled saves it; see `tiled.py`
+    path/to/folder      a user's own folder; see `level_folder.py`
     random:train:17     an island drawn from a number; see `random_level.py`
 
 Whatever its source, a level is refused in which a body would begin beyond the grid, in what stops it, in
@@ -24,7 +23,8 @@ import numpy as np
 from scipy.ndimage import label
 
 from pneuma.config import EnvConfig
-from pneuma.env import rules, tiled
+from pneuma.env import rules
+from pneuma.env.level_folder import FOLDER_FILES, START, folder_files, read_folder
 from pneuma.errors import UserError, unknown_name
 
 LEVELS = Path(__file__).parent / "data" / "levels"
@@ -45,7 +45,6 @@ class Level:
         terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`.
         starts: (S, 2) start places.
         monsters: kind, x and y of each.
-        where: what to call each start place, then each monster in an error; empty for random levels.
     """
 
     name: str
@@ -57,7 +56,6 @@ class Level:
     terrain: np.ndarray
     starts: np.ndarray
     monsters: tuple[tuple[str, float, float], ...]
-    where: tuple[str, ...] = ()
 
     @property
     def land(self) -> tuple[float, float, float, float]:
@@ -85,30 +83,28 @@ def load_level(name: str, monster_codes: dict[int, str]) -> Level:
         monster_codes: which code is which kind.
 
     Raises:
-        UserError: naming the file and the row and column, or the object, of what is wrong.
+        UserError: naming the file, the row and the column of what is wrong.
     """
     if name.startswith(RANDOM):
         from pneuma.env.random_level import parse_name, random_level  # builds on this module
 
         return random_level(*parse_name(name), monster_codes)
     path = _level_path(name)
-    layers = (tiled.read_folder if path.is_dir() else tiled.read_map)(path, monster_codes)
-    terrain = np.where(layers.blocked, rules.SOLID, rules.OPEN)
-    terrain[np.isin(layers.ground, layers.header.coast)] = rules.COAST
-    starts = [entity for entity in layers.entities if entity.kind == tiled.START]
-    monsters = [entity for entity in layers.entities if entity.kind != tiled.START]
-    left, top = layers.header.corner(layers.ground.shape)
+    header, ground, blocked, entities = read_folder(path, monster_codes)
+    terrain = np.where(blocked, rules.SOLID, rules.OPEN)
+    terrain[np.isin(ground, header.coast)] = rules.COAST
+    rows, columns = ground.shape
+    column, row = header.origin or (columns / 2, rows / 2)
     return Level(
         name=str(path) if name.startswith("~") else name,
-        title=layers.header.title,
-        tile=layers.header.tile,
-        left=left,
-        top=top,
-        ground=layers.ground,
+        title=header.title,
+        tile=header.tile,
+        left=-column * header.tile,
+        top=-row * header.tile,
+        ground=ground,
         terrain=terrain.astype(np.uint8),
-        starts=np.array([(entity.x, entity.y) for entity in starts], np.float64),
-        monsters=tuple((entity.kind, entity.x, entity.y) for entity in monsters),
-        where=tuple(entity.where for entity in (*starts, *monsters)),
+        starts=np.array([(x, y) for kind, x, y in entities if kind == START], np.float64),
+        monsters=tuple(entity for entity in entities if entity[0] != START),
     )
 
 
@@ -120,8 +116,7 @@ def level_files(name: str) -> list[Path]:
     """
     if name.startswith(RANDOM) or name in _shipped():
         return []
-    path = _level_path(name)
-    return tiled.folder_files(path) if path.is_dir() else [path]
+    return folder_files(_level_path(name))
 
 
 def _shipped() -> list[str]:
@@ -129,17 +124,15 @@ def _shipped() -> list[str]:
 
 
 def _level_path(name: str) -> Path:
-    """Return the folder or the .tmx file that a name other than `random:…` stands for."""
+    """Return the folder that a name other than `random:…` stands for."""
     if name in _shipped():
         return LEVELS / name
     path = Path(os.path.expanduser(name))
+    if path.is_dir() and not folder_files(path):
+        raise UserError(f"level {name!r}: the folder holds none of {', '.join(FOLDER_FILES)}")
     if path.is_dir():
-        if tiled.folder_files(path):
-            return path
-        raise UserError(f"level {name!r}: the folder holds none of {', '.join(tiled.FOLDER_FILES)}")
-    if path.suffix.lower() == ".tmx" and path.is_file():
         return path
-    forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder of layers or of a .tmx file"
+    forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder of layers"
     raise UserError(f"{unknown_name('level', name, _shipped())}, {forms}")
 
 
@@ -201,8 +194,9 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
     width, height = 2 * float(players["half_width"].max()), 2 * float(players["half_height"].max())
     lost = first_cut_off(level, open_tiles, max(width, height), len(stopped))
     if lost is not None:
-        who = level.where[lost] if level.where else f"level {level.name}: a place"
-        raise UserError(f"{who} is walled in or off the land, for a body of {width:g} x {height:g} px")
+        who = [*starts[:: len(shapes)], *others][lost].told
+        size = f"{width:g} x {height:g} px"
+        raise UserError(f"level {level.name}: {who} is walled in or off the land, for a body of {size}")
     _refuse_terrain(level, starts, trees + coast)
     _refuse_terrain(level, stopped, (*trees, rules.COAST))
     if config.bodies == "block":
@@ -227,7 +221,7 @@ def _refuse_off_the_grid(level: Level, bodies: Sequence[_Body]) -> None:
     left, top, right, bottom = level.grid
     for body in bodies:
         inside = left <= body.x - body.half[0] and body.x + body.half[0] <= right
-        if not inside or body.y - body.half[1] < top or body.y + body.half[1] > bottom:
+        if not (inside and top <= body.y - body.half[1] and body.y + body.half[1] <= bottom):
             raise body.refusal(level, "reaches beyond the grid")
 
 

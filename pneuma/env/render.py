@@ -29,8 +29,6 @@ VIEW = (15 * sprites.TILE, 11 * sprites.TILE)
 FOLLOW_FACTOR = 4
 MAP_SIDE = 900
 """About how many pixels the longer side of the whole map gets."""
-MOST_PIXELS = 50_000_000
-"""In a frame."""
 
 USUAL_TILE = 64.0
 """Side in pixels of the tiles for which the art is drawn: 4 pixels of the world an art pixel."""
@@ -41,7 +39,7 @@ PANEL_BAR = (48, 3)
 PANEL_GAP = 6  # art pixels between two things, and around all
 PANEL_LINE = 7
 PANEL_WIDTH = 360
-"""Of all things side by side, in art pixels; where there is less room they take several lines."""
+"""Of all things side by side, in art pixels."""
 STRIDE = 40.0  # pixels that a body walks between two poses: a player's way in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 
@@ -64,20 +62,16 @@ class Renderer:
         background: (height, width, 3) the bare ground of the whole map, in art pixels.
     """
 
-    def __init__(
-        self, worlds: Worlds, camera: str = "map", panel: bool = True, scale: int | None = None
-    ) -> None:
+    def __init__(self, worlds: Worlds, camera: str = "map", panel: bool = True) -> None:
         """Paint the background.
 
         Args:
             worlds: whose state to draw, now and later.
             camera: "map" for the whole level, "follow" for a view centred on a player.
             panel: whether a strip above the picture tells HP, XP, step and monsters left.
-            scale: how many pixels an art pixel gets; unless given, 4 for a view, and for a map what
-                brings its longer side nearest to 900.
 
         Raises:
-            UserError: for an unknown camera, or a level or scale that is too large.
+            UserError: for an unknown camera, or a level that is too large.
         """
         if camera not in CAMERAS:
             raise unknown_name("camera", camera, CAMERAS)
@@ -91,14 +85,12 @@ class Renderer:
         self.background, self._obstacles = self._scene(0)
         height, width = self.background.shape[:2]
         if camera == "follow":
+            self._factor, self._divisor = FOLLOW_FACTOR, 1
             width, height = VIEW
-            self._factor = scale or FOLLOW_FACTOR
         else:
-            self._factor = scale or max(round(MAP_SIDE / max(height, width)), 1)
-        self._divisor = 1 if scale else max(round(max(height, width) / MAP_SIDE), 1)
+            self._factor = max(round(MAP_SIDE / max(height, width)), 1)
+            self._divisor = max(round(max(height, width) / MAP_SIDE), 1)
         self._size = width * self._factor // self._divisor, height * self._factor // self._divisor
-        if self._size[0] * self._size[1] > MOST_PIXELS:
-            raise UserError(f"scale = {scale} is not allowed: a picture has at most {MOST_PIXELS:,} pixels")
         self._panel = _Panel(worlds, self._size[0]) if panel else None
         self.size = self._size[0], self._size[1] + (self._panel.height if self._panel else 0)
 
@@ -233,45 +225,33 @@ class Renderer:
 
 
 class _Panel:
-    """Draws the strip above a picture, of one width, which has the same height at any moment.
+    """Draws the strip above a picture, of one size.
 
     Attributes:
         height: in pixels.
     """
 
     def __init__(self, worlds: Worlds, width: int) -> None:
-        """Find out how many lines the most that there is to tell takes.
-
-        Args:
-            worlds: whose state to tell.
-            width: of the strip in pixels.
-        """
+        """Prepare for the state of worlds and a width in pixels."""
         self.worlds = worlds
         self._width = width
         self._factor = min(max(width // PANEL_WIDTH, 1), 3)
-        digits = sprites.text_picture("00000")  # that step, XP and monsters may grow by
-        full = [[*self._pieces(0, p, "TIME LIMIT"), digits] for p in range(worlds.players.shape[1])]
-        self._lines = max(len(self._rows(pieces)) for pieces in full)
-        height = self._lines * (PANEL_LINE + PANEL_GAP) + PANEL_GAP
-        self.height = height * self._factor // 2 * 2  # videos want even sides
+        self.height = (PANEL_LINE + 2 * PANEL_GAP) * self._factor // 2 * 2  # videos want even sides
 
     def strip(self, world: int, player: int) -> np.ndarray:
         """Return the strip for a player of a world, (height, width, 3) uint8."""
         strip = np.empty((self.height, self._width, 3), np.uint8)
         strip[...] = sprites.rgb(sprites.PLATE)
-        ended = self.worlds.worlds["ending"][world] != rules.RUNNING
-        ending = self.worlds.ending(world).replace("-", " ") if ended else ""
-        for line, row in enumerate(self._rows(self._pieces(world, player, ending))):
-            left, top = PANEL_GAP, PANEL_GAP + line * (PANEL_LINE + PANEL_GAP)
-            for picture in row:
-                down = top + (PANEL_LINE - picture.shape[0]) // 2
-                large = sprites.enlarge(picture, self._factor)
-                sprites.blend(strip, large, left * self._factor, down * self._factor)
-                left += picture.shape[1] + PANEL_GAP
+        left = PANEL_GAP
+        for picture in self._pieces(world, player):
+            down = PANEL_GAP + (PANEL_LINE - picture.shape[0]) // 2
+            large = sprites.enlarge(picture, self._factor)
+            sprites.blend(strip, large, left * self._factor, down * self._factor)
+            left += picture.shape[1] + PANEL_GAP
         return strip
 
-    def _pieces(self, world: int, player: int, ending: str) -> list[np.ndarray]:
-        """Return the pictures of all that is told, one after the other."""
+    def _pieces(self, world: int, player: int) -> list[np.ndarray]:
+        """Return the pictures of all that is told, one after the other; what finds no room is cut off."""
         worlds = self.worlds
         row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
         ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
@@ -282,22 +262,12 @@ class _Panel:
             f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}",
             f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
         ]
-        texts = [f"P{player + 1}"] * (worlds.players.shape[1] > 1) + texts + [ending] * bool(ending)
+        if worlds.players.shape[1] > 1:
+            texts.insert(0, f"P{player + 1}")
+        if state["ending"] != rules.RUNNING:
+            texts.append(worlds.ending(world).replace("-", " "))
         bar = sprites.bar_picture(filled, PANEL_BAR[0], sprites.GOLD, height=PANEL_BAR[1])
         return [bar, *(sprites.text_picture(text) for text in texts)]
-
-    def _rows(self, pieces: list[np.ndarray]) -> list[list[np.ndarray]]:
-        """Break what is told into lines that fit the width."""
-        room = self._width // self._factor - PANEL_GAP
-        rows: list[list[np.ndarray]] = [[]]
-        left = 0
-        for piece in pieces:
-            left += piece.shape[1] + PANEL_GAP
-            if left > room and rows[-1]:
-                rows.append([])
-                left = piece.shape[1] + PANEL_GAP
-            rows[-1].append(piece)
-        return rows
 
 
 def _filled_part(hp: float, full: float, width: int) -> int:

@@ -118,7 +118,7 @@ class PneumaVecEnv(Rendering, VecEnv):
         infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
         if slots.world_over.any():
             self.state.reset(slots.world_over)
-            self._lengths[slots.of_worlds(slots.world_over)] = 0  # idle slots begin again as well
+            self._lengths[np.repeat(slots.world_over, slots.players)] = 0  # idle slots begin again as well
         self._show()
         return slots.observations, rewards, dones.copy(), infos
 
@@ -158,13 +158,11 @@ class PneumaVecEnv(Rendering, VecEnv):
         self.state.restore(world, snapshot)
         self._begun = True
         slots = slice(world * self.slots.players, (world + 1) * self.slots.players)
+        self._returns[slots], self._lengths[slots] = 0.0, 0
         if self.state.worlds["ending"][world] != rules.RUNNING:
-            self._returns[slots], self._lengths[slots] = 0.0, 0
             self.state.reset(np.arange(len(self.state)) == world)
         elif snapshot.returns is not None:
             self._returns[slots], self._lengths[slots] = snapshot.returns, self.state.worlds["steps"][world]
-        else:
-            self._returns[slots], self._lengths[slots] = 0.0, 0
         return self.observe()
 
     def observe(self) -> np.ndarray:

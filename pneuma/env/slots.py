@@ -89,10 +89,6 @@ class Slots:
         """Which slots' players were dead already when the last step began, (slots,)."""
         return ((self.worlds.players["hp"] <= 0) & ~self.worlds.present).ravel()
 
-    def of_worlds(self, flags: np.ndarray) -> np.ndarray:
-        """Return per-world flags as per-slot flags, (slots,)."""
-        return np.repeat(flags, self.players)
-
 
 def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
     """Say how a world's episode ended for a player."""

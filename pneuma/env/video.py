@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import itertools
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -31,19 +30,15 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], frames_per_secon
         frames_per_second: how fast to play them; browsers play a GIF of more than 50 slowly.
 
     Raises:
-        UserError: for another suffix, no frames, an .mp4 without imageio-ffmpeg, or a file that cannot
+        UserError: for another suffix, an .mp4 without imageio-ffmpeg, or a file that cannot
             be written.
     """
     path = Path(path)
     check_video(path)
-    stream = iter(frames)
-    first = next(stream, None)
-    if first is None:
-        raise UserError(f"{path}: there are no frames to write")
     write = {".gif": _write_gif, ".mp4": _write_mp4, ".png": _write_png}[path.suffix.lower()]
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix.lower()}")
     try:
-        write(partial, itertools.chain([first], stream), frames_per_second)
+        write(partial, iter(frames), frames_per_second)
         partial.replace(path)
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
@@ -61,8 +56,6 @@ def check_video(path: Path) -> None:
         )
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise UserError(f"{path}: .mp4 needs imageio-ffmpeg: {install_extra('video')}, or choose .gif")
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a file")
     if not os.access(path.absolute().parent, os.W_OK):
         raise UserError(f"{path}: there is no folder {path.parent}, or it cannot be written to")
 

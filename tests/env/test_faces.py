@@ -208,11 +208,8 @@ def test_a_world_that_is_put_back_goes_on_as_it_would_have(pit: str, face: str) 
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: PneumaEnv(episode_step=10), "unknown key 'episode_step' (did you mean episode_steps?)"),
-        (lambda: PneumaEnv(end_on_clear="yes"), 'end_on_clear = "yes" is not allowed'),
         (lambda: PneumaEnv(render_mode="humane"), "render_mode = 'humane' is not allowed"),
         (lambda: PneumaEnv(players=2), "players = 2: this face has one player"),
-        (lambda: PneumaEnv(env_id="pneuma/Pneuma-v1"), "unknown environment 'pneuma/Pneuma-v1'"),
         (lambda: PneumaVectorEnv(3, players=2), "num_envs = 3 is not allowed"),
         (lambda: PneumaVecEnv([]), "seeds is empty"),
         (lambda: PneumaVecEnv(3, players=2), "3 slots are not allowed"),

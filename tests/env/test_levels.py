@@ -1,4 +1,4 @@
-"""Levels: the shipped one, folders of tables, maps of Tiled's, and what is said of bad ones."""
+"""Levels: the shipped one, folders of tables, and what is said of bad ones."""
 
 from __future__ import annotations
 
@@ -97,15 +97,16 @@ def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacle
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({"ground": "1,1,1,1\n1,x,1,1\n1,1,1,1\n"}, "ground.csv, row 2, column 2: 'x' is not a tile code"),
-        ({"obstacles": "-1,-1\n-1\n"}, "obstacles.csv, row 2: 1 tiles, where row 1 has 2"),
+        ({"ground": "1,1,1,1\n1,x,1,1\n1,1,1,1\n"}, "ground.csv: could not convert string 'x' to int64"),
+        ({"obstacles": "-1,-1\n-1\n"}, "obstacles.csv: the number of columns changed from 2 to 1 at row 2"),
         ({"obstacles": "-1\n" * 1001}, "obstacles.csv: a layer has 1 to 1000 tiles a side"),
+        ({"obstacles": ""}, "obstacles.csv: a layer has 1 to 1000 tiles a side"),
         ({"obstacles": "-1,-1\n"}, ": ground of (3, 4) tiles, and obstacles of (1, 2)"),
         ({"objects": "400,0,0\n"}, "objects.csv: the first line must be code,x,y"),
-        ({"objects": "code,x,y\n400,0\n"}, "objects.csv, row 2: expected numbers in the columns code,x,y"),
-        ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv, row 2: unknown code 399; known are 400, 390"),
-        ({"objects": "code,x,y\n390,0,0\n"}, ": no start place"),
-        ({"objects": "code,x,y\n" + "400,0,0\n" * 300_000}, ": more than 1000 start places and monsters"),
+        ({"objects": "code,x,y\n400,0\n"}, "objects.csv: a row has 2 columns, where code,x,y are asked for"),
+        ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv: unknown code 399; known are 400, 390"),
+        ({"objects": "code,x,y\n390,0,0\n"}, "objects.csv: no start place"),
+        ({"objects": "code,x,y\n" + "400,0,0\n" * 300_000}, "objects.csv: more than 1000 start places"),
         ({"level": "tile = 4\n"}, "level.toml, line 1: tile = 4 is not allowed"),
         ({"level": "coats = [0]\n"}, "level.toml, line 1: unknown key 'coats' (did you mean coast?)"),
     ],
@@ -113,81 +114,6 @@ def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacle
 def test_what_cannot_be_is_told_with_file_and_row(tmp_path: Path, files: dict[str, str], told: str) -> None:
     folder = write_folder(tmp_path, **files)
     assert complaint(level=str(folder)).startswith(f"{folder}{'' if told.startswith(':') else '/'}{told}")
-
-
-# --- Maps of Tiled's -----------------------------------------------------------------------------
-
-TILED = """<?xml version="1.0" encoding="UTF-8"?>
-<map version="1.10" orientation="orthogonal" width="4" height="3" tilewidth="64" tileheight="64" infinite="0">
-<properties><property name="title" value="Far &amp; away"/></properties>
-<tileset firstgid="1001" source="things.tsx"/>
-<tileset firstgid="1" name="ground"><tile id="2"><objectgroup><object id="1" x="0" y="0"/></objectgroup></tile></tileset>
-<layer id="1" name="Ground" width="4" height="3"><data encoding="csv">
-2,2,2,2,
-2,3,3,2,
-1,1,2,2
-</data></layer>
-<group name="g"><layer id="2" name="obstacles" width="4" height="3"><data encoding="csv">
-0,0,0,0,
-0,0,1396,3221225474,
-0,0,0,0
-</data></layer>
-<objectgroup id="9" name="who"><object id="5" name="start" x="32" y="32"/>
-<object id="6" type="Bamboo" x="160" y="30" width="24" height="60"/></objectgroup></group>
-</map>
-"""  # noqa: E501
-
-
-def write_map(folder: Path, *changes: tuple[str, str]) -> Path:
-    text = TILED
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "isle.tmx"
-    path.write_text(text)
-    return path
-
-
-def test_a_map_is_read_with_each_tilesets_own_codes(tmp_path: Path) -> None:
-    level = load(write_map(tmp_path))
-    assert (level.title, level.tile, level.left, level.top) == ("Far & away", 64.0, -128.0, -96.0)
-    assert np.array_equal(level.ground, GROUND)
-    assert np.argwhere(level.terrain == SOLID).tolist() == [[1, 2], [1, 3]]  # the second one flipped
-    assert np.argwhere(level.terrain == COAST).tolist() == [[2, 0], [2, 1]]
-    assert level.starts.tolist() == [[-96.0, -64.0]] and level.monsters == (("bamboo", 44.0, -36.0),)
-
-
-def test_a_maps_objects_may_be_tiles_and_its_coast_other_codes(tmp_path: Path) -> None:
-    changes = [
-        ("</properties>", '<property name="coast" value="0, 2"/></properties>'),
-        ('name="start" x="32" y="32"', 'class="START" gid="7" x="0" y="64" width="64" height="64"'),
-    ]
-    level = load(write_map(tmp_path, *changes))
-    assert level.starts.tolist() == [[-96.0, -64.0]]  # placed by its lower left corner
-    assert (level.terrain == COAST).sum() == 4  # and what stands there is under water
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("</map>", "", ": not XML: "),
-        ('infinite="0"', 'infinite="1"', ": not a finite orthogonal map of Tiled's"),
-        ('"orthogonal"', '"isometric"', ": not a finite orthogonal map of Tiled's"),
-        ('tileheight="64"', 'tileheight="32"', ": tiles must be square"),
-        ('tilewidth="64"', 'tilewidth="x"', ": tilewidth = 'x' is not allowed: a number"),
-        ('name="obstacles"', 'name="Trees"', ": no layer of tiles named obstacles"),
-        ('encoding="csv"', 'encoding="base64"', ": not stored as CSV; set Tile Layer Format to CSV"),
-        ('firstgid="1"', 'firstgid="2"', ": its tiles belong to no tileset"),
-        ('id="9"', 'id="9" offsetx="8"', ", objectgroup 'who': shifted or turned against the tiles"),
-        ('name="start"', 'name="tree"', ", object 'tree': neither a start nor a monster"),
-        ('x="32"', 'x="nan"', ", object 'start': x = 'nan' is not allowed"),
-        ("Far &amp; away", '"/><property name="coast" value="sea', ": coast = "),
-    ],
-)  # fmt: skip
-def test_maps_that_cannot_be_read_are_told_why(tmp_path: Path, old: str, new: str, told: str) -> None:
-    path = write_map(tmp_path, (old, new))
-    message = complaint(level=str(path))
-    assert message.startswith(str(path)) and told in message
 
 
 # --- Room for bodies -----------------------------------------------------------------------------
@@ -259,7 +185,7 @@ def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door
     """Two rooms of 6 x 12 tiles, a start and a monster, and a door so many tiles high between."""
     made: Callable[[int], Path] = lambda gap: write_hall(tmp_path / f"hall{gap}", tile, gap)  # noqa: E731
     assert begin(1, level=str(made(door))).level.monsters
-    assert "the bamboo at " in (told := complaint(level=str(made(door - 1))))
+    assert "monster 0 (bamboo) at " in (told := complaint(level=str(made(door - 1))))
     assert told.endswith("is walled in or off the land, for a body of 47 x 48 px")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, ClassVar
@@ -19,7 +18,6 @@ from pneuma.env.render import Renderer
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.watch import Window
-from pneuma.errors import UserError
 
 from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
 
@@ -109,12 +107,6 @@ def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     window.show(frame, 0)
     assert window.closed and window.keys() == set()
-
-
-def test_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(UserError, match="pygame-ce: pip install"):
-        Window((64, 64), "none")
 
 
 def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None:
