@@ -10,6 +10,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
@@ -36,14 +37,43 @@ from pneuma.values import shown_value
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
-MOST_ROWS = 1000
-"""Of a summary that is shown whole."""
 LARGE_BYTES = 120_000
 """An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
 """Caption, columns, rows; and how many of the columns, the first, are words and not numbers."""
+
+
+@dataclass
+class Part:
+    """What is shown of a study in one world.
+
+    Attributes:
+        record: the name that its runs are recorded under.
+        where: its heading: in which world its runs are played.
+        title: of the study, as its record has it.
+        notes: sentences that a person should know first.
+        mend: the command that would train what is missing.
+        extent: how much it is.
+        pictures: as `study_pictures` draws them.
+        conditions: its fields, sorted by whether conditions or their base differ in them.
+        runs: of each its id, condition, seed, status and engine.
+        origins: what produced the runs: facts by name, and for how many runs they hold.
+    """
+
+    record: str
+    where: str
+    title: str = ""
+    notes: list[str] = field(default_factory=list)
+    mend: str = ""
+    extent: str = ""
+    pictures: Sequence[Mapping[str, str]] = ()
+    numbers: Table | None = None
+    effects: Table | None = None
+    conditions: Mapping[str, Any] | None = None
+    runs: Sequence[Sequence[Any]] = ()
+    origins: Sequence[tuple[Mapping[str, str], int]] = ()
 
 
 def report_page(
@@ -73,8 +103,8 @@ def report_page(
     run_places: dict[str, tuple[str, int]] = {}  # the record and row where a run has its place: the first
     for study in studies:
         for part in study["parts"]:
-            for row, (run_id, *_) in enumerate(part["runs"]):
-                run_places.setdefault(run_id, (part["record"], row))
+            for row, (run_id, *_) in enumerate(part.runs):
+                run_places.setdefault(run_id, (part.record, row))
     page = environment.get_template("report.html.j2").render(
         claims=claims, studies=studies, note=note, unjudged=unjudged, version=__version__, words=verdicts,
         places=verdicts.places_of(claims), counts=counts, run_places=run_places, anchor=_anchor,
@@ -113,19 +143,6 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
     ]
     caption = f"Outcomes of {study}, with 95 % intervals and counts of runs"
     return caption, ["Condition", *map("\n".join, pairs)], rows, 1
-
-
-def statistics_table(study: str, summary: pd.DataFrame) -> Table | None:
-    """Return every row of a summary; None where a page has no room for so many."""
-    if len(summary) > MOST_ROWS:
-        return None
-    rows = [
-        (row["condition"], row["outcome"], row["statistic"], row["interval"] or "none",
-         shown_with_interval(row["value"], row["low"], row["high"]), int(row["runs"]))
-        for row in summary.to_dict("records")
-    ]  # fmt: skip
-    columns = ("Condition", "Outcome", "Statistic", "Interval by", "Value", "Runs")
-    return f"Every statistic of {study}'s outcomes", columns, rows, 4
 
 
 def factors_table(study: str, effects: pd.DataFrame) -> Table:

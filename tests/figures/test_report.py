@@ -8,8 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from pneuma.cli.report import part_of
-from pneuma.figures.report import numbers_table, report_page
+from pneuma.figures.report import Part, numbers_table, report_page
 
 from .hand_made_verdicts import claim, comparison, judged
 
@@ -31,7 +30,7 @@ def _page(name: str = "tanh") -> bytes:
         "steadier": judged(steadier, text=("inconclusive", "", (ratio,))),
     }
     numbers = (name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]], 1)
-    part = part_of(
+    part = Part(
         f"activation {name}", "In the text's world", notes=[name], mend=name,
         pictures=[{"source": PICTURE, "alt": name, "caption": name}], numbers=numbers,
         conditions={
@@ -41,8 +40,8 @@ def _page(name: str = "tanh") -> bytes:
         runs=[("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")],
         origins=[({name: name}, 2)],
     )  # fmt: skip
-    again = part_of("again", "In the arena", runs=[("0" * 16, "tanh", 0, "done", "sb3")])
-    empty = part_of(
+    again = Part("again", "In the arena", runs=[("0" * 16, "tanh", 0, "done", "sb3")])
+    empty = Part(
         "optimizer", "In the text's world", notes=["No runs yet."], mend="pneuma study run optimizer"
     )
     studies = [
