@@ -75,10 +75,6 @@ def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) 
     print("\nObjectives:")
     for own in search.objectives:
         print(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
-    for kind, chosen in (("Sampler", search.sampler), ("Pruner", search.pruner)):
-        if chosen["name"]:
-            print(f"{kind}: {', '.join(f'{key} {value}' for key, value in chosen.items())}")
-    print(f"Trials are asked for {search.generation} at a time.")
     for preset, budget in search.presets.items():
         seeds = counted(len(budget.seeds), "seed")
         print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
@@ -116,9 +112,7 @@ def status(
         told = command("search", "promote", name, *world_option(world or TEXT), "--results", store.root)
         print(f"Best (*): trial {best}. Confirm it with: {told}")
     else:
-        front = f"Pareto front (*): trials {', '.join(map(str, best))}." if best else ""
-        print(front or "No trial is complete yet.")
-    print(f"Its runs: {command('study', 'status', f'search-{search.name}', '--results', store.root)}")
+        print(f"Pareto front (*): trials {', '.join(map(str, best or [])) or 'none yet'}.")
     print(f"Look closer with: optuna-dashboard {plain(str(journal_path(store, search.name)))}")
     return None
 

@@ -87,18 +87,18 @@ def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequen
 
 
 def _trial(searched: Searched, number: int | None) -> Told:
-    name, best = searched.task.search.name, searched.best
-    complete = {trial.number: trial for trial in searched.trials if trial.state == "complete"}
-    if not complete:
-        raise UserError(f"search {name}: no trial is complete yet; run it with more --trials")
-    if number is None and isinstance(best, list):
+    search, best = searched.task.search, searched.best
+    if number is None and best and isinstance(best, list):
         front = ", ".join(map(str, best))
-        raise UserError(f"search {name}: has a front, not one best trial; choose with --trial: {front}")
+        raise UserError(
+            f"search {search.name}: has a front, not one best trial; choose with --trial: {front}"
+        )
     chosen = best if number is None else number
-    if chosen not in complete:
-        known = ", ".join(map(str, complete))
-        raise UserError(f"--trial {number}: no complete trial of search {name}; these are: {known}")
-    return complete[chosen]
+    for trial in searched.trials:
+        if trial.number == chosen and trial.state == "complete":
+            return trial
+    asked = "" if number is None else f"--trial {number}: "
+    raise UserError(f"{asked}no complete trial of search {search.name}; `pneuma search status` lists them")
 
 
 def _check_alike(searches: Sequence[Searched]) -> None:

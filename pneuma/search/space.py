@@ -209,13 +209,9 @@ class Space:
                 raise Unsound(f"{error}, with {told}", ("space", *at_fault)) from None
             yield params, run
 
-    @property
-    def _start(self) -> dict[str, Any]:
-        return usual_fields(self.base, self.fixed)
-
     def _known(self, params: Params) -> dict[str, Any]:
         """Return what a `when` may name: fields as they are beside parameters, and these themselves."""
-        return {**self._start, **self.fields(params), **params}
+        return {**usual_fields(self.base, self.fixed), **self.fields(params), **params}
 
 
 def usual_fields(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
@@ -273,10 +269,6 @@ def read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Pa
         listed = read_model(ChoicesTable, file, where)
         values = [_field(file, where, "choices", name, value) for value in listed.choices]
         choices = {_name(value): {name: value} for value in values}
-        if len(choices) < len(values):
-            raise file.mistake(
-                where, f"choices = {shown(values)} is not allowed: different values", "choices"
-            )
         return Parameter(name, Choices(choices), _read_when(file, where, listed.when, before))
     ends = read_model(RangeTable, file, where)
     low, high = (_field(file, where, key, name, getattr(ends, key)) for key in ("low", "high"))

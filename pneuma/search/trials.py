@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -286,12 +287,14 @@ def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outco
 
 def over_seeds(name: str, values: np.ndarray) -> float:
     """Put the outcomes of a trial's runs together, (seeds,); NaN where one has none."""
-    if not np.isfinite(values).all():
+    if not np.isfinite(values).all() or (name == "deviation" and len(values) < 2):
         return float("nan")
-    if name == "deviation":
-        return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
-    if name == "iqm":
-        return float(interquartile_mean(values))
-    if name == "median":
-        return float(np.median(values))
-    return float(values.mean())
+    return float(_OVER_SEEDS[name](values))
+
+
+_OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
+    "mean": np.mean,
+    "median": np.median,
+    "iqm": interquartile_mean,
+    "deviation": partial(np.std, ddof=1),
+}
