@@ -27,11 +27,14 @@ import numpy as np
 from pydantic import Field
 
 from pneuma.errors import UserError
+from pneuma.reading import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 START, START_CODE = "start", 400
 EMPTY, WATER_CODE = -1, 0
 MAX_SIDE = 1000
+LARGEST_LAYER = 16 * 2**20
+"""Bytes of a layer, with every code of the longest."""
 MOST_PLACES = 1000
 """Of start places and monsters together, in a level."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
@@ -95,7 +98,7 @@ def read_folder(folder: Path, monster_codes: Mapping[int, str]) -> Layers:
     grids = {}
     for name in names:
         path = folder / f"{name}.csv"
-        grids[name] = _codes(_read_text(path), str(path))
+        grids[name] = _codes(read_text(path, LARGEST_LAYER), str(path))
     kinds = {START_CODE: START, **monster_codes}
     return _layers(read_model(Header, file), grids, _objects(folder / "objects.csv", kinds), folder)
 
@@ -108,7 +111,7 @@ def folder_files(folder: Path) -> list[Path]:
 def read_map(path: Path, monster_codes: Mapping[int, str]) -> Layers:
     """Read a level from a .tmx map; `UserError` tells file and layer or object of what is wrong."""
     try:
-        root = ElementTree.fromstring(_read_text(path))
+        root = ElementTree.fromstring(read_text(path, LARGEST_LAYER))
     except ElementTree.ParseError as error:
         raise UserError(f"{path}: not XML: {error}") from None
     whole = root.get("orientation", "orthogonal") == "orthogonal" and root.get("infinite", "0") == "0"
@@ -146,15 +149,6 @@ def _layers(header: Header, grids: Mapping[str, np.ndarray], entities: list[Enti
     return Layers(header, ground, obstacles != EMPTY, entities)
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: cannot be read: it is not UTF-8 text") from None
-
-
 def _codes(text: str, where: str) -> np.ndarray:
     """Return the codes of a layer stored as CSV, (rows, columns) int64."""
     rows = [line.strip().removesuffix(",").split(",") for line in text.strip().splitlines()]
@@ -171,7 +165,7 @@ def _codes(text: str, where: str) -> np.ndarray:
 
 def _objects(path: Path, kinds: Mapping[int, str]) -> list[Entity]:
     """Read the table code,x,y of start places and monsters, in the file's order."""
-    lines = _read_text(path).splitlines()
+    lines = read_text(path, LARGEST_LAYER).splitlines()
     if lines[:1] != ["code,x,y"]:
         raise UserError(f"{path}: the first line must be code,x,y")
     entities = []
