@@ -33,6 +33,7 @@ from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_sc
 from typing_extensions import TypedDict
 
 from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.reading import read_text
 
 Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
@@ -188,11 +189,7 @@ def read_toml(path: Path) -> TomlFile:
     Raises:
         UserError: when it cannot be read or is not TOML, naming the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise UserError(f"{path}: cannot be read: {reason}") from None
+    text = read_text(path)
     try:
         return TomlFile(path, text, tomllib.loads(text))
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end

@@ -18,7 +18,7 @@ MODULES = {
 
 BASE = (
     "pneuma.config", "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
-    "pneuma.worlds", "pneuma.schema",
+    "pneuma.worlds", "pneuma.schema", "pneuma.reading",
 )  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
@@ -29,7 +29,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.config": ("pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values"),
     "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
-    "pneuma.schema": ("pneuma.errors",),
+    "pneuma.reading": ("pneuma.errors",),
+    "pneuma.schema": ("pneuma.errors", "pneuma.reading"),
     "pneuma.values": (),
     "pneuma.worlds": ("pneuma.errors",),
     "pneuma.env": (),

@@ -16,11 +16,14 @@ import numpy as np
 from pydantic import Field
 
 from pneuma.errors import UserError
+from pneuma.reading import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 START, START_CODE = "start", 400
 EMPTY, WATER_CODE = -1, 0
 MAX_SIDE = 1000
+LARGEST_LAYER = 16 * 2**20
+"""Bytes of a layer, with every code of the longest."""
 MOST_PLACES = 1000
 """Of start places and monsters together, in a level."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
@@ -92,8 +95,8 @@ def _objects(path: Path, kinds: Mapping[int, str]) -> list[tuple[str, float, flo
 
 def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
     """Return the numbers of a CSV table, (rows, columns), whose first line is `head` if there is one."""
+    lines = read_text(path, LARGEST_LAYER).splitlines()
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
         if head and lines[:1] != [head]:
             raise ValueError(f"the first line must be {head}")
         rows = [line for line in lines[bool(head) :] if line.strip()]
@@ -101,8 +104,6 @@ def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
         table = np.loadtxt(rows, kind, delimiter=",", ndmin=2) if rows else np.zeros((0, columns), kind)
         if head and table.shape[1] != columns:
             raise ValueError(f"a row has {table.shape[1]} columns, where {head} are asked for")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:  # of another encoding, too
+    except ValueError as error:
         raise UserError(f"{path}: {error}") from None
     return table

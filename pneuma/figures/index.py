@@ -12,6 +12,7 @@ from urllib.parse import quote
 from pneuma.analysis.frames import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import changed_fields, title_of
+from pneuma.reading import read_whole
 
 INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
@@ -58,7 +59,7 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     try:
-        entries: list[dict[str, Any]] = json.loads(path.read_bytes())["figures"]
+        entries: list[dict[str, Any]] = json.loads(read_whole(path))["figures"]
         if not all(isinstance(entry["file"], str) for entry in entries):
             raise ValueError
         return entries

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
 import re
-import stat
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError
+from pneuma.reading import LARGEST_BYTES as LARGEST_BYTES
+from pneuma.reading import read_whole as read_whole
 
 SCHEMA = 1
 _SEAL = "sha256"
-
-LARGEST_BYTES = 512 * 2**20
-"""Of a file that is read whole."""
 
 CHECKPOINTS = "checkpoints"
 """Folder of a run's checkpoints."""
@@ -91,32 +88,6 @@ def _wait_for_disk(descriptors: Sequence[int]) -> None:
     with ThreadPoolExecutor(len(descriptors)) as pool:
         list(pool.map(os.fsync, descriptors))
     return None
-
-
-def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
-    """Return what a file holds: the one way in which files of a results folder are read.
-
-    The folder may be anybody's: a pipe is not waited for, a device not read without end.
-
-    Raises:
-        OSError: when it cannot be read, is no ordinary file, or is larger than `most` bytes.
-    """
-    try:
-        with open(path, "rb", opener=_open_ordinary) as file:
-            data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else None
-    except MemoryError:
-        raise OSError(errno.ENOMEM, "does not fit into memory") from None
-    if data is None or len(data) > most:
-        raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
-    return data
-
-
-def _open_ordinary(path: str, flags: int) -> int:
-    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, "is no ordinary file")
-    return descriptor
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
