@@ -64,7 +64,6 @@ def check(
     name: Annotated[
         str | None, typer.Argument(metavar="[ID]", help="The environment; left out: all.")
     ] = None,
-    all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID.")] = False,
     set_: EnvSettings = None,
     json: opt.Json = False,
 ) -> int:
@@ -74,8 +73,6 @@ def check(
     from pneuma.env.check import check_environment
 
     settings = opt.read_settings_options(set_)
-    if all_ and (name or settings):
-        raise UserError("--all: checks all environments as they are; name one, or give --set, without it")
     rows = []
     for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
         for verdict in check_environment(each, settings):
@@ -96,21 +93,8 @@ def render(
     ] = "random",
     camera: Annotated[
         opt.Text,
-        opt.option(
-            "--camera", "map|follow", "The whole map (usual for a picture), or one player (for a video)."
-        ),
+        opt.option("--camera", "map|follow", "The whole map (as a picture has), or one player (as a video)."),
     ] = None,
-    scale: Annotated[
-        int | None,
-        typer.Option(
-            "--scale",
-            metavar="N",
-            min=1,
-            max=32,
-            help="Pixels for each of the 16 x 16 dots of a tile (default: 4 to follow, else about 900 px).",
-        ),
-    ] = None,
-    no_hud: Annotated[bool, opt.flag("--no-hud", "Leave out the strip of numbers.")] = False,
     seed: Seed = 0,
     set_: EnvSettings = None,
     trust: opt.Trust = False,
@@ -133,7 +117,7 @@ def render(
     settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     with _blaming_rewards(worlds):
-        renderer = Renderer(worlds, camera or ("follow" if moving else "map"), not no_hud, scale)
+        renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
         frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
         write_video(out, frames, FRAMES_PER_SECOND)
     print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))

@@ -40,8 +40,6 @@ def plan_(
     name: opt.StudyName,
     selection: opt.Selected = None,
     world: opt.WorldName = None,
-    workers: opt.Workers = None,
-    place: Supervision = HERE,
     unpublished: Unpublished = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
@@ -50,7 +48,7 @@ def plan_(
     from pneuma.study import estimate
 
     planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
-    at_once = opt.read_workers(workers, place)
+    at_once = opt.read_workers(None)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     if unpublished:
