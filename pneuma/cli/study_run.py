@@ -28,12 +28,6 @@ Unpublished = Annotated[
 STOPPED = 130
 """The exit code after Ctrl-C; 1 is of runs that went wrong, 0 of a plan that is done."""
 
-_TOLD = {
-    "stored": "stored", "published": "published", "partial": "begun", "failed": "failed before",
-    "to-train": "to train",
-}  # fmt: skip
-"""The states of a plan's runs, for people."""
-
 
 @opt.grouped
 def plan_(
@@ -81,8 +75,6 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
     """Print a line for each condition, and the sums of all."""
     for note in planned.notes:
         print(f"Note: {note}.")
-    for key, values in plan.differing_fields(planned).items():
-        print(f"Conditions differ in {key}: {by_value(values)}")
     rows = []
     for condition in planned.conditions:
         own = [cell for cell in planned.cells if cell.condition == condition]
@@ -95,8 +87,7 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
 
 
 def _counts(states: Iterable[str]) -> str:
-    counts = Counter(states)
-    return ", ".join(f"{counts[state]} {told}" for state, told in _TOLD.items() if counts[state])
+    return ", ".join(f"{count} {state}" for state, count in Counter(states).items())
 
 
 @opt.grouped

@@ -147,7 +147,6 @@ MISTAKES = {
     f"{RENDER} nowhere/map.png": "there is no folder nowhere",
     f"{RENDER} map.png --player hunter": "--player hunter is for videos",
     f"{RENDER} map.gif --player nobody": "--player nobody",
-    f"{RENDER} map.png --set clases=tank": "did you mean classes?",
     "render pneuma/Mailman-v0 --out map.png": "has no picture",
 }
 
