@@ -69,7 +69,7 @@ def test_runs_that_another_study_has_published_are_found_in_its_table(results: P
     for words in (("run", "--unpublished"), ("plan", "--unpublished")):
         called = call("study", words[0], "policy-gradient", *ours, *words[1:], "--results", results)
         assert called.code == 0
-    assert called.out.splitlines()[-1] == "2 stored, 2 published."
+    assert called.out.splitlines()[-1] == "2 published, 2 stored."
     summary = call("study", "summary", "policy-gradient", "--results", results)
     assert summary.err == "Note: 2 of 4 runs of policy-gradient are not here, but published.\n"
     assert _publish(results, of="policy-gradient").code == 0
