@@ -96,9 +96,7 @@ def render(
     ] = "random",
     camera: Annotated[
         opt.Text,
-        opt.option(
-            "--camera", "map|follow", "The whole map (usual for a picture), or one player (for a video)."
-        ),
+        opt.option("--camera", "map|follow", "The whole map (as a picture has), or one player (as a video)."),
     ] = None,
     seed: Seed = 0,
     set_: EnvSettings = None,

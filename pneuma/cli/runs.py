@@ -19,7 +19,6 @@ from pneuma.errors import UserError, plain
 from pneuma.study import stored_runs
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import Change, plan_fork
-from pneuma.study.provenance import stored_origins, unusual_origins
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import StoredRun
 from pneuma.values import shown_value
@@ -74,8 +73,6 @@ def show(
         print(f"study {plain(held.study)}, condition {plain(held.condition)}, seed {held.seed}")
     _print_fields(run, usual, all_)
     _print_provenance(run)
-    for study, word in _unlike_most(store, run).items():
-        print(f"  unlike     {word} than most runs of study {plain(study)}: its bits could differ")
     print("\nFiles")
     print_table([""] * 3, [(f"  {f.name}", f"{f.size_bytes:>12,} bytes", f.state) for f in run.files])
     return None
@@ -200,17 +197,6 @@ def _print_provenance(run: StoredRun) -> None:
         differences = resume.get("differences") or []
         same = f"NOT as before, its bits could differ: {_value(differences)}" if differences else "as before"
         print(f"  resumed      at step {_value(resume.get('step'))}, {_value(resume.get('at'))}: {same}")
-
-
-def _unlike_most(store: Store, run: StoredRun) -> dict[str, str]:
-    """Return, by each study that holds a run, in what it was trained otherwise than most of that study."""
-    found = {}
-    for study in dict.fromkeys(held.study for held in run.holders):
-        runs = (store.selection(study) or {"runs": []})["runs"]
-        marks = unusual_origins(stored_origins(store, (each["run_id"] for each in runs)))
-        if run.run_id in marks:
-            found[study] = marks[run.run_id]
-    return found
 
 
 def _row(run: StoredRun, seed: Any) -> dict[str, Any]:

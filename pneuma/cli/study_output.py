@@ -28,7 +28,7 @@ from pneuma.analysis import (
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     check_choice,
-    check_folder,
+    check_file,
     draw_files,
     print_json,
     read_formats,
@@ -209,20 +209,16 @@ def export(
             if table != "curves":
                 raise UserError(f"{key} {value}: goes with --table curves alone")
     printed = str(out) == "-"
-    if out.is_dir():
-        raise UserError(f"--out {out}: is a folder; name a file")
-    if not printed and out.suffix not in EXPORT_SUFFIXES:
-        raise UserError(f"--out {out}: its ending tells no format; end it in {', '.join(EXPORT_SUFFIXES)}")
+    if not printed:
+        check_file(out, EXPORT_SUFFIXES)
     if json and printed:
         raise UserError("--json: standard output is for the table; name a file by --out")
     data = open_data(Store(results), name, selection, world, mixed=table in PUBLISHED_TABLES)
     from pneuma.analysis.export import encode_table, lacks_window
 
-    if not printed:
-        check_folder(f"--out {out}", out.parent)
     if window and (lacking := lacks_window(data, window)):
         say(f"Note: {', '.join(lacking)}: not held with the window {window}, and left out.", aside=True)
-    form = "csv" if printed else EXPORT_SUFFIXES[out.suffix]
+    form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
     encoded, rows = encode_table(data, table, form, window, band or EXPORTED_BAND)
     if printed:
         sys.stdout.buffer.write(encoded)

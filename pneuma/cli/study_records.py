@@ -43,10 +43,7 @@ def study_record(
     if record is None:
         raise _unknown(store, name, stem, world)
     if given:
-        what, mend = "is no shipped study", ", or name its file (….toml)"
-        if record.get("source") == "tensorboard":
-            what, mend = "was imported", ""
-        raise UserError(f"{given[0]}: study {stem} {what}: --condition and --seeds alone pick{mend}")
+        raise UserError(f"{given[0]}: study {stem} is not planned here: --condition and --seeds alone pick")
     return _pick(record, chosen) if selection else record
 
 
@@ -234,8 +231,7 @@ def _unknown(store: Store, name: str, stem: str, world: str | None) -> UserError
         return UserError(f"{path}: damaged; {anew} anew")
     if not _is_asked_for(name):
         known = sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})
-        where = "" if store.root.is_dir() else f"; and --results {store.root} is no folder"
-        return UserError(f"{unknown_name('study', name, known)}{where}")
+        return unknown_name("study", name, known)
     return UserError(
         f"study {stem} has no runs in {store.root}: run `pneuma study run {told}` first, "
         "or name the folder with --results"

@@ -28,20 +28,12 @@ Unpublished = Annotated[
 STOPPED = 130
 """The exit code after Ctrl-C; 1 is of runs that went wrong, 0 of a plan that is done."""
 
-_TOLD = {
-    "stored": "stored", "published": "published", "partial": "begun", "failed": "failed before",
-    "to-train": "to train",
-}  # fmt: skip
-"""The states of a plan's runs, for people."""
-
 
 @opt.grouped
 def plan_(
     name: opt.StudyName,
     selection: opt.Selected = None,
     world: opt.WorldName = None,
-    workers: opt.Workers = None,
-    place: Supervision = HERE,
     unpublished: Unpublished = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
@@ -50,7 +42,7 @@ def plan_(
     from pneuma.study import estimate
 
     planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
-    at_once = opt.read_workers(workers, place)
+    at_once = opt.read_workers(None)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     if unpublished:
@@ -83,8 +75,6 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
     """Print a line for each condition, and the sums of all."""
     for note in planned.notes:
         print(f"Note: {note}.")
-    for key, values in plan.differing_fields(planned).items():
-        print(f"Conditions differ in {key}: {by_value(values)}")
     rows = []
     for condition in planned.conditions:
         own = [cell for cell in planned.cells if cell.condition == condition]
@@ -97,8 +87,7 @@ def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[
 
 
 def _counts(states: Iterable[str]) -> str:
-    counts = Counter(states)
-    return ", ".join(f"{counts[state]} {told}" for state, told in _TOLD.items() if counts[state])
+    return ", ".join(f"{count} {state}" for state, count in Counter(states).items())
 
 
 @opt.grouped

@@ -26,9 +26,6 @@ PRIMARY = "final-share-killed"
 FORK_SEEDS = "3"
 COLUMNS = 3
 """Outcomes in the table that is printed unless more is asked for."""
-COUNTS = ("runs", "diverged", "collapsed")
-"""What a summary tells besides outcomes."""
-_HEADS = {"iqm": "IQM", "deviation": "SD", "improvement": "P(better than baseline)"}
 
 
 # --- summary --------------------------------------------------------------------------------------
@@ -113,30 +110,21 @@ def _print_means(data: StudyData, table: pd.DataFrame) -> None:
 
 
 def _print_statistics(data: StudyData, table: pd.DataFrame, asked: Sequence[str]) -> None:
-    """Print a table for each outcome that was asked for or has a value, and one of failures."""
-    from pneuma.analysis.outcomes import find_outcome
-
-    cells = _cells(table)
-    for outcome in dict.fromkeys([*asked, *table["outcome"]]):
-        if outcome in COUNTS:
-            continue
-        print(f"\n{outcome}: {find_outcome(outcome).words}")
-        own = table[table["outcome"] == outcome]
-        runs = dict(zip(own["condition"], own["runs"], strict=True))
-        statistics = list(dict.fromkeys(own["statistic"]))
-        rows = [
-            (name, runs[name], *(cells.get((name, outcome, each), "–") for each in statistics))
-            if name in runs
-            else (name, 0, _lack(data, name, outcome))
-            for name in data.conditions
-        ]
-        print_table(("condition", "n", *(_HEADS.get(name, name) for name in statistics or [""])), rows)
-    print("\nshare of runs that diverged, and that collapsed (pneuma study collapse)")
-    heads = list(dict.fromkeys(table["outcome"][table["statistic"] == "share"]))
+    """Print a line for each outcome and condition, and why those that were asked for have no value."""
+    cells, statistics = _cells(table), list(dict.fromkeys(table["statistic"]))
+    runs = dict(zip(zip(table["outcome"], table["condition"], strict=True), table["runs"], strict=True))
+    print()
     print_table(
-        ("condition", *heads),
-        [(name, *(cells.get((name, head, "share"), "–") for head in heads)) for name in data.conditions],
+        ("outcome", "condition", "n", *statistics),
+        [
+            (outcome, name, count, *(cells.get((name, outcome, each), "–") for each in statistics))
+            for (outcome, name), count in runs.items()
+        ],
     )
+    for outcome in asked:
+        for name in data.conditions:
+            if (outcome, name) not in runs:
+                print(f"{plain(outcome)}, {plain(name)}: {_lack(data, name, outcome)}")
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:

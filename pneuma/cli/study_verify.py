@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Comparison, Verdict
 
-PARTICULAR = r"^.+ seed \d+: .*"
-"""A reason that is of one run; others end where a colon or semicolon begins what is particular in them."""
 _HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "interval", "seeds")
 
 
@@ -61,7 +58,9 @@ def verify(
     if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
     _print_table(shown)
-    _print_reasons(shown, named=bool(claims))
+    for one in shown if claims else ():
+        if one.reason:
+            print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
     print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction.")
@@ -179,27 +178,6 @@ def _print_table(shown: Sequence[Verdict]) -> None:
         counts.setdefault(one.place, Counter())[one.standing] += 1
     print()
     print_table(("", *STANDINGS), [(at, *(own[word] for word in STANDINGS)) for at, own in counts.items()])
-
-
-def _print_reasons(shown: Sequence[Verdict], named: bool) -> None:
-    """Print why claims are untestable: of those that were named in full, of a long list how often."""
-    from pneuma.analysis.judgement import NOT_RUN
-    from pneuma.analysis.verdicts import UNTESTABLE
-
-    if named:
-        for one in shown:
-            if one.reason:
-                print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
-        return
-    reasons = Counter(
-        f"{one.place}: {re.split('[:;]', re.sub(PARTICULAR, 'a run without a value', one.reason))[0]}"
-        for one in shown
-        if one.verdict == UNTESTABLE and one.standing != NOT_RUN
-    )
-    if reasons:
-        print("\nUntestable for (of a claim that is named, the whole reason is told):")
-        for reason, count in reasons.most_common():
-            print(f"  {count:>3}  {plain(reason)}")
 
 
 def _row(places: dict[str, Verdict]) -> tuple[str, ...]:

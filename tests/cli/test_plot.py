@@ -141,9 +141,3 @@ def test_no_study_and_no_variant_takes_the_file_of_anothers_figure(results: Path
     assert _index(results / "figures")["fig-mine-learning_rate=0.001.svg"]["changed"] == {
         "learning_rate": 0.001
     }
-
-
-def test_a_mistaken_name_makes_no_folder(tmp_path: Path) -> None:
-    for group, name in (("search", "plot"), ("study", "collapse"), ("study", "plot")):
-        out = ("--out", tmp_path / "new" / "deep", "--results", tmp_path / "results")
-        assert call(group, name, "nosuch", *out).code == 2 and not (tmp_path / "new").exists()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,9 +14,8 @@ from typer.main import get_command
 
 from pneuma.cli import app
 from pneuma.cli.output import say
-from pneuma.study.store import Store
 
-from .calls import described, printed, refused
+from .calls import described, printed
 
 CLI = Path(__file__).parents[2] / "cli.py"
 
@@ -77,15 +75,6 @@ def test_a_reader_who_has_gone_is_no_mistake(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(sys, "stdout", Gone())
     with pytest.raises(BrokenPipeError):
         say("what was asked for")
-
-
-def test_what_the_system_refuses_is_told_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, "Permission denied", os.fspath(tmp_path / "closed"))
-
-    assert refused("search", "status", "x" * 300)
-    monkeypatch.setattr(Store, "selection", refuse)
-    assert "closed: Permission denied" in refused("study", "status", "activation", "--results", tmp_path)
 
 
 def test_what_files_say_drives_no_terminal(tmp_path: Path) -> None:

@@ -181,7 +181,6 @@ def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_p
         ("crashed", {"error.txt": b"Traceback"}, "is crashed"),
         ("done", {"policy.safetensors": b"\x80\x04cposix\nsystem\n"}, "no policy of Pneuma's"),
         ("done", {"run.json": {}}, "no configuration"),
-        ("done", {"run.json": {"gamma": 7}}, "gamma = 7"),
     ],
 )
 def test_what_has_no_sound_policy_is_not_exported(

@@ -1,4 +1,4 @@
-"""The options that select runs are the same in every command that has them, and reach it as one value."""
+"""The options that select runs, read from words and told in words."""
 
 from __future__ import annotations
 
@@ -7,23 +7,8 @@ from typing import Any
 
 import pytest
 
-from pneuma.cli.options import Selected, Selecting, grouped, selecting_words
+from pneuma.cli.options import Selecting, selecting_words
 from pneuma.study.plan import Selection
-
-
-@grouped
-def command(name: str, selection: Selected = None, quiet: bool = False) -> tuple[str, Selected, bool]:
-    """Give back what it was called with."""
-    return name, selection, quiet
-
-
-def test_what_is_given_becomes_one_selection() -> None:
-    given = {"preset": None, "seeds": "3,5", "steps": "512", "engine": None, "condition": ["tanh"]}
-    told = command(name="activation", **given, set_=["gamma=0.9"], quiet=True)
-    chosen = Selection(seeds=(3, 5), steps=512, conditions=("tanh",), settings={"gamma": 0.9})
-    assert told == ("activation", chosen, True)
-    none = {**dict.fromkeys(given), "set_": None}
-    assert command(name="activation", **none) == ("activation", None, False)
 
 
 @pytest.mark.parametrize(

@@ -61,5 +61,5 @@ def test_a_plan_has_a_line_for_each_condition_and_tells_runs_that_failed_apart(t
     assert [run["expected_seconds"] is None for run in document["runs"]] == [True, False]
     *_, condition, total, cost = call(*plan, "--results", tmp_path).out.splitlines()
     assert condition.split()[:4] == ["tanh", "2", "x", "50,176"]
-    assert "1 failed before, 1 to train" in condition and total == "1 failed before, 1 to train."
+    assert "1 failed, 1 to-train" in condition and total == "1 failed, 1 to-train."
     assert "(a rough estimate)" in cost and "MB of disk" in cost

@@ -153,8 +153,7 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
 def test_what_cannot_be_exported_is_told(trained: Path) -> None:
     for words, told in {
         "--out e.csv --band se": "--band se: goes with --table curves alone",
-        "--out .": "--out .: is a folder",
-        "--out e.xlsx": "its ending tells no format",
+        "--out e.xlsx": "--out e.xlsx: must end in",
     }.items():
         export = ("study", "export", "activation", "--table", "episodes", *words.split())
         assert told in refused(*export, "--results", trained)
@@ -164,11 +163,8 @@ def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Path
     summary = ("study", "summary", "activation", "--results", trained)
     asked = ("final-died", "steps-to:0.125", "q-overestimation", "collapse-step", "wall-seconds")
     told = printed(*summary, *(part for name in asked for part in ("--outcome", name)))
-    blocks = [block.splitlines() for block in told.split("\n\n")[1:]]
-    assert [block[0].partition(": ")[0] for block in blocks[:-1]] == list(asked)
-    assert "until 12.5% of the monsters" in blocks[1][0]
-    assert "the run has no value of its evaluations" in blocks[2][2]
-    assert blocks[3][2].endswith("0  the run never collapsed")
+    assert "q-overestimation, tanh: the run has no value of its evaluations" in told
+    assert "collapse-step, relu: the run never collapsed" in told
     means = printed(*summary).splitlines()
     assert [line.split()[:2] for line in means[3:5]] == [["tanh", "2"], ["relu", "2"]]
     document = described(*summary, "--outcome", "final-died", "--json")

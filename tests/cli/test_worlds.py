@@ -55,7 +55,6 @@ def test_a_selection_in_another_world_is_of_other_runs_and_picks_from_its_own_re
     ("words", "told"),
     [
         ("plan activation --world gdot", "unknown world 'gdot' (did you mean godot?)"),
-        ("publish activation --world gdot", "unknown world 'gdot' (did you mean godot?)"),
         ("status activation --world godot", "run `pneuma study run activation --world godot` first"),
     ],
 )
