@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,7 +16,7 @@ from pneuma.errors import UserError
 from pneuma.search.spec import load_search
 from pneuma.study.spec import load_study
 
-READERS = {
+READERS: dict[str, Callable[[str], Any]] = {
     "study": load_study,
     "search": load_search,
     "claims": load_claims,

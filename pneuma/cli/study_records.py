@@ -24,7 +24,8 @@ def study_record(
     """Return a study's latest record, the runs that a selection picks from it, or those that it plans anew.
 
     Conditions and seeds alone pick; a preset, steps, an engine or fields plan what `study run` would train.
-    A study that was never run here is the published one, where there is one. A world has records of its own.
+    A study that was never run here is the published one, where there is one. A world has records of its own;
+    where none is named and the usual one has no record, another's is shown, and said to be.
 
     Raises:
         UserError: for a study that is nowhere, or a selection or world that it does not have.
@@ -40,6 +41,10 @@ def study_record(
     record = _own_record(store, name, stem) or _published_record(store, stem)
     if given and _is_asked_for(name) and (record or {}).get("source") != "tensorboard":
         return execute.selection_record(plan.make_plan(spec.load_study(name, world), chosen))
+    elsewhere = dict(map(split_world, known_studies(store)))
+    if record is None and world is None and stem in elsewhere:
+        say(f"Note: {stem} has no runs in its usual world; shown is {elsewhere[stem]}.", aside=True)
+        return study_record(store, name, selection, elsewhere[stem])
     if record is None:
         raise _unknown(store, name, stem, world)
     if given:
