@@ -183,6 +183,21 @@ class TomlFile:
                 raise self.mistake(where, str(unknown_name("key", key, allowed)), key)
 
 
+DEEPEST = 50
+"""How deep tables and lists of a file may lie in each other."""
+
+
+def _depth(data: Mapping[str, Any]) -> int:
+    """Return how deep tables and lists lie in each other; without recursion, which has an end."""
+    level: list[Any] = [data]
+    depth = 0
+    while level:
+        inner = [own.values() if isinstance(own, Mapping) else own for own in level]
+        level = [each for own in inner for each in own if isinstance(each, Mapping | list)]
+        depth += 1
+    return depth
+
+
 def read_toml(path: Path) -> TomlFile:
     """Read a TOML file.
 
@@ -191,7 +206,10 @@ def read_toml(path: Path) -> TomlFile:
     """
     text = read_text(path)
     try:
-        return TomlFile(path, text, tomllib.loads(text))
+        data = tomllib.loads(text)
+        if _depth(data) > DEEPEST:
+            raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
+        return TomlFile(path, text, data)
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
         raise UserError(f"{path}: not TOML: {error}") from None
 

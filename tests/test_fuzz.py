@@ -43,3 +43,11 @@ def test_fuzz_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, reader
             os.truncate(path, 2**38)
     with pytest.raises(UserError):
         READERS[reader](str(path))
+
+
+@pytest.mark.parametrize("text", ["a." * 5000 + "a = 1", f"[{'a.' * 900}a]", f"a = {'[' * 5000}"])
+@pytest.mark.parametrize("reader", [reader for reader in READERS if reader != "level"])
+def test_fuzz_endless_nesting_is_refused(tmp_path: Path, reader: str, text: str) -> None:
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(UserError, match="mine.toml"):
+        READERS[reader](str(tmp_path / "mine.toml"))

@@ -13,6 +13,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.errors import UserError, plain
+from pneuma.reading import read_whole
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.store import Status, Store
@@ -41,7 +42,7 @@ def plan_(
     """Say what is stored and what would be trained, and about how long that takes; none is trained."""
     from pneuma.study import estimate
 
-    planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
+    planned = _plan(name, world, selection or plan.Selection())
     at_once = opt.read_workers(None)
     store = Store(results)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
@@ -69,6 +70,16 @@ def plan_(
         rough = "" if sure else " (a rough estimate)"
         print(f"To train: about {told} with {at_once} at once{rough}, {max(room / 1e6, 1):,.0f} MB of disk.")
     return None
+
+
+def _plan(name: str, world: str | None, selection: plan.Selection) -> plan.Plan:
+    """Plan a study; name the rewards of a user's own before any code of theirs is loaded."""
+    study = spec.load_study(name, world)
+    told = [study.fields(own, selection.settings or {}).get("reward") or () for own in study.conditions]
+    rewards = (reward for own in told for reward in ([own] if isinstance(own, str) else own))
+    for reward in dict.fromkeys(reward for reward in rewards if ":" in reward):
+        say(f"Note: the study's file names the reward {reward}, which is loaded and called.", aside=True)
+    return plan.make_plan(study, selection)
 
 
 def _print_plan(planned: plan.Plan, states: Mapping[str, str], seconds: Mapping[str, float]) -> None:
@@ -108,7 +119,7 @@ def run(
     quiet: opt.Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
-    planned = plan.make_plan(spec.load_study(name, world), selection or plan.Selection())
+    planned = _plan(name, world, selection or plan.Selection())
     store = Store(results)
     if unpublished:
         planned = replace(planned, published=_published(store, planned))
@@ -218,7 +229,7 @@ def _tell_results(
             kept = trace.is_file()
             why = result.reason  # else what is kept, which may be of an earlier try
             if not why and kept and state.name in ("crashed", "killed"):
-                why = trace.read_text(errors="replace").strip().rpartition("\n")[2]
+                why = read_whole(trace).decode(errors="replace").strip().rpartition("\n")[2]
             at = f" at step {state.step:,}" if not why else f": {plain(why)}{f' ({trace})' if kept else ''}"
             say(f"{told} {state.name}{at}", as_json)
     trained = sum(result.trained for result in results)

@@ -25,6 +25,7 @@ where no monster lives.
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 import sysconfig
 import traceback
@@ -60,7 +61,7 @@ def load_reward(name: str) -> RewardFunction:
     was edited, as between two cells of a notebook, or the current folder is another.
 
     Raises:
-        UserError: when the module or the function does not exist.
+        UserError: when the module or the function does not exist, or does not take what a reward is given.
     """
     module_name, _, function_name = name.partition(":")
     path = str(Path.cwd())
@@ -88,7 +89,19 @@ def load_reward(name: str) -> RewardFunction:
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
+    _check_signature(name, function)
     return function
+
+
+def _check_signature(name: str, function: RewardFunction) -> None:
+    """Refuse a function that takes anything but a reward's three arguments: others are not called."""
+    try:
+        kinds = [own.kind for own in inspect.signature(function).parameters.values()]
+    except (TypeError, ValueError):  # compiled, without a signature
+        kinds = []
+    by_place = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    if len(kinds) != 3 or not all(kind in by_place for kind in kinds):
+        raise UserError(f"reward {name!r}: a reward is a function of (events, players, player_stats)")
 
 
 def reward_files(names: Sequence[str]) -> list[Path]:

@@ -236,7 +236,7 @@ def _read(path: Path, name: str, file: str) -> Searched:
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
             )
         return Searched(task, tuple(_read_trial(i, row, own) for i, row in enumerate(document["trials"])))
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError(
             f"{path}: damaged; without it `pneuma search run` writes it anew, and trains nothing twice"
         ) from None
