@@ -1,20 +1,33 @@
-"""Whatever a user's own file is, its reader gives a value or one `UserError`, and waits for nothing."""
+"""Whatever a file holds, its reader gives a value or one error of its own, and waits for nothing."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from pneuma.analysis.claims import load_claims
+from pneuma.analysis.published import NO_SUM, read_published, with_sum
+from pneuma.engines.policy import read_sound_policy
 from pneuma.env.characters import load_characters
 from pneuma.env.level import load_level
 from pneuma.errors import UserError
 from pneuma.search.spec import load_search
+from pneuma.study.files import seal
+from pneuma.study.imported import read_event_file
 from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+from pneuma.study.tables import record_table, to_parquet
+
+from .cli.calls import policy_of
 
 READERS: dict[str, Callable[[str], Any]] = {
     "study": load_study,
@@ -51,3 +64,98 @@ def test_fuzz_endless_nesting_is_refused(tmp_path: Path, reader: str, text: str)
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(UserError, match="mine.toml"):
         READERS[reader](str(tmp_path / "mine.toml"))
+
+
+# --- Damaged and made-up files ---------------------------------------------------------------------
+
+ROOT = Path(__file__).parent.parent
+TABLE = "published/author-logs.parquet"
+ODD = [b"", b"\x00", b"\xff", b"-1", b"1e999", b"nan", b"9" * 5000, b"[" * 3000, b'"', b"\n", b"\x1b]0;a\x07"]
+
+
+def _study(path: Path) -> None:
+    load_study(str(path))
+
+
+def _search(path: Path) -> None:
+    load_search(str(path))
+
+
+def _policy(path: Path) -> None:
+    read_sound_policy(path.read_bytes())
+
+
+def _run_table(path: Path) -> None:
+    record_table(path.read_bytes(), "metrics")
+
+
+def _published(path: Path) -> None:
+    """Read a table whose checksum is right, whatever it holds."""
+    data = re.sub(rb"sha256:[0-9a-f]{64}", NO_SUM.encode(), path.read_bytes())
+    with contextlib.suppress(ValueError):  # no place is left for a checksum
+        path.write_bytes(with_sum(data))
+    table = read_published(Store(path.parent.parent), "author-logs")
+    assert table.record["runs"]
+
+
+def _selection(path: Path) -> None:
+    Store(path.parent.parent).selection("mine")
+
+
+def _level(path: Path) -> None:
+    (path.parent / "objects.csv").write_text("code,x,y\n400,-96,-64\n390,96,64\n")
+    load_level(str(path.parent), {390: "bamboo"})
+
+
+def _events() -> bytes:
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.compat.proto.summary_pb2 import Summary
+    from tensorboard.summary.writer.record_writer import RecordWriter
+
+    written = io.BytesIO()
+    for step in range(3):
+        value = Summary.Value(tag="rollout/ep_rew_mean", simple_value=step)
+        RecordWriter(written).write(Event(step=step, summary=Summary(value=[value])).SerializeToString())
+    return written.getvalue()
+
+
+ROWS = [{"step": 256, "policy_loss": 0.1, "entropy": 1.0}, {"step": 512, "policy_loss": 0.2, "entropy": 0.9}]
+FILES: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
+    "study": ("mine.toml", (ROOT / "studies/activation.toml").read_bytes, _study),
+    "search": ("mine.toml", (ROOT / "studies/search/ppo.toml").read_bytes, _search),
+    "claims": ("mine.toml", (ROOT / "studies/claims.toml").read_bytes, load_claims),
+    "level": ("island/obstacles.csv", lambda: b"-1,-1,-1,-1,-1,-1\n" * 6, _level),
+    "policy": ("policy.safetensors", lambda: policy_of().to_bytes(), _policy),
+    "run table": ("metrics.parquet", lambda: to_parquet(ROWS, tuple(ROWS[0])), _run_table),
+    "published": (TABLE, (ROOT / "results" / TABLE).read_bytes, _published),
+    "selection": ("studies/mine.json", lambda: seal({"study": "mine", "runs": []}), _selection),
+    "events": ("events.out.tfevents.1.host", _events, read_event_file),
+}  # fmt: skip
+"""Of every file that is read: its name, one that is sound, and its reader."""
+
+DAMAGE = st.tuples(st.floats(0, 1), st.floats(0, 1), st.one_of(st.sampled_from(ODD), st.binary(max_size=20)))
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_fuzz_a_damaged_file_gives_a_value_or_one_error(tmp_path: Path, kind: str) -> None:
+    name, sound, read = FILES[kind]
+    whole = sound()
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(whole)
+    read(path)
+
+    @settings(max_examples=25, derandomize=True, database=None, deadline=5000)
+    @given(st.lists(DAMAGE, min_size=1, max_size=3))
+    @example([(0.0, 1.0, b"")])
+    @example([(0.5, 1.0, b"")])
+    def damaged(cuts: list[tuple[float, float, bytes]]) -> None:
+        data = whole
+        for first, last, put in cuts:
+            start, end = sorted((int(first * len(data)), int(last * len(data))))
+            data = data[:start] + put + data[end:]
+        path.write_bytes(data)
+        with contextlib.suppress(UserError, *([ValueError] if kind == "run table" else [])):
+            read(path)
+
+    damaged()

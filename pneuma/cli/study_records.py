@@ -41,7 +41,7 @@ def study_record(
     record = _own_record(store, name, stem) or _published_record(store, stem)
     if given and _is_asked_for(name) and (record or {}).get("source") != "tensorboard":
         return execute.selection_record(plan.make_plan(spec.load_study(name, world), chosen))
-    elsewhere = dict(map(split_world, known_studies(store)))
+    elsewhere = dict(split_world(own) for own in known_studies(store) if own != stem)
     if record is None and world is None and stem in elsewhere:
         say(f"Note: {stem} has no runs in its usual world; shown is {elsewhere[stem]}.", aside=True)
         return study_record(store, name, selection, elsewhere[stem])
