@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -138,3 +140,24 @@ def one_action(first: int, last: int = 100) -> np.ndarray:
     updates = healthy()
     updates[first - 1 : last] = GONE
     return updates
+
+
+UNLIKE = ("pipe", "device", "ring", "folder", "sparse")
+"""What may lie in the place of a file; the last is one of 256 GB."""
+
+
+def put_unlike(path: Path, kind: str) -> None:
+    """Put something in the place of a file."""
+    path.unlink(missing_ok=True)
+    match kind:
+        case "pipe":
+            os.mkfifo(path)
+        case "device":
+            path.symlink_to("/dev/zero")
+        case "ring":
+            path.symlink_to(path)
+        case "folder":
+            path.mkdir()
+        case "sparse":
+            path.touch()
+            os.truncate(path, 2**38)

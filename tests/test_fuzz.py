@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -28,6 +27,7 @@ from pneuma.study.store import Store
 from pneuma.study.tables import record_table, to_parquet
 
 from .cli.calls import policy_of
+from .hand_made import UNLIKE, put_unlike
 
 READERS: dict[str, Callable[[str], Any]] = {
     "study": load_study,
@@ -38,22 +38,11 @@ READERS: dict[str, Callable[[str], Any]] = {
 }
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device", "ring", "folder", "sparse"])
+@pytest.mark.parametrize("kind", UNLIKE)
 @pytest.mark.parametrize("reader", READERS)
 def test_fuzz_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, reader: str, kind: str) -> None:
     path = tmp_path / ("obstacles.csv" if reader == "level" else "mine.toml")
-    match kind:
-        case "pipe":
-            os.mkfifo(path)
-        case "device":
-            path.symlink_to("/dev/zero")
-        case "ring":
-            path.symlink_to(path)
-        case "folder":
-            path.mkdir()
-        case "sparse":
-            path.touch()
-            os.truncate(path, 2**38)
+    put_unlike(path, kind)
     with pytest.raises(UserError):
         READERS[reader](str(path))
 

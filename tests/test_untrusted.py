@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from pneuma.study.tables import from_parquet
 
 from .analysis.published_runs import RECORD, save_run
 from .cli.calls import call
-from .hand_made import record_of
+from .hand_made import UNLIKE, put_unlike, record_of
 
 RUN = "a0" * 8
 ONE = record_of({("a", 0): RUN})
@@ -39,39 +38,22 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def _unlike(path: Path, kind: str) -> None:
-    """Put something in the place of a file."""
-    path.unlink(missing_ok=True)
-    match kind:
-        case "pipe":
-            os.mkfifo(path)
-        case "device":
-            path.symlink_to("/dev/zero")
-        case "ring":
-            path.symlink_to(path)
-        case "folder":
-            path.mkdir()
-        case "sparse":
-            path.touch()
-            os.truncate(path, 2**38)
-
-
-@pytest.mark.parametrize("kind", ["pipe", "device", "ring", "folder", "sparse"])
+@pytest.mark.parametrize("kind", UNLIKE)
 def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: Store, kind: str) -> None:
     folder = store.run_folder(RUN)
     before = store.selection("mine")
-    _unlike(store.root / "studies" / "mine.json", kind)
+    put_unlike(store.root / "studies" / "mine.json", kind)
     assert before and store.selection("mine") is None and read_json(store.selection_path("mine")) is None
     with pytest.raises(OSError):
         read_whole(store.selection_path("mine"))
-    _unlike(folder / "metrics.parquet", kind)
+    put_unlike(folder / "metrics.parquet", kind)
     assert store.status(RUN).name == "damaged"
     store.write(published_path(store, "other"), b"")
-    _unlike(published_path(store, "other"), kind)
+    put_unlike(published_path(store, "other"), kind)
     with pytest.raises(UserError, match="other.parquet: cannot be read"):
         read_published(store, "other")
-    _unlike(folder / ".lock", kind)
-    _unlike(folder / "status.json", kind)
+    put_unlike(folder / ".lock", kind)
+    put_unlike(folder / "status.json", kind)
     assert store.status(RUN).name == "damaged"
     for command in (("study", "status", "mine"), ("run", "list"), ("run", "show", RUN)):
         assert call(*command, "--results", store.root).code in (0, 2)
