@@ -192,8 +192,7 @@ def _cells(data: StudyData, run: FinishedRun, kinds: Columns, rounding: bool) ->
 
 def _provenance(found: Mapping[str, Any]) -> str:
     kept = {key: found[key] for key in KEPT_PROVENANCE if key in found} | other_processors(found)
-    changed = {words for resume in found.get("resumes", ()) for words in resume["differences"]}
-    return json.dumps({**kept, "resumed_elsewhere": sorted(changed)} if changed else kept)
+    return json.dumps(kept)
 
 
 def _head(data: StudyData, runs: Sequence[FinishedRun], rounding: bool) -> dict[str, Any]:

@@ -58,12 +58,10 @@ def show(
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
     usual = stored_runs.default_settings(run.settings)
     if json:
-        resumed = any(resume.get("differences") for resume in run.resumes)
         document = {
             "settings": dict(run.settings),
             "defaults": {key: usual.get(key) for key in run.settings if run.settings[key] != usual.get(key)},
             "provenance": dict(run.provenance),
-            "resumed_elsewhere": resumed,
             "files": [{"name": f.name, "bytes": f.size_bytes, "state": f.state} for f in run.files],
         }
         return print_json({"schema": 1, **_row(run, run.settings.get("seed")), **document})
@@ -191,12 +189,9 @@ def _print_provenance(run: StoredRun) -> None:
     for key, value in about.items():
         if isinstance(value, dict):
             value = ", ".join(f"{name} {own}" for name, own in value.items())
-        if key not in ("resumes", "attempts"):
-            print(f"  {plain(key):<12} {_value(value)}")
-    for resume in run.resumes:
-        differences = resume.get("differences") or []
-        same = f"NOT as before, its bits could differ: {_value(differences)}" if differences else "as before"
-        print(f"  resumed      at step {_value(resume.get('step'))}, {_value(resume.get('at'))}: {same}")
+        if key == "attempts" and isinstance(value, list):
+            value = f"{len(value)} (--json tells the machine of each)"
+        print(f"  {plain(key):<12} {_value(value)}")
 
 
 def _row(run: StoredRun, seed: Any) -> dict[str, Any]:

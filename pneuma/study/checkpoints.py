@@ -13,7 +13,6 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -35,28 +34,21 @@ from pneuma.engines.records import (
 from pneuma.errors import UserError
 from pneuma.study.documents import History, fits
 from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name, read_whole
-from pneuma.study.provenance import Attempt, differences
+from pneuma.study.provenance import Attempt
 from pneuma.study.store import Store
 from pneuma.study.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
 WRITE_SHARE = 40
 """Checkpoints are at least so many times apart as the last one took to write."""
-TABLES = {
-    "episodes": EPISODE_COLUMNS,
-    "metrics": METRIC_COLUMNS,
-    "evaluations": EVALUATION_COLUMNS,
-}
-
-
-# --- While a run trains ----------------------------------------------------------------------------
+TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
 
 
 class RunCheckpoints:
     """The checkpoints of one run while it trains, and `keep` of them after; for the holder of its lock alone.
 
     Attributes:
-        history: what earlier attempts left: a list `attempts`, and `resumes` where this one went on.
+        attempts: what is recorded of earlier attempts, up to the checkpoint from which this one goes on.
     """
 
     def __init__(
@@ -67,30 +59,29 @@ class RunCheckpoints:
         self._seconds = seconds
         self._next = time.monotonic() + seconds
         self._steps_to_keep = checkpoint_steps(run, keep)
-        self._sweep()
-        self._files = checkpoint_files(self._folder)
-        self.history: dict[str, Any] = {"attempts": [], "resumes": []}
+        self.attempts: list[dict[str, Any]] = []
+        for left in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
+            _remove(left)  # a temporary file of a process that was killed
 
     def latest(self) -> Checkpoint | None:
         """Return the latest whole checkpoint, saying which were damaged; None to start anew."""
-        while self._files:
-            file = self._files[0]
+        self.attempts = []
+        for file in checkpoint_files(self._folder):
             if read := read_checkpoint(file):
-                checkpoint, self.history = read
-                self._note_resume(checkpoint.step)
+                self._say(f"goes on from step {file.step:,}")
+                checkpoint, self.attempts = read
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
-            self._remove([file])
+            _remove(file.path)
         return self._parents() if self._run.parent else None
 
     def give_up(self, why: Exception) -> bool:
         """Give up the latest checkpoint, from which the engine cannot go on; return whether there was one."""
-        self.history = {"attempts": [], "resumes": []}
-        if not self._files:
-            return False
-        self._say(f"the checkpoint at step {self._files[0].step:,} is given up: {why}")
-        self._remove(self._files[:1])
-        return True
+        for file in checkpoint_files(self._folder)[:1]:
+            self._say(f"the checkpoint at step {file.step:,} is given up: {why}")
+            _remove(file.path)
+            return True
+        return False
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
         """Take a checkpoint after an update if it is time, or one is to be kept, or asked for `at_once`.
@@ -100,23 +91,27 @@ class RunCheckpoints:
         now = time.monotonic()
         if now < self._next and not at_once and progress.step not in self._steps_to_keep:
             return
-        history = {**self.history, "attempts": [*self.history["attempts"], attempt.so_far(progress.step)]}
+        history = {"attempts": [*self.attempts, attempt.so_far(progress.step)]}
         try:
             data = encode(progress.checkpoint(), history, run_id=self._name)
             self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
-        self._files = checkpoint_files(self._folder)
-        self._remove([file for file in self._files[LATEST_KEPT:] if file.step not in self._steps_to_keep])
+        self._keep_latest(LATEST_KEPT)
         took = time.monotonic() - now
         self._next = now + took + max(self._seconds, WRITE_SHARE * took)
 
     def finish(self) -> None:
         """Remove the checkpoints that are not to be kept when the run has ended."""
-        self._remove([file for file in self._files if file.step not in self._steps_to_keep])
+        self._keep_latest(0)
         folder = self._folder / CHECKPOINTS
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
+
+    def _keep_latest(self, count: int) -> None:
+        for file in checkpoint_files(self._folder)[count:]:
+            if file.step not in self._steps_to_keep:
+                _remove(file.path)
 
     def _parents(self) -> Checkpoint:
         """Return the checkpoint that a fork begins with.
@@ -130,27 +125,8 @@ class RunCheckpoints:
                 return read[0]
         raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
 
-    def _note_resume(self, step: int) -> None:
-        """Keep in the history where this attempt goes on, and what has changed since."""
-        changed = differences(self.history["attempts"][-1]["machine"]) if self.history["attempts"] else []
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        self.history["resumes"].append({"step": step, "at": now, "differences": changed})
-        self._say(f"goes on from step {step:,}")
-        if changed:
-            self._say(f"goes on with another {', '.join(changed)}: it may end with other bits")
 
-    def _sweep(self) -> None:
-        """Remove temporary files that a killed process left."""
-        for path in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
-            _remove_whatever(path)
-
-    def _remove(self, files: Sequence[CheckpointFile]) -> None:
-        for file in files:
-            _remove_whatever(file.path)
-        self._files = [file for file in self._files if file not in files]
-
-
-def _remove_whatever(path: Path) -> None:
+def _remove(path: Path) -> None:
     """Remove a file, a link, or a folder that lies in the place of a file."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
@@ -182,8 +158,8 @@ def file_name(step: int, data: bytes) -> str:
     return f"{step:013}-{checksum(data)[:16]}.safetensors"
 
 
-def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] | None:
-    """Read a checkpoint and the history kept with it; None where it is not what was written there.
+def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
+    """Read a checkpoint and the attempts recorded with it; None where it is not what was written there.
 
     That is a file that is damaged, no checkpoint at all, or one of another step or run.
     """
@@ -196,18 +172,16 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, dict[str, Any]] |
         return None
     run, history = file.path.parent.parent.name, about["history"]
     whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and fits(history, History)
-    return (checkpoint, {"attempts": [], "resumes": [], **history}) if whole else None
+    return (checkpoint, history.get("attempts", [])) if whole else None
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | None = None) -> bytes:
-    """Return a checkpoint as safetensors, with its run's `attempts` and `resumes` so far.
+    """Return a checkpoint as safetensors, with its run's `attempts` so far.
 
     With `run_id` the file is of no use in the folder of another run.
     """
-    tables = {
-        f"records/{name}": np.frombuffer(data, np.uint8)
-        for name, data in table_files(checkpoint.records).items()
-    }
+    tables = table_files(checkpoint.records)
+    rows = {f"records/{name}": np.frombuffer(data, np.uint8) for name, data in tables.items()}
     about = {
         "schema": SCHEMA,
         **({"run_id": run_id} if run_id else {}),
@@ -218,7 +192,7 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
     # safetensors has no name for an array without dimensions that NumPy would keep so
     arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
     shapes = {name: list(array.shape) for name, array in checkpoint.arrays.items()}
-    return save({**arrays, **tables}, metadata={"pneuma": json.dumps({**about, "shapes": shapes})})
+    return save({**arrays, **rows}, metadata={"pneuma": json.dumps({**about, "shapes": shapes})})
 
 
 def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:

@@ -54,7 +54,6 @@ class History(TypedDict):
     """What a checkpoint has to say for provenance."""
 
     attempts: NotRequired[list[_Attempt]]
-    resumes: NotRequired[list[dict[str, Any]]]
 
 
 def fits(document: Mapping[str, Any], kind: type) -> bool:

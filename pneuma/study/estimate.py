@@ -72,7 +72,7 @@ class Paces:
 def stored_paces(store: Store, own: Iterable[str]) -> Paces:
     """Return the paces of runs that have ended: a plan's own, by id, and some others of the store."""
     names = [*dict.fromkeys([*own, *store.runs()[:SAMPLE]])]
-    here, elsewhere, cpu = Paces(), Paces(), machine(threads=1)["cpu"]
+    here, elsewhere, cpu = Paces(), Paces(), machine()["cpu"]
     for name, origin in stored_origins(store, names):
         try:
             settings = stored_settings(store, name)

@@ -24,7 +24,6 @@ from pneuma.config import (
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import own_things, run_id
 from pneuma.study.plan import Cell, Plan, Selection
-from pneuma.study.provenance import differences
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
@@ -33,9 +32,9 @@ CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
     "magic", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
-    "critic", "buffer_size", "learning_starts", "seed",
+    "critic", "buffer_size", "learning_starts", "seed", "steps",
 )  # fmt: skip
-"""Settings that a checkpoint's arrays or steps hang on, so that a fork cannot change them."""
+"""Settings that the arrays of a checkpoint, or the steps after it, hang on: a fork cannot change them."""
 OF_TRANSITIONS = tuple(own.name for own in fields(EnvConfig))
 """Settings by which transitions in a replay buffer were made."""
 
@@ -72,14 +71,14 @@ def plan_fork(
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
     """
-    whole, control = _control_run(store, parent, at, trust)
-    changed, step = _changed_run(whole, control, change), control.fork_step
-    parts = [f"{key}={_shown(value)}" for key, value in change.settings.items()]
+    control = _control_run(store, parent, at, trust)
+    changed, step = _changed_run(control, change), control.fork_step
+    parts = [f"{key}={'none' if value is None else value}" for key, value in change.settings.items()]
     condition = ", ".join([*parts, *([f"reset {change.reset}"] if change.reset else [])])
     name = f"fork-{parent[:8]}-{step}-{run_id(changed)[:4]}"
     about = f"Run {parent[:8]} from step {step:,}", f"{condition} from step {step:,} on"
-    notes = (f"forked at step {step:,} of {whole.steps:,}", *_elsewhere(store, parent))
-    return _plan(name, *about, {CONTROL: [control], condition: [changed]}, seeds, seeds, notes)
+    notes = (f"forked at step {step:,} of {control.steps:,}",)
+    return _plan(name, *about, {CONTROL: [control], condition: [changed]}, seeds, notes)
 
 
 def plan_cause_forks(
@@ -94,30 +93,29 @@ def plan_cause_forks(
     Raises:
         UserError: where no parent can be forked, or no change can be made.
     """
-    forked: list[tuple[Run, Run]] = []
+    controls: list[Run] = []
     notes: dict[str, None] = {}
     for parent, before in parents.items():
         try:
-            forked.append(_control_run(store, parent, before, trust))
-            notes |= dict.fromkeys(_elsewhere(store, parent))
+            controls.append(_control_run(store, parent, before, trust))
         except UserError as error:
             notes[str(error)] = None
-    if not forked:
+    if not controls:
         raise UserError(next(iter(notes), "there is no run to fork"))
-    conditions = {CONTROL: [control for _, control in forked]}
+    conditions = {CONTROL: controls}
     for name, change in CAUSES.items():
         try:
-            if change.reset == "xp" and any(whole.xp_scope == "episode" for whole, _ in forked):
+            if change.reset == "xp" and any(control.xp_scope == "episode" for control in controls):
                 raise UserError("XP begins anew with every episode of these runs")
-            conditions[name] = [_changed_run(*pair, change) for pair in forked]
+            conditions[name] = [_changed_run(control, change) for control in controls]
         except UserError as error:
             notes[f"without {name}: {error}"] = None
     if len(conditions) == 1:
         raise UserError(f"study {study}: none of {', '.join(CAUSES)} changes anything in these runs")
-    told = [*(f"{control.parent}-{control.fork_step}" for _, control in forked), *conditions]
-    own_name = f"{study}-forks-{hashlib.sha256('/'.join(told).encode()).hexdigest()[:4]}"
-    about = f"Forks of {counted(len(forked), 'collapsed run')} of {study}", "Each condition changes one thing"
-    return _plan(own_name, *about, conditions, seeds, range(len(forked) * len(seeds)), (*notes,))
+    told = [*(f"{control.parent}-{control.fork_step}" for control in controls), *conditions]
+    name = f"{study}-forks-{hashlib.sha256('/'.join(told).encode()).hexdigest()[:4]}"
+    title = f"Forks of {counted(len(controls), 'collapsed run')} of {study}"
+    return _plan(name, title, "Each condition changes one thing", conditions, seeds, (*notes,))
 
 
 def _plan(
@@ -126,10 +124,9 @@ def _plan(
     about: str,
     conditions: Mapping[str, Sequence[Run]],
     seeds: Sequence[int],
-    places: Sequence[int],
     notes: tuple[str, ...],
 ) -> Plan:
-    """Plan every parent's fork with every seed, numbered by places, as a study of its own."""
+    """Plan every parent's fork with every seed as a study; those of several parents are numbered through."""
     study = Study(
         name=name,
         path=None,
@@ -142,20 +139,22 @@ def _plan(
         shared={},
         conditions={condition: {} for condition in conditions},
     )
+    forks = [*product(range(len(conditions[CONTROL])), seeds)]
+    places = tuple(seeds if len(conditions[CONTROL]) == 1 else range(len(forks)))
     cells = tuple(
         Cell(condition, place, own, run_id(own))
-        for place, (parent, seed) in zip(places, product(range(len(conditions[CONTROL])), seeds), strict=True)
+        for place, (parent, seed) in zip(places, forks, strict=True)
         for condition, runs in conditions.items()
         for own in [replace(runs[parent], seed=seed)]
     )
-    return Plan(study, Selection(seeds=tuple(places)), cells, (), notes)
+    return Plan(study, Selection(seeds=places), cells, (), notes)
 
 
 # --- Parents ---------------------------------------------------------------------------------------
 
 
-def _control_run(store: Store, parent: str, at: int, trust: bool) -> tuple[Run, Run]:
-    """Return a parent, and its fork from the checkpoint nearest before `at` with nothing changed.
+def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
+    """Return the fork of a parent from the checkpoint nearest before `at` with nothing changed.
 
     Nothing that the parent names is touched unless it is trusted.
 
@@ -166,10 +165,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> tuple[Run, 
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
     settings = stored_settings(store, parent)
-    if not settings:
-        raise UserError(f"run {parent}: its run.json holds no configuration")
-    own = own_things(settings)
-    if own and not trust:
+    if (own := own_things(settings)) and not trust:
         raise UserError(f"run {parent}: a fork would {' and '.join(own.values())}; --trust allows it")
     whole = make_run(settings)
     if run_id(whole) != parent:
@@ -178,16 +174,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> tuple[Run, 
             "a fork would not go on from where it stood"
         )
     step = _checkpoint_step(store, parent, at, whole)
-    return whole, make_run({**as_fields(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
-
-
-def _elsewhere(store: Store, parent: str) -> list[str]:
-    """Say in what this machine differs from the one that trained the parent."""
-    earlier = store.read_document(parent, "provenance.json")
-    changed = differences(earlier, but="device") if earlier else []  # this process computes on none
-    if not changed:
-        return []
-    return [f"the parent was trained with another {', '.join(changed)}: what follows may have other bits"]
+    return make_run({**as_fields(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
 
 
 def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
@@ -220,7 +207,7 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
 # --- Changes ---------------------------------------------------------------------------------------
 
 
-def _changed_run(whole: Run, control: Run, change: Change) -> Run:
+def _changed_run(control: Run, change: Change) -> Run:
     """Return a fork with settings changed, and what is begun anew, beside its control.
 
     Raises:
@@ -228,50 +215,20 @@ def _changed_run(whole: Run, control: Run, change: Change) -> Run:
     """
     if change.reset and change.reset not in FORK_RESETS:
         raise unknown_name("reset", change.reset, FORK_RESETS)
-    changes = _read_changes(whole, change.settings)
-    if not changes and not change.reset:
+    if not change.settings and not change.reset:
         raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
-    if change.reset == "optimizer" and not changes and whole.optimizer == "sgd" and not whole.momentum:
-        raise UserError("--reset optimizer: changes nothing, because SGD without momentum keeps nothing")
-    keys, base = ", ".join(changes), as_fields(control)
+    for key in change.settings:
+        if key in (*FIXED, *FORK_FIELDS) or (control.buffer_size and key in OF_TRANSITIONS):
+            raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
+    changes = {key: read_field(Run, key, value) for key, value in change.settings.items()}
     fresh = change.reset == "optimizer"
-    other = changes.get("optimizer", base["optimizer"]) != base["optimizer"]
+    other = changes.get("optimizer", control.optimizer) != control.optimizer
     if other and not fresh:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
-    over = {**changes, "fork_reset": change.reset}
     own = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
-    changed = make_run({**base, **dict.fromkeys(own), **over})
-    if not fresh and bool(changed.momentum) != bool(base["momentum"]):
+    changed = make_run({**as_fields(control), **dict.fromkeys(own), **changes, "fork_reset": change.reset})
+    if not fresh and bool(changed.momentum) != bool(control.momentum):
         raise UserError("--set momentum: from or to 0 needs --reset optimizer")
     if changes and replace(changed, fork_reset="") == control:
-        raise UserError(f"--set {keys}: changes nothing, because nothing in this run reads it")
+        raise UserError(f"--set {', '.join(changes)}: changes nothing in this run")
     return changed
-
-
-def _read_changes(run: Run, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Read what is to be changed in a run.
-
-    Raises:
-        UserError: for what cannot be changed at a fork, or is so already.
-    """
-    for key in settings:
-        if key == "steps":
-            raise UserError(
-                f"--set steps: a fork ends where its parent does, at step {run.steps}; "
-                "fork earlier, or train the parent's study with more --steps"
-            )
-        if key in (*FIXED, *FORK_FIELDS):
-            raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
-        if run.buffer_size and key in OF_TRANSITIONS:
-            raise UserError(
-                f"--set {key}: cannot change at a fork, because transitions of before are replayed"
-            )
-    read = {key: read_field(Run, key, value) for key, value in settings.items()}
-    for key, value in read.items():
-        if getattr(run, key) == value:
-            raise UserError(f"--set {key}: is {_shown(value)} in run {run_id(run)} already")
-    return read
-
-
-def _shown(value: object) -> str:
-    return "none" if value is None else str(value)

@@ -15,7 +15,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -25,127 +25,84 @@ from typing import Any
 from pneuma.study.store import Store
 
 PACKAGES = (
-    "pneuma", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib",
-    "pyarrow",
+    "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib", "pyarrow",
 )  # fmt: skip
 CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable of a process whose code was carried to its machine: its version and its commit."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """What a container may spend in a period, as Linux (cgroups v2) tells it: '150000 100000' or 'max 100000'."""
+ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
+THREADS = 1
+"""On which each worker computes."""
 
 
-@dataclass(frozen=True)
 class Attempt:
-    """One go at training a run, from its start or from a checkpoint.
+    """One go at training a run, timed; from step `start`, 0 or a checkpoint's."""
 
-    Attributes:
-        started: when.
-        clock: `time.perf_counter` then.
-        threads: of each worker.
-        start: the step that it went on from.
-        first: `time.perf_counter`, the step and `time.process_time` after its first update, before which
-            programs are loaded and compiled; None until then.
-    """
+    def __init__(self, start: int = 0) -> None:
+        self._started = datetime.now(UTC).isoformat(timespec="seconds")
+        self._begun = time.perf_counter()
+        self._start = start
+        self._first: tuple[float, float, int] | None = None  # both clocks and the step, programs compiled
 
-    started: datetime
-    clock: float
-    threads: int
-    start: int = 0
-    first: tuple[float, int, float] | None = None
+    def update(self, step: int) -> None:
+        """Note the first update, before which programs are loaded and compiled."""
+        self._first = self._first or (time.perf_counter(), time.process_time(), step)
 
-    def updated(self, step: int) -> Attempt:
-        """Return the attempt after an update, the first of which is noted."""
-        return self if self.first else replace(self, first=(time.perf_counter(), step, time.process_time()))
+    def so_far(self, step: int) -> dict[str, Any]:
+        """Return what is recorded of this attempt at a step.
 
-    @property
-    def seconds(self) -> float:
-        """How long it has trained since its first update."""
-        return time.perf_counter() - self.first[0] if self.first else 0.0
-
-    def so_far(self, step: int | None) -> dict[str, Any]:
-        """Return what is recorded of this attempt at a step, None where that stands elsewhere."""
+        `training_seconds` is its time without start-up: of all updates at the pace that those after the
+        first had. `processor_share` is how much of a core those had; None on a GPU.
+        """
+        now = time.perf_counter()
+        training, share = now - self._begun, None
+        if self._first and step > self._first[2]:
+            clock, processor, first = self._first
+            training = (now - clock) * (step - self._start) / (step - first)
+            if _device() == "cpu" and now > clock:
+                share = round((time.process_time() - processor) / (now - clock), 3)
         return {
-            "started": self.started.astimezone(UTC).isoformat(timespec="seconds"),
-            "wall_seconds": round(time.perf_counter() - self.clock, 3),
-            "training_seconds": round(self._training_seconds(step), 3),
-            "processor_share": self._processor_share(),
+            "started": self._started,
+            "wall_seconds": round(now - self._begun, 3),
+            "training_seconds": round(training, 3),
+            "processor_share": share,
             "step": step,
-            "machine": machine(self.threads),
+            "machine": machine(),
         }
 
-    def _training_seconds(self, step: int | None) -> float:
-        """Return the time without start-up: of all updates at the pace that those after the first had."""
-        if self.first is None or step is None or step <= self.first[1]:
-            return time.perf_counter() - self.clock
-        return self.seconds * (step - self.start) / (step - self.first[1])
 
-    def _processor_share(self) -> float | None:
-        """Return how much of a core the updates after the first had: less than 1 beside other programs.
-
-        None on a GPU, or where no update was made.
-        """
-        if self.first is None or _device() != "cpu" or self.seconds <= 0:
-            return None
-        return round((time.process_time() - self.first[2]) / self.seconds, 3)
-
-
-def finished_provenance(
-    attempt: Attempt, history: Mapping[str, Any], step: int | None = None
-) -> dict[str, Any]:
-    """Describe what a run was trained by: the machine of the last attempt, and every attempt with its own.
-
-    The last attempt ends now, at a step; `history` has the `attempts` before that left a checkpoint, and as
-    `resumes` where the next ones went on.
-    """
-    attempts = [*history["attempts"], attempt.so_far(step)]
-    shares = [each.get("processor_share") for each in attempts]  # of an older version's attempt none
+def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
+    """Describe what a run was trained by: the machine of the last attempt, and every attempt with its own."""
+    shares = [each.get("processor_share") for each in attempts]
     known = [share for share in shares if share is not None]
-    timed = [each.get("training_seconds", each["wall_seconds"]) for each in attempts]
+    timed = [each.get("training_seconds", each["wall_seconds"]) for each in attempts]  # older ones lack it
     return {
         "started": attempts[0]["started"],
         "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
         "training_seconds": round(sum(timed), 3),
         "processor_share": min(known) if len(known) == len(shares) else None,
         **attempts[-1]["machine"],
-        "resumes": history["resumes"],
         "attempts": attempts,
     }
 
 
-def machine(threads: int) -> dict[str, Any]:
+# --- This machine ----------------------------------------------------------------------------------
+
+
+def machine() -> dict[str, Any]:
     """Return all of this process and machine that may decide over a run's last bits."""
+    own, _, commit = code().partition(" ")
     return {
-        "threads": threads,
+        "threads": THREADS,
         "python": platform.python_version(),
-        "packages": _packages(),
-        "commit": _commit(),
+        "packages": {"pneuma": own, **{name: told for name in PACKAGES if (told := _version(name))}},
+        "commit": commit or None,
         "system": f"{platform.system()} {platform.machine()}",
         "cpu": _cpu(),
         "cores": os.cpu_count(),
         "device": _device(),
     }
-
-
-def differences(earlier: Mapping[str, Any], but: str = "") -> list[str]:
-    """Say in what this machine, its packages and its code differ from earlier ones, so that bits may differ.
-
-    A commit is marked where files were changed on top of it (`-dirty`); two such are taken for the same. The
-    key `but` is not compared.
-    """
-    here, told = machine(1), earlier.get("packages")
-    pairs = {
-        key: (earlier.get(key), here[key])
-        for key in ("python", "commit", "system", "cpu", "device")
-        if key != but
-    }
-    before = told if isinstance(told, dict) else {}
-    pairs |= {name: (before.get(name), now) for name, now in here["packages"].items()}
-    return [f"{key} ({_short(old)}, now {_short(now)})" for key, (old, now) in pairs.items() if old != now]
-
-
-def _short(told: object) -> str:
-    """Return a value for people, a commit by its first digits."""
-    return re.sub(r"^([0-9a-f]{7})[0-9a-f]{33}", r"\1", str(told or "none"))
 
 
 def available_cores() -> int:
@@ -169,53 +126,34 @@ def _device() -> str:
 
 
 @cache
-def _packages() -> dict[str, str]:
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    carried = os.environ.get(CARRIED_CODE, "").split()
-    return {**found, "pneuma": carried[0]} if carried else found
-
-
-def carried_code() -> str:
-    """Return what `CARRIED_CODE` is to say of this process's code."""
-    return f"{_packages().get('pneuma', 'unknown')} {_commit() or ''}".strip()
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
 
 
 @cache
-def _commit() -> str | None:
-    """Return the git commit of the source tree that this code lies in, marked when it was changed."""
-    carried = os.environ.get(CARRIED_CODE, "").split()
-    if carried:
-        return carried[1] if len(carried) > 1 else None
-    source = Path(__file__).parents[2]
-    if not (source / ".git").exists():
-        return None
+def code() -> str:
+    """Return the version of this code, and of a source tree its git commit, marked when it was changed."""
+    if CARRIED_CODE in os.environ:
+        return os.environ[CARRIED_CODE]
+    own, source = _version("pneuma") or "unknown", Path(__file__).parents[2]
     command = ["git", "-C", str(source), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
-
-
-_ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
+    if (source / ".git").exists():
+        with suppress(OSError, subprocess.CalledProcessError):
+            return f"{own} {subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).strip()}"
+    return own
 
 
 @cache
 def _cpu() -> str:
-    told = _read_cpu(Path("/proc/cpuinfo").read_text()) if sys.platform == "linux" else ""
-    return told or platform.processor() or "unknown"
-
-
-def _read_cpu(text: str) -> str:
-    """Return the model of Linux's first processor, or ARM's numbers; empty where it tells neither."""
-    pairs = [line.partition(":")[::2] for line in text.split("\n\n")[0].splitlines()]
-    told = {key.strip(): value.strip() for key, value in pairs}
-    numbers = [f"{key.removeprefix('CPU ')} {told[key]}" for key in _ARM if key in told]
-    return told.get("model name") or (f"ARM {', '.join(numbers)}" if numbers else "")
+    """Return the processor's model, or ARM's numbers of it."""
+    text = Path("/proc/cpuinfo").read_text().split("\n\n")[0] if sys.platform == "linux" else ""
+    told = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", text, re.MULTILINE))
+    arm = [f"{key[4:]} {told[key]}" for key in ARM if key in told]
+    named = told.get("model name") or (f"ARM {', '.join(arm)}" if arm else "")
+    return named or platform.processor() or "unknown"
 
 
 # --- Of stored runs --------------------------------------------------------------------------------
@@ -237,7 +175,13 @@ def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[st
     Of two that are as frequent the one of the run that was begun first counts as the usual.
     """
     rows = sorted(
-        (str(own.get("started")), name, processors(own), _packages_of(own)) for name, own in origins
+        (
+            str(own.get("started")),
+            name,
+            processors(own),
+            json.dumps([own.get("python"), own.get("packages")], sort_keys=True),
+        )
+        for name, own in origins
     )
     marks: dict[str, list[str]] = {}
     for word, place in (("other processor", 2), ("other packages", 3)):
@@ -249,27 +193,18 @@ def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[st
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the processors of every attempt, each once: told outright, or by its attempts."""
+    """Return the processors, or GPUs, of every attempt, each once: told outright, or by its attempts."""
     told = origin.get("processors")
     if isinstance(told, list) and told:
         return tuple(sorted({str(name) for name in told}))
     told = origin.get("attempts")
     attempts = [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
     machines = [origin, *(each["machine"] for each in attempts if isinstance(each.get("machine"), dict))]
-    return tuple(sorted({processor(machine) for machine in machines}))
+    devices = [(own, own.get("device") or "cpu") for own in machines]
+    return tuple(sorted({str(own.get("cpu") if device == "cpu" else device) for own, device in devices}))
 
 
 def other_processors(origin: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return `processors` to be told beside a `cpu` that was not all: a GPU's, or of an attempt elsewhere."""
     found = processors(origin)
     return {} if found == (str(origin.get("cpu")),) else {"processors": list(found)}
-
-
-def processor(machine: Mapping[str, Any]) -> str:
-    """Return the kind of processor, or GPU, that a machine of a provenance computed on."""
-    device = machine.get("device") or "cpu"
-    return str(machine.get("cpu") if device == "cpu" else device)
-
-
-def _packages_of(origin: Mapping[str, Any]) -> str:
-    return json.dumps([origin.get("python"), origin.get("packages")], sort_keys=True)

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.study.files import read_json
 from pneuma.study.store import Status, Store
 
-SHORTEST_PREFIX = 4
 LONGEST_LISTED = 5
 """Run ids that an error names at most."""
 
@@ -42,35 +40,24 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as stored, and the studies that hold it."""
+    """A run as stored, the studies that hold it, and its configuration as the last of them recorded it."""
 
     store: Store
     run_id: str
     status: Status
-    holders: tuple[Holder, ...]
+    holders: tuple[Holder, ...] = ()
+    recorded: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def settings(self) -> dict[str, Any]:
-        """The resolved configuration as it was written; empty where that is damaged.
-
-        No checksum vouches for that of a run that has not ended.
-        """
+    def settings(self) -> Mapping[str, Any]:
+        """The resolved configuration; empty where it is damaged, or not told before the run has ended."""
         ended = "run.json" in self.store.file_names(self.run_id)
-        path = self.store.run_folder(self.run_id) / "run.json"
-        document = self.store.read_document(self.run_id, path.name) if ended else read_json(path) or {}
-        settings = document.get("run")
-        return settings if isinstance(settings, dict) else {}
+        return stored_settings(self.store, self.run_id) if ended else self.recorded
 
     @cached_property
     def provenance(self) -> dict[str, Any]:
         """What produced it; empty where that is missing or damaged."""
         return self.store.read_document(self.run_id, "provenance.json")
-
-    @property
-    def resumes(self) -> list[dict[str, Any]]:
-        """Where the run was continued after a stop: step, time, and what was not as before."""
-        resumes = self.provenance.get("resumes")
-        return [each for each in resumes if isinstance(each, dict)] if isinstance(resumes, list) else []
 
     @property
     def seed(self) -> int | None:
@@ -91,24 +78,18 @@ class StoredRun:
 
 
 def find_run(store: Store, text: str) -> str:
-    """Return the id of the stored run that a person means: the whole id, or a prefix of one alone.
+    """Return the id of the stored run that a person means: the whole id, or how it alone begins.
 
     Raises:
-        UserError: when there is none, or several; or for a file in place of an id.
+        UserError: when there is none, or several.
     """
-    if text.lower().endswith(".zip"):
-        raise UserError(
-            f"{text}: a .zip is not read, because loading one runs whatever code is pickled in it; "
-            "name a stored run's id"
-        )
     names, where = store.runs(), store.root / "runs"
-    meant = [name for name in names if name.startswith(text.lower())]
-    if text in names or (len(text) >= SHORTEST_PREFIX and len(meant) == 1):
+    meant = [name for name in names if text and name.startswith(text.lower())]
+    if len(meant) == 1:
         return meant[0]
-    if meant and text:
+    if meant:
         few = ", ".join(meant[:LONGEST_LISTED]) + (", …" if len(meant) > LONGEST_LISTED else "")
-        mend = "give more digits" if len(meant) > 1 else f"give {SHORTEST_PREFIX} digits at least"
-        raise UserError(f"run {text!r} is not enough: {mend}; {where} holds {few}")
+        raise UserError(f"run {text!r} is not enough: give more digits; {where} holds {few}")
     near = difflib.get_close_matches(text.lower(), names, n=1, cutoff=0.0)
     hint = f" (the nearest is {near[0]})" if near else " (it holds none)"
     raise UserError(
@@ -121,23 +102,25 @@ def list_runs(store: Store) -> list[StoredRun]:
 
     Of finished ones no checksum is compared, which for a thousand runs takes seconds.
     """
-    held, names = holders(store), store.runs()
-    ordered = dict.fromkeys([*(name for name in held if name in {*names}), *names])
-    return [StoredRun(store, name, store.status(name, quick=True), held.get(name, ())) for name in ordered]
+    stored = {*store.runs()}
+    held = {name: run for name, run in _held(store).items() if name in stored}
+    names = [*held, *sorted(stored - {*held})]
+    return [StoredRun(store, name, store.status(name, quick=True), *held.get(name, ())) for name in names]
 
 
 def stored_run(store: Store, run_id: str) -> StoredRun:
     """Return what is stored of a run, every checksum compared; `run_id` is one of `Store.runs`."""
-    return StoredRun(store, run_id, store.status(run_id), holders(store).get(run_id, ()))
+    return StoredRun(store, run_id, store.status(run_id), *_held(store).get(run_id, ()))
 
 
-def holders(store: Store) -> dict[str, tuple[Holder, ...]]:
-    """Return which studies hold each run, by run id."""
-    held: dict[str, tuple[Holder, ...]] = {}
+def _held(store: Store) -> dict[str, tuple[tuple[Holder, ...], Mapping[str, Any]]]:
+    """Return which studies hold each run, and the configuration on record, by run id."""
+    held: dict[str, tuple[tuple[Holder, ...], Mapping[str, Any]]] = {}
     for study in store.studies():
         for row in (store.selection(study) or {"runs": []})["runs"]:
-            own = Holder(study, row["condition"], row["seed"])
-            held[row["run_id"]] = (*held.get(row["run_id"], ()), own)
+            earlier, _ = held.get(row["run_id"], ((), {}))
+            holder = Holder(study, row["condition"], row["seed"])
+            held[row["run_id"]] = (*earlier, holder), row["run"]
     return held
 
 

@@ -21,7 +21,6 @@ import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -37,7 +36,6 @@ from pneuma.study.store import Status, Store, run_document, to_json
 
 REPORT_SECONDS = 0.25
 BEGINS = "begins (compiling for the first time takes up to a minute)"
-THREADS = 1
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,6 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
         reporter.send("note", name, text=text)
 
     checkpoints = RunCheckpoints(job.store, name, run, job.checkpoint_seconds, job.keep, say)
-    job.store.write(job.store.run_folder(name) / "run.json", run_document(run, name))  # or fail now
     while True:
         try:
             return _train_once(job, name, run, checkpoints, reporter, stop)
@@ -159,24 +156,23 @@ def _train_once(
     job: Job, name: str, run: Run, checkpoints: RunCheckpoints, reporter: Reporter, stop: threading.Event
 ) -> None:
     """Train a run, from its latest checkpoint where there is one, and store how it ended."""
-    engine = load_engine(run.engine)  # first, because a checkpoint's device is compared with its own
     start = checkpoints.latest()
-    attempt = Attempt(datetime.now(UTC), time.perf_counter(), THREADS, start.step if start else 0)
-    reporter.send("step", name, step=attempt.start)
+    first = start.step if start else 0
+    attempt = Attempt(first)
+    reporter.send("step", name, step=first)
     reporter.send("passing", name, text=BEGINS)
 
     def update(progress: Progress) -> bool:
-        nonlocal attempt
-        attempt = attempt.updated(progress.step)
+        attempt.update(progress.step)
         reporter.step(name, progress.step)
         stopping = stop.is_set()
         checkpoints.update(progress, attempt, stopping)
         return not stopping
 
-    (result,) = engine.train([run], {0: start} if start else {}, update)
+    (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
     status = Status(result.status, result.step)
     if status.name != "stopped":
-        about = finished_provenance(attempt, checkpoints.history, result.step)
+        about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
         files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
         files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
         if result.policy is not None:

@@ -160,7 +160,7 @@ def damage_sweep(engine: str, steps: int, seed: int = 0, every: int = 1) -> Stor
 
 def _cases(results: Path) -> list[tuple[Path, str]]:
     """Return every file of the first run, its folder, and the study's record, with every damage."""
-    run = next(path for path in sorted((results / "runs").iterdir()) if any(path.glob("*")))
+    run = next(path for path in sorted((results / "runs").iterdir()) if any(path.glob("[!.]*")))
     files = [path for path in sorted(run.rglob("*")) if path.is_file() and not path.name.startswith(".")]
     files += sorted((results / "studies").glob("*.json"))
     cases = [(path.relative_to(results), how) for path in files for how in DAMAGES]

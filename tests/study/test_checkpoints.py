@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from pneuma.config import make_run
 from pneuma.engines.base import Progress
 from pneuma.engines.records import Checkpoint, CheckpointError, Records
-from pneuma.study import checkpoints, provenance
+from pneuma.study import checkpoints
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import Store
@@ -46,8 +45,7 @@ def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunChec
 
 
 def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:
-    attempt = Attempt(datetime.now(UTC), 0.0, 1)
-    own.update(Progress(RUN, step, Records(), lambda: Checkpoint(step, {})), attempt, at_once)
+    own.update(Progress(RUN, step, Records(), lambda: Checkpoint(step, {})), Attempt(), at_once)
 
 
 def steps(store: Store) -> list[int]:
@@ -120,18 +118,11 @@ def test_one_that_the_engine_refuses_is_given_up_aloud(store: Store) -> None:
     assert own.give_up(CheckpointError("another layout")) and not own.give_up(CheckpointError("none"))
 
 
-def test_another_package_or_commit_is_flagged_where_a_run_goes_on(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    here = {**provenance.machine(1), "commit": "a" * 40}
-    monkeypatch.setattr(provenance, "machine", lambda threads: here)
-    tell(begin(store), 256, at_once=True)
-    changed = {**here, "commit": "b" * 40 + "-dirty", "packages": {**here["packages"], "torch": "1.0"}}
-    monkeypatch.setattr(provenance, "machine", lambda threads: changed)
-    said: list[str] = []
-    own = begin(store, said=said)
-    assert own.latest() is not None
-    told = ["commit (aaaaaaa, now bbbbbbb-dirty)", f"torch ({here['packages']['torch']}, now 1.0)"]
-    (went_on,) = own.history["resumes"]
-    assert (went_on["step"], went_on["differences"]) == (256, told)
-    assert said[1] == f"goes on with another {', '.join(told)}: it may end with other bits"
+def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:
+    for step in (256, 512):
+        own = begin(store)
+        own.latest()
+        tell(own, step, at_once=True)
+    own = begin(store)
+    own.latest()
+    assert [attempt["step"] for attempt in own.attempts] == [256, 512]

@@ -15,7 +15,7 @@ from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store, run_document, to_json
 
 RUN = make_run({"steps": 2560})
-HERE = {"cpu": machine(1)["cpu"], "device": "cpu"}
+HERE = {"cpu": machine()["cpu"], "device": "cpu"}
 XEON = {"cpu": "Intel Xeon", "device": "cpu"}
 
 

@@ -62,14 +62,13 @@ def test_a_fork_is_planned_beside_its_control_from_the_nearest_checkpoint_before
     ("settings", "message"),
     [
         ({}, "nothing is changed"),
-        ({"learning_rate": 3e-4}, "is 0.0003 in run"),
+        ({"learning_rate": 3e-4}, "changes nothing"),
         ({"actor": [64]}, "cannot change at a fork"),
-        ({"parent": "0" * 16}, "cannot change at a fork"),
         ({"learning_rat": 1}, "did you mean learning_rate"),
         ({"optimizer": "sgd"}, "needs --reset optimizer"),
-        ({"steps": 640}, "a fork ends where its parent does, at step 320"),
+        ({"steps": 640}, "cannot change at a fork"),
         ({"at": 320, "gamma": 0.9}, "ends at step 320, so nothing would be left to train"),
-        ({"momentum": 0.9}, "changes nothing, because nothing in this run reads it"),
+        ({"momentum": 0.9}, "changes nothing in this run"),
         ({"reset": "xq"}, "unknown reset 'xq'"),
         ({"at": 64, "gamma": 0.9}, "first checkpoint of run .* is at step 128"),
     ],
@@ -85,7 +84,7 @@ def test_what_is_replayed_keeps_its_meaning_at_a_fork(store: Store) -> None:
     store.save_run(run_id(run), Status("done", 320), {"run.json": run_document(run, run_id(run))})
     data = encode(Checkpoint(AT, {}), {})
     store.write(store.run_folder(run_id(run)) / "checkpoints" / file_name(AT, data), data)
-    with pytest.raises(UserError, match="transitions of before are replayed"):
+    with pytest.raises(UserError, match="cannot change at a fork"):
         plan(store, reward="kills")
     assert plan(store, gamma=0.9)
 

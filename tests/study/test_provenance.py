@@ -1,9 +1,9 @@
-"""What produced a run: every attempt keeps its machine, and differences between two are reported."""
+"""What produced a run: every attempt keeps its machine; what is unlike most is marked."""
 
 from __future__ import annotations
 
 import time
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,39 +18,33 @@ from pneuma.study.store import Status, Store, run_document, to_json
 from ..cli.calls import described, printed
 
 
-def attempt(start: int = 0) -> Attempt:
-    """Return one that begins at noon in Tokyo, which is nine hours ahead."""
-    noon = datetime(2026, 1, 2, 12, tzinfo=timezone(timedelta(hours=9)))
-    return Attempt(noon, time.perf_counter(), threads=1, start=start)
-
-
 def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:
-    elsewhere = {**machine(1), "cpu": "abacus", "commit": "0" * 40}
+    elsewhere = {**machine(), "cpu": "abacus", "commit": "0" * 40}
     began = "2026-01-01T00:00:00+00:00"
     earlier = {"started": began, "wall_seconds": 100.0, "step": 512, "machine": elsewhere}
-    about = finished_provenance(attempt(), {"attempts": [earlier], "resumes": [{"step": 512}]}, 1024)
+    last = Attempt(512).so_far(1024)
+    about = finished_provenance([earlier, last])
     assert about["started"] == began
     assert 100 <= about["wall_seconds"] < 110
-    assert {key: about[key] for key in machine(1)} == machine(1)
-    first, last = about["attempts"]
-    assert first == earlier
-    assert (last["started"], last["step"], last["machine"]) == ("2026-01-02T03:00:00+00:00", 1024, machine(1))
-    assert datetime.fromisoformat(last["started"]).tzinfo == UTC
+    assert {key: about[key] for key in machine()} == machine() == last["machine"]
+    assert about["attempts"] == [earlier, last]
+    assert last["step"] == 1024 and datetime.fromisoformat(last["started"]).tzinfo == UTC
 
 
 def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytest.MonkeyPatch) -> None:
     """20 s of compiling and 2 s of the first 100 steps, then 6 s of 300: 2 s each, so 8 s."""
     clock = [1000.0]
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
-    own = attempt(start=600)
+    own = Attempt(600)
     clock[0] += 22
-    own = own.updated(700)
+    own.update(700)
     assert own.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
     clock[0] += 6
-    told = own.updated(1000).so_far(1000)
+    own.update(1000)
+    told = own.so_far(1000)
     assert (told["wall_seconds"], told["training_seconds"]) == (28, 8)
     older = {"started": "then", "wall_seconds": 100.0, "step": 600, "machine": {}}
-    about = finished_provenance(own, {"attempts": [older], "resumes": []}, 1000)
+    about = finished_provenance([older, told])
     assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)
 
 

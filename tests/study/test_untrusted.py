@@ -165,7 +165,7 @@ def a_file(folder: Path, data: bytes, step: int = 64) -> CheckpointFile:
         encode(WHOLE, {}).replace(b'\\"schema\\": 1', b'\\"schema\\": 2'),
         encode(replace(WHOLE, step=128), {}),
         encode(WHOLE, {}, "f" * 16),
-        encode(WHOLE, {"attempts": [1]}), encode(WHOLE, {"attempts": 1}), encode(WHOLE, {"resumes": [1]}),
+        encode(WHOLE, {"attempts": [1]}), encode(WHOLE, {"attempts": 1}),
     ],
 )  # fmt: skip
 def test_what_is_no_checkpoint_of_that_run_and_step_counts_as_damaged(tmp_path: Path, data: bytes) -> None:

@@ -51,7 +51,7 @@ def prepare_node(gpu: bool = False) -> None:
     Compiled programs are kept apart by processor: nodes differ, and often share a home. GPUs are hidden
     where none was asked for, which neither Ray nor every Slurm does.
     """
-    processor = hashlib.sha256(machine(1)["cpu"].encode()).hexdigest()[:8]
+    processor = hashlib.sha256(machine()["cpu"].encode()).hexdigest()[:8]
     os.environ["XDG_CACHE_HOME"] = str(_cache() / "nodes" / processor)
     if not gpu:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""

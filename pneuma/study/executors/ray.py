@@ -26,7 +26,7 @@ from pneuma.errors import UserError, install_extra
 from pneuma.study.executors.base import OnEvent, Supervision
 from pneuma.study.executors.local import LocalProcess, prepare_node
 from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
-from pneuma.study.provenance import CARRIED_CODE, available_cores, carried_code, machine
+from pneuma.study.provenance import CARRIED_CODE, available_cores, code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
 
@@ -72,7 +72,7 @@ def run_groups(
     join(how.address)
     store.root.mkdir(parents=True, exist_ok=True)
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
-        command = Command(versions(), carried_code(), os.getcwd(), mark.name)
+        command = Command(versions(), code(), os.getcwd(), mark.name)
         start = partial(NodeProcess, command)
         Supervisor(groups, store, how, on_event, interrupts, start).work()
         if interrupts.count:
@@ -246,6 +246,6 @@ class NodeProcess:
 
 def versions() -> dict[str, str]:
     """Return what must be the same in the command and on every node, or bits may differ."""
-    here = machine(1)
+    here = machine()
     packages = {name: version for name, version in here["packages"].items() if name != "pneuma"}
     return {"Python": here["python"], **packages}
