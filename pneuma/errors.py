@@ -21,8 +21,6 @@ MEANT = {
     "n_envs": "slots", "num_envs": "slots", "total_timesteps": "steps",
 }  # fmt: skip
 """What other programs, and people, call a field, a quantity or an outcome."""
-SHORTEST_BEGINNING = 4
-"""Letters of a word that can be told to be a name's beginning."""
 
 
 class UserError(Exception):
@@ -51,12 +49,11 @@ def counted(count: int, noun: str) -> str:
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near.
 
-    The beginning of a long name, misspelt, is near as well: `final-shre` of `final-share-killed`; and so is
-    a name that others give the same thing: `lr` of `learning_rate`.
+    A name that others give the same thing is near as well: `lr` of `learning_rate`.
     """
-    likeness = _likenesses(word, names)
-    best = max(likeness, key=likeness.__getitem__, default="")
-    return f" (did you mean {best}?)" if likeness.get(best, 0.0) >= NEAR else ""
+    known, own = list(names), str(word).lower()
+    near = [MEANT[own]] if MEANT.get(own) in known else difflib.get_close_matches(own, known, 1, NEAR)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
@@ -65,21 +62,6 @@ def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
     hint, between = nearest_name(word, known), "; " if any("," in name for name in known) else ", "
     more = len(known) - MOST_LISTED
     if more > 1:
-        likeness = _likenesses(word, known)
-        likest = {*sorted(known, key=lambda name: -likeness[name])[:MOST_LISTED]}
+        likest = difflib.get_close_matches(str(word).lower(), known, MOST_LISTED, 0)
         known = [*(name for name in known if name in likest), f"{more} more"]
     return UserError(f"unknown {what} {word!r}{hint}; known are {between.join(known)}")
-
-
-def _likenesses(word: str, names: Iterable[str]) -> dict[str, float]:
-    """Return how alike a word and each name are, from 0 to 1."""
-    own = str(word).lower()
-    return {name: 1.0 if MEANT.get(own) == name else _likeness(own, name) for name in names}
-
-
-def _likeness(word: str, name: str) -> float:
-    """Return how alike a word and a name are, from 0 to 1; alike beginnings count a little less."""
-    whole = difflib.SequenceMatcher(None, name, word).ratio()
-    if len(word) < SHORTEST_BEGINNING:
-        return whole
-    return max(whole, 0.9 * difflib.SequenceMatcher(None, name[: len(word) + 1], word).ratio())

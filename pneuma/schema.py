@@ -1,7 +1,7 @@
 """The one place between pydantic and people: a file's mistake in one line that says what to mend.
 
     TOML file → read_toml → read_model(SomeTable, file) → the model, checked
-    pydantic's error → UserError "mine.toml, line 7: [run] gamma = 2 is not allowed: at most 1"
+    pydantic's error → UserError "mine.toml, line 7: [run] gamma = 2 is not allowed: less than or equal to 1"
 
 A model of a table derives from `Table`. What its types cannot say its validators raise as `wrong(…)`.
 Lists are tuples in models; whole numbers may be written as 1e6.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from os import PathLike, fspath
@@ -29,7 +29,7 @@ from pydantic import (
     model_validator,
     with_config,
 )
-from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from typing_extensions import TypedDict
 
 from pneuma.errors import UserError, nearest_name, unknown_name
@@ -39,6 +39,8 @@ Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
 
 CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+DEEPEST = 50
+"""How deep tables and lists of a file may lie in each other."""
 
 
 class Table(BaseModel):
@@ -65,11 +67,12 @@ def wrong(message: str, key: str = "") -> PydanticCustomError:
     return PydanticCustomError("wrong", "{message}", {"message": message, "key": key})
 
 
-def refuse_unknown(data: Any, known: Iterable[str], what: str = "key") -> None:
+def refuse_unknown(data: Any, known: Iterable[str]) -> None:
     """Refuse the first key of a table that is none of those known."""
+    names = tuple(known)
     for key in data if isinstance(data, Mapping) else ():
-        if key not in (names := tuple(known)):
-            raise wrong(str(unknown_name(what, key, names)), key)
+        if key not in names:
+            raise wrong(str(unknown_name("key", key, names)), key)
 
 
 def passes(check: Callable[[Any], object]) -> AfterValidator:
@@ -85,12 +88,18 @@ def passes(check: Callable[[Any], object]) -> AfterValidator:
     return AfterValidator(validate)
 
 
-def plain(value: Any) -> Any:
-    """Return a value as models take it: lists as tuples, whole numbers as int, NumPy's as Python's."""
+def plain(value: Any, deepest: int = DEEPEST) -> Any:
+    """Return a value as models take it: lists as tuples, whole numbers as int, NumPy's as Python's.
+
+    Raises:
+        ValueError: where lists and tables lie too deep in each other.
+    """
+    if not deepest:
+        raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
-        return {key: plain(own) for key, own in value.items()}
+        return {key: plain(own, deepest - 1) for key, own in value.items()}
     if isinstance(value, list | tuple):
-        return tuple(map(plain, value))
+        return tuple(plain(own, deepest - 1) for own in value)
     if isinstance(value, PathLike):
         return fspath(value)
     if type(value).__module__ == "numpy" and getattr(value, "ndim", None) == 0:
@@ -176,27 +185,6 @@ class TomlFile:
                 raise self.mistake(where[:-1], f"{key} must be a table, not {shown(value)}", key)
         return dict(value)
 
-    def refuse_unknown(self, where: Where, given: Mapping[str, Any], allowed: tuple[str, ...]) -> None:
-        """Raise for the first key of a table that is none of `allowed`."""
-        for key in given:
-            if key not in allowed:
-                raise self.mistake(where, str(unknown_name("key", key, allowed)), key)
-
-
-DEEPEST = 50
-"""How deep tables and lists of a file may lie in each other."""
-
-
-def _depth(data: Mapping[str, Any]) -> int:
-    """Return how deep tables and lists lie in each other; without recursion, which has an end."""
-    level: list[Any] = [data]
-    depth = 0
-    while level:
-        inner = [own.values() if isinstance(own, Mapping) else own for own in level]
-        level = [each for own in inner for each in own if isinstance(each, Mapping | list)]
-        depth += 1
-    return depth
-
 
 def read_toml(path: Path) -> TomlFile:
     """Read a TOML file.
@@ -206,10 +194,7 @@ def read_toml(path: Path) -> TomlFile:
     """
     text = read_text(path)
     try:
-        data = tomllib.loads(text)
-        if _depth(data) > DEEPEST:
-            raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
-        return TomlFile(path, text, data)
+        return TomlFile(path, text, plain(tomllib.loads(text)))
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
         raise UserError(f"{path}: not TOML: {error}") from None
 
@@ -235,7 +220,7 @@ def read_model(
     """
     data = {**(usual or {}), **file.table(where), **(fixed or {})}
     try:
-        return model.model_validate(plain(data))
+        return model.model_validate(data)
     except ValidationError as error:
         inside, key, message = complaint(error, data)
         raise file.mistake((*where, *inside), message, key) from None
@@ -243,79 +228,38 @@ def read_model(
 
 # --- From pydantic's errors to words ---------------------------------------------------------------
 
-_ALLOWED = {
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "float_type": "a number",
-    "finite_number": "a number",
-    "bool_type": "true or false",
-    "string_type": "a text",
-    "string_too_short": "a text that is not empty",
-    "tuple_type": "a list",
-    "too_short": "{what} of at least {min_length}",
-    "too_long": "{what} of at most {max_length}",
-    "greater_than": "above {gt}",
-    "greater_than_equal": "at least {ge}",
-    "less_than": "below {lt}",
-    "less_than_equal": "at most {le}",
-    "allowed": "{allowed}",
-}
-"""What is allowed, by the type of pydantic's error and what it has in its context."""
-
 
 def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, str, str]:
     """Return the first mistake in some data: the table it is in, its key there, and what is wrong."""
     first = error.errors(include_url=False, include_input=False)[0]
-    context = first.get("ctx", {})
-    if first["type"] == "missing":
+    kind, context = first["type"], first.get("ctx", {})
+    if kind == "missing":
         (*where, key) = map(str, first["loc"])
         return tuple(where), "", f"the key {key!r} is missing"
-    if first["loc"][-1:] == ("[key]",):  # a table's name, where only some are known
-        (*where, key) = map(str, first["loc"][:-1])
-        named = first["type"] != "literal_error" and f"the name {key!r} is not allowed{_allowed(first, key)}"
-        return tuple(where), key, named or str(unknown_name("key", key, _names(first)))
-    path, value = _followed(first, data)
-    if isinstance(value, Mapping) and first["type"] == "wrong":
+    path: Where = ()
+    value: Any = data
+    for step in first["loc"]:  # a list is not looked into
+        if not isinstance(value, Mapping) or step not in value:
+            break
+        path, value = (*path, str(step)), value[step]
+    if kind == "wrong" and isinstance(value, Mapping):
         return path, context["key"], context["message"]
     (*where, key) = path
-    if first["type"] == "wrong":
-        return tuple(where), key, f"{key}: {context['message']}"
-    if first["type"] in ("dict_type", "model_type", "mappings_type"):
-        return tuple(where), key, f"{key} must be a table, not {shown(value)}"
-    return tuple(where), key, f"{key} = {shown(value)} is not allowed{_allowed(first, value)}"
-
-
-def _followed(error: ErrorDetails, data: Any) -> tuple[Where, Any]:
-    """Return the path of keys to what an error is about, and the value there; a list is not looked into."""
-    path: Where = ()
-    for key in error["loc"]:
-        if not isinstance(data, Mapping) or key not in data:
-            break
-        path, data = (*path, str(key)), data[key]
-    return path, data
-
-
-def _allowed(error: ErrorDetails, value: Any) -> str:
-    """Return ': ' and what is allowed in place of a value, after the nearest name if there is one."""
-    names = _names(error)
-    words = value if isinstance(value, list | tuple) else [value]
-    hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
-    if error["type"] == "literal_error":
-        allowed = "one of " + ", ".join(name for name in names if name)
+    names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
+    allowed = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
+    if kind == "wrong":
+        message = f"{key}: {context['message']}"
+    elif first["loc"][-1] == "[key]":  # a table's name, where only some are known
+        message = (
+            str(unknown_name("key", key, names)) if names else f"the name {key!r} is not allowed: {allowed}"
+        )
+    elif kind in ("dict_type", "model_type", "mappings_type"):
+        message = f"{key} must be a table, not {shown(value)}"
     else:
-        context = {key: _bound(own) for key, own in error.get("ctx", {}).items()}
-        what = "a table" if isinstance(value, Mapping) else "a list"
-        allowed = _ALLOWED.get(error["type"], error["msg"]).format(**context, what=what)
-    return f"{next(filter(None, hints), '')}: {allowed}"
-
-
-def _names(error: ErrorDetails) -> list[str]:
-    context = error.get("ctx", {})
-    return [*context.get("names", re.findall(r"'([^']*)'", str(context.get("expected", ""))))]
-
-
-def _bound(value: Any) -> Any:
-    return f"{value:g}" if isinstance(value, float) else value
+        words = value if isinstance(value, list | tuple) else [value]
+        hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
+        message = f"{key} = {shown(value)} is not allowed{next(filter(None, hints), '')}: {allowed}"
+    return tuple(where), key, message
 
 
 def shown(value: object) -> str:
@@ -325,44 +269,25 @@ def shown(value: object) -> str:
 
 # --- Lines -----------------------------------------------------------------------------------------
 
+_KEY = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
+_PATH = rf"{_KEY}(?:[ \t]*\.[ \t]*{_KEY})*"
+_SETS = re.compile(rf"^[ \t]*(?:\[+[ \t]*({_PATH})[ \t]*\]+[ \t]*(?:#.*)?$|({_PATH})[ \t]*=)", re.MULTILINE)
+"""A table's header, or the beginning of a key's line."""
+_LONG_TEXT = re.compile(r'""".*?"""' + r"|'''.*?'''", re.DOTALL)
+
 
 def _line_of(text: str, wanted: Where) -> int | None:
     """Return the line, from 1, where `wanted` is set or begins, or else the closest table around it."""
-    best, best_depth = None, 0
-    for number, path in _paths(text):
-        shared = min(len(path), len(wanted))
-        depth = shared if path[:shared] == wanted[:shared] else 0
-        if depth > best_depth:
-            best, best_depth = number, depth
-    return best
-
-
-def _paths(text: str) -> Iterator[tuple[int, Where]]:
-    """Yield the line and full path of every header and key; texts over several lines are passed over."""
+    text = _LONG_TEXT.sub(lambda found: "\n" * found[0].count("\n"), text)
     table: Where = ()
-    inside = ""  # the quotes of a text that goes on
-    for number, line in enumerate(text.splitlines(), start=1):
-        opened = inside
-        for quotes in ('"""', "'''"):
-            if line.count(quotes) % 2 and inside in ("", quotes):
-                inside = "" if inside else quotes
-        if opened:
-            continue
-        if line.lstrip().startswith("["):
-            table = _nesting(line) or table
-            yield number, table
-        elif "=" in line and (own := _nesting(f"{line.partition('=')[0]} = 0")):
-            yield number, table + own
-
-
-def _nesting(line: str) -> Where:
-    """Return the path of the one key or table that a line of TOML sets."""
-    try:
-        value: Any = tomllib.loads(line)
-    except tomllib.TOMLDecodeError:
-        return ()
-    path: Where = ()
-    while isinstance(value, dict) and value:
-        key, value = next(iter(value.items()))
-        path += (key,)
-    return path
+    best, best_depth = None, 0
+    for found in _SETS.finditer(text):
+        path = tuple(key.strip("\"'") for key in re.findall(_KEY, found[1] or found[2]))
+        if found[1]:
+            table = path
+        else:
+            path = table + path
+        depth = min(len(path), len(wanted))
+        if depth > best_depth and path[:depth] == wanted[:depth]:
+            best, best_depth = text.count("\n", 0, found.start()) + 1, depth
+    return best

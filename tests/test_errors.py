@@ -11,7 +11,6 @@ from pneuma.errors import nearest_name, unknown_name
         ("activaton", ["search", "activation"], "activation"),
         ("Activation", ["search", "activation"], "activation"),
         ("activation-study", ["search", "activation"], "activation"),
-        ("final-shre", ["final-hp", "final-share-killed"], "final-share-killed"),  # a beginning, misspelt
         ("final", ["finality", "final-hp", "final"], "final"),
         ("lr", ["clip", "learning_rate"], "learning_rate"),  # by meaning
         ("reward", ["length", "return"], "return"),

@@ -20,14 +20,15 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, TomlFile, Where, read_model, read_toml
-from pneuma.study.claimed import read_fixed_runs
+from pneuma.schema import CONFIG, Table, TomlFile, passes, read_model, read_toml
+from pneuma.study.claimed import ClaimedRuns, SeedsOf, StepsOf, fix_runs, listed
 from pneuma.study.files import checksum
-from pneuma.study.spec import CLAIMS_FILE, Study, load_study, studies_folder
+from pneuma.study.spec import CLAIMS_FILE, load_study, studies_folder
+from pneuma.values import OneOf
 from pneuma.worlds import WORLDS
 
 MINUS = " - "
@@ -44,25 +45,23 @@ def _one_line(value: object) -> object:
     return " ".join(value.split()) if isinstance(value, str) else value
 
 
-def _listed(value: object) -> object:
-    return (value,) if isinstance(value, str) else value
+def _find_outcomes(names: tuple[str, ...]) -> None:
+    for outcome in (part for name in names for part in name.split(MINUS)):
+        find_outcome(outcome)
 
 
 Finite = Annotated[float, BeforeValidator(_fraction)]
 Positive = Annotated[Finite, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
+Kind = Literal["mean", "incidence"]
+Outcomes = Annotated[
+    tuple[Words, ...], BeforeValidator(listed), Field(min_length=1, max_length=2), passes(_find_outcomes)
+]
 ByWorld = Positive | dict[str, Positive]
 """One number for all worlds, or one for each."""
 ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
-
-
-class ByOutcomes(Table):
-    """Numbers of a whole list, by outcome; of all incidences, by that word."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, ByWorld]
 
 
 class ListHead(Table):
@@ -81,7 +80,7 @@ class ListHead(Table):
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
     weights: dict[str, Positive] = {}
-    world_weights: dict[str, Positive] = {}
+    world_weights: dict[Annotated[str, OneOf(tuple(WORLDS))], Positive] = {}
     seeds_from: Annotated[int, Field(ge=0)] = 0
 
 
@@ -111,8 +110,8 @@ class Event:
         return f"{'above' if self.above else 'below'} {self.threshold:g}"
 
 
-class Claim(Table):
-    """A sentence of the thesis as a test; see docs/claims.md.
+class Claim(ClaimedRuns, Table):
+    """A sentence of the thesis as a test; see docs/claims.md. Every one of a is held against every one of b.
 
     Attributes:
         name: of the claim.
@@ -120,8 +119,6 @@ class Claim(Table):
         context: what the sentence says around them, in one line.
         section: of the thesis.
         group: whose part of alpha it shares; its section, where it names none.
-        study: what tests it.
-        a, b: conditions; every one of a is held against every one of b.
         c, d: one condition each: the claim is on (a - b) - (c - d).
         value: a constant that a is held against in place of b.
         outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
@@ -131,34 +128,26 @@ class Claim(Table):
         margin: within what a difference counts as none; see `contrasts.compare`.
         plausible: the largest effect thought possible.
         need: whether all contrasts must be as claimed, or any.
-        seeds, steps: of each condition, fixed beforehand.
-        worlds: those of `WORLDS` that it is about.
         note: why it is tested so.
     """
+
+    model_config = CONFIG
 
     name: str
     quote: Words
     context: Text = ""
     section: Words
     group: Text = ""
-    study: Words
-    a: tuple[str, ...]
-    b: tuple[str, ...] = ()
-    c: tuple[str, ...] = ()
-    d: tuple[str, ...] = ()
     value: Finite | None = None
-    outcome: Annotated[tuple[Words, ...], BeforeValidator(_listed), Field(min_length=1, max_length=2)]
+    outcome: Outcomes
     above: Finite | None = None
     below: Finite | None = None
     only: Literal["", "collapsed"] = ""
-    kind: Literal["mean", "incidence"]
+    kind: Kind
     direction: Literal["greater", "less", "different", "equal"]
     margin: ByOutcome = None
     plausible: ByOutcome = None
     need: Literal["all", "any"] = "all"
-    seeds: dict[str, tuple[int, ...]]
-    steps: dict[str, int]
-    worlds: tuple[str, ...]
     note: Text = ""
 
     @property
@@ -171,11 +160,6 @@ class Claim(Table):
     def pairs(self) -> list[tuple[str, str | None]]:
         """The contrasts that it makes of each outcome: an arm, and the other; None for the constant."""
         return list(product(self.a, self.b or (None,)))
-
-    @property
-    def conditions(self) -> tuple[str, ...]:
-        """Every condition that it is about."""
-        return tuple(dict.fromkeys((*self.a, *self.b, *self.c, *self.d)))
 
     def of(self, key: Literal["margin", "plausible"], outcome: str) -> float | None:
         """Return the margin, or what is plausible, of one outcome; None where it depends on the world."""
@@ -197,6 +181,26 @@ class Claim(Table):
     def contrasts_in(self, world: str) -> int:
         """Return how many contrasts it has in one of `WORLDS`."""
         return len(self.outcome) * len(self.pairs) if world in self.worlds else 0
+
+
+class Defaults(Table):
+    """What claims have that do not say it themselves."""
+
+    seeds: SeedsOf | None = None
+    steps: StepsOf | None = None
+    outcome: Outcomes | None = None
+    kind: Kind | None = None
+
+
+class ClaimsFile(Table):
+    """The whole file; margins and what is plausible are by outcome, of all incidences by that word."""
+
+    list: ListHead = ListHead()
+    defaults: Defaults = Defaults()
+    margins: dict[str, ByWorld] = {}
+    plausible: dict[str, ByWorld] = {}
+    pilot: Pilot | None = None
+    claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -241,12 +245,6 @@ class ClaimList:
         return self.head.weights.get(group, 1.0) * self.head.world_weights.get(world, 1.0)
 
 
-_TABLES = ("list", "defaults", "margins", "plausible", "pilot", "claims")
-_DEFAULTS = ("seeds", "steps", "outcome", "kind")
-_BY_OUTCOME = {"margin": "margins", "plausible": "plausible"}
-"""Keys of a claim, and the tables that hold what claims have that do not say."""
-
-
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     """Load the shipped claims, or those of a file.
 
@@ -254,90 +252,54 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
         UserError: naming file, line, key, value and what is allowed.
     """
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
-    file.refuse_unknown((), file.data, _TABLES)
-    file.refuse_unknown(("defaults",), file.table(("defaults",)), _DEFAULTS)
-    head = read_model(ListHead, file, ("list",))
-    usual = {key: read_model(ByOutcomes, file, (own,)).model_extra or {} for key, own in _BY_OUTCOME.items()}
-    claims = {name: _read_claim(file, name, usual, head) for name in file.table(("claims",))}
-    if not claims:
-        raise UserError(f"{file.path}: holds no claims")
-    for place in head.world_weights:
-        if place not in WORLDS:
-            raise file.mistake(("list", "world_weights"), str(unknown_name("world", place, WORLDS)), place)
-    pilot = read_model(Pilot, file, ("pilot",)) if "pilot" in file.data else None
-    return ClaimList(file.path, checksum(file.text.encode()), claims, head, pilot)
+    said = read_model(ClaimsFile, file)
+    claims = {name: _read_claim(file, name, said) for name in said.claims}
+    return ClaimList(file.path, checksum(file.text.encode()), claims, said.list, said.pilot)
 
 
-# --- One claim -----------------------------------------------------------------------------------
-
-
-def _read_claim(file: TomlFile, name: str, by_outcome: Mapping[str, Any], head: ListHead) -> Claim:
+def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
     where = ("claims", name)
-    table = file.table(where)
-    fixed: dict[str, Any] = {"seeds": {}, "steps": {}, "worlds": ()}
-    if isinstance(table.get("study"), str):
-        study = _study(file, where, table["study"])
-        fixed = vars(read_fixed_runs(file, where, study))
-    usual = {key: own for key, own in file.table(("defaults",)).items() if key in _DEFAULTS[2:]}
-    claim = read_model(Claim, file, where, usual, {**fixed, "name": name})
-    claim = claim.model_copy(update={key: _filled(claim, key, own) for key, own in by_outcome.items()})
-    for key, message in _mistakes(claim, head):
-        raise file.mistake(where, message, key)
+    claim = read_model(Claim, file, where, file.table(("defaults",)), {"name": name})
+    own = str(file.path.parent / claim.study) if claim.study.endswith(".toml") else claim.study
+    try:
+        study = load_study(own)
+    except UserError as error:
+        raise file.mistake(where, f"study: {error}", "study") from None
+    claim = fix_runs(claim, file, where, study)
+    filled = {"margin": _filled(claim, claim.margin, said.margins)}
+    filled["plausible"] = _filled(claim, claim.plausible, said.plausible)
+    claim = claim.model_copy(update=filled)
+    if found := _mistake(claim, said.list):
+        raise file.mistake(where, found[1], found[0])
     return claim
 
 
-def _filled(claim: Claim, key: str, usual: Mapping[str, Any]) -> ByOutcome:
+def _filled(claim: Claim, own: ByOutcome, usual: Mapping[str, ByWorld]) -> ByOutcome:
     """Return a claim's margins, or what is plausible; of outcomes that it says nothing on, the list's."""
-    own: ByOutcome = getattr(claim, key)
     if own is not None and not isinstance(own, dict):
         return own
     names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcome}
     return {**{name: usual[of] for name, of in names.items() if of in usual}, **(own or {})} or None
 
 
-def _study(file: TomlFile, where: Where, name: str) -> Study:
-    """Load a study; a path is taken from the claims' own folder."""
-    try:
-        return load_study(str(file.path.parent / name) if name.endswith(".toml") else name)
-    except UserError as error:
-        raise file.mistake(where, f"study: {error}", "study") from None
-
-
-def _mistakes(claim: Claim, head: ListHead) -> list[tuple[str, str]]:
+def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
     """Return what is wrong with a claim whose keys are each right by themselves: the key, and what it is."""
-    value, kind, event = claim.value, claim.kind, claim.event
-    wrong = []
-
-    def check(right: bool, key: str, message: str) -> None:
-        if not right:
-            wrong.append((key, message))
-
-    for outcome in (part for name in claim.outcome for part in name.split(MINUS)):
-        try:
-            find_outcome(outcome)
-        except UserError as error:
-            check(False, "outcome", f"outcome: {error}")
-    check(bool(claim.b) != (value is not None), "", "a claim holds a against either b, conditions, or value")
-    if value is not None and kind == "incidence":
-        check(0 <= value <= 1, "value", f"value = {value:g} is not allowed: a share of runs, from 0 to 1")
-        least = (claim.direction, value) not in (("less", 0), ("greater", 1))
-        check(least, "value", f"value = {value:g}: no share of runs is {claim.direction} than that")
-    given = sum(own is not None for own in (claim.above, claim.below))
-    counted = "an incidence, and nothing else, counts runs by above or below, a number"
-    check(given == (kind == "incidence"), "", counted)
+    if bool(claim.b) == (claim.value is not None):
+        return "", "a claim holds a against either b, conditions, or value"
+    if sum(own is not None for own in (claim.above, claim.below)) != (claim.kind == "incidence"):
+        return "", "an incidence, and nothing else, counts runs by above or below, a number"
     four = [claim.a, claim.b, claim.c, claim.d]
-    effects = kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
-    told = "a difference of two effects is of means, with another condition in each of a, b, c, d"
-    check(effects or not (claim.c or claim.d), "c", told)
+    effects = claim.kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
+    if (claim.c or claim.d) and not effects:
+        return "c", "a difference of two effects is of means, with another condition in each of a, b, c, d"
     for world, outcome in product(claim.worlds, claim.outcome):
         margin = claim.in_world(world).of("margin", outcome)
-        lacks = "the key 'margin' is missing: within it, a difference counts as none"
-        check(margin is not None or claim.direction != "equal", "margin", lacks)
-        share = event is None or margin is None or margin < 1
-        check(share, "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs")
+        if margin is None and claim.direction == "equal":
+            return "margin", "the key 'margin' is missing: within it, a difference counts as none"
+        if margin is not None and margin >= 1 and claim.event:
+            return "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs"
     group = claim.group or claim.section
     if head.weights and group not in head.weights:
-        check(False, "group", f"group: {unknown_name('group of weights', group, head.weights)}")
+        return "group", f"group: {unknown_name('group of weights', group, head.weights)}"
     early = [seed for own in claim.seeds.values() for seed in own if seed < head.seeds_from]
-    check(not early, "seeds", f"seeds: {min(early, default=0)} is below seeds_from = {head.seeds_from}")
-    return wrong
+    return ("seeds", f"seeds: {min(early)} is below seeds_from = {head.seeds_from}") if early else None

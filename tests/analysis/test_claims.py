@@ -50,7 +50,6 @@ def test_an_event_and_a_constant_are_read(tmp_path: Path) -> None:
     assert claim.event == Event(above=False, threshold=0.05)
 
 
-SHARE = 'b = "low"\noutcome = "final-share-killed"\nkind = "mean"\ndirection = "greater"\nmargin = 0.04'
 MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     # name: (text in CLAIMS, what it becomes, line of the mistake, words of the message)
     "unknown key": ("margin = 0.04", "margn = 0.04", 14, ("'margn'", "did you mean margin?")),
@@ -62,10 +61,6 @@ MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     ),
     "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 5, ("'margin'", "missing")),
     "b and value": ('b = "low"', 'b = "low"\nvalue = 1', 5, ("either b", "or value")),
-    "less than none": (
-        SHARE, 'value = 0\nabove = 0.5\noutcome = "collapsed"\nkind = "incidence"\ndirection = "less"',
-        10, ("value = 0", "no share of runs is less than that"),
-    ),
     "list's margin of a wrong type": (
         "[claims.better]", '[margins]\nfinal-return = { arena = 1.2, text = "much" }\n[claims.better]', 6,
         ("much",),

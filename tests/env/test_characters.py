@@ -168,7 +168,7 @@ def complaint(file: str, **settings: object) -> str:
     ("text", "told"),
     [
         ("[players.base]\nhpp = 3", "line 2: [players.base] unknown key 'hpp' (did you mean hp?)"),
-        ("[players.base]\nhp = 0", "line 2: [players.base] hp = 0 is not allowed: above 0"),
+        ("[players.base]\nhp = 0", "line 2: [players.base] hp = 0 is not allowed: greater than 0"),
         ("[monsters.bamboo]\nbody_at = [12, 0]", "the position must lie inside"),
         ('[players.base]\nweapon = "swrod"', "unknown weapon 'swrod' (did you mean sword?)"),
         ("[weapons.axe]\nreach = 50", "reach must be a table"),

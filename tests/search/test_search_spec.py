@@ -106,7 +106,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
     [  # what is changed, into what, and what is said of it
         ("[space.epochs]", "[space.epoch]", "line 18: [space.epoch] unknown parameter 'epoch' (did you"),
         ("high = 1e-2", "high = 1e-6", "low = 1e-05 is not below high = 1e-06: an empty range"),
-        ("low = 1e-5", "low = 0", "learning_rate = 0 is not allowed: above 0"),
+        ("low = 1e-5", "low = 0", "learning_rate = 0 is not allowed: greater than 0"),
         ('optimizer = "sgd" }', 'optimiser = "sgd" }', "unknown parameter before it"),
         ('optimizer = "sgd" }', 'activation = "tahn" }', 'activation = "tahn" is not allowed'),
         ('optimizer = "sgd" }', 'network = "small" }', "network is searched, too: [space.network]"),
