@@ -138,7 +138,7 @@ def plot(
             data.figure += f"-{data.study}"  # the name is another study's figure's
         if settled:
             drawn = {"figure": figure, **asdict(settled)}
-            paths = draw_study(data, folder, formats=formats, beside=other, **asdict(settled))
+            paths = draw_study(data, folder, settled, formats, beside=other)
         else:
             drawn = {"figure": figure, "outcome": shown_outcome(data)}
             paths = draw_summary(data, folder, formats)

@@ -1,7 +1,7 @@
-"""The figure of a study's curves: the share of monsters killed and the return, or whatever is asked for.
+"""A study's curves: a panel for each quantity, or for each condition where there are many.
 
-Few conditions share a panel; more than `MOST_IN_A_PANEL` get a small panel each, with the others' means
-behind it.
+A line is the mean over runs; what its band is stands in the legend. Of more conditions than
+`MOST_IN_A_PANEL` each has a small panel, with the others' means behind it.
 """
 
 from __future__ import annotations
@@ -10,52 +10,23 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter
 
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.analysis.bands import BANDS
-from pneuma.analysis.curves import Curve, curve_names, shared_levels, study_curves
+from pneuma.analysis.bands import BANDS, is_trusted
+from pneuma.analysis.curves import Curve, LogCurve, curve_names, shared_levels, study_curves
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import have_one_return
 from pneuma.analysis.run_view import common_step, step_words
+from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError
-from pneuma.figures.panels import (
-    PLAYER_DASHES,
-    QUANTITIES,
-    draw_panel,
-    draw_players,
-    headline_of,
-    highest_point,
-    label_of,
-    notes_of,
-    put_texts,
-    round_ticks,
-    set_axes,
-    shows_band,
-    shows_runs,
-    stem_of,
-)
-from pneuma.figures.style import (
-    COLUMNS,
-    GREY,
-    INK,
-    LINE_INCHES,
-    MOST_IN_A_PANEL,
-    PANEL_INCHES,
-    TYPE_POINTS,
-    WIDTH,
-    characters,
-    condition_looks,
-    house_style,
-    save_figure,
-    short_names,
-)
+from pneuma.figures import panels, style
 
 _, TRAILING_WINDOW = WINDOWS
 AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
@@ -67,8 +38,15 @@ MOST_OTHERS = 24
 """Panels up to which all other means stand behind each; of more they would be a grey blur."""
 LONGEST_INCHES = 7.6
 """Of small panels: with the texts around them a figure fits a page, unless they are too many."""
-OF_BUDGET = "of the last 5 % of the budget"
+MARKED_POINTS = 8
+"""About so many markers a line, so that lines are told apart in grey."""
+MANY_RUNS = 30
+"""From which number of runs in a panel on their lines are fainter, so that means stay in front."""
+LONG_AXIS = 5000
+"""From which length on an axis's numbers are written with a k."""
 OTHERS_COLOUR, BESIDE_COLOUR = "#C4C4C4", "#404040"
+
+Curves = Mapping[str, Sequence[Curve]]
 
 
 @dataclass(frozen=True)
@@ -83,11 +61,9 @@ class Drawing:
 def draw_study(
     data: StudyData,
     folder: Path,
-    band: str | None = None,
-    window: str | None = None,
+    drawing: Drawing | None = None,
     formats: tuple[str, ...] = ("png", "svg"),
     *,
-    quantities: Sequence[str] = (),
     shown: str = "",
     beside: StudyData | None = None,
 ) -> list[Path]:
@@ -96,53 +72,67 @@ def draw_study(
     Args:
         data: the study.
         folder: where to write.
-        band: one of `BANDS`; Student's interval when left out.
-        window: one of the study's windows; its first when left out.
+        drawing: how; as `settle` does when left out.
         formats: of `FIGURE_FORMATS`.
-        quantities: of `curve_names`; when left out, the share killed and the return, or of these what there
-            is, and the first of them alone where each condition has a panel. Where returns are of unlike
-            rewards, the length of episodes stands in their place.
         shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
         beside: another study, or imported logs, whose runs are drawn as dashed lines, each its own.
 
     Raises:
-        UserError: for a quantity or window that the study's data does not have, data without curves, or
-            another study beside a panel for each condition.
+        UserError: for a quantity that the study's data does not have, or more than one quantity, or another
+            study beside it, where each condition has a panel.
     """
-    many = len(data.conditions) > MOST_IN_A_PANEL
-    if beside and many:
-        raise UserError(f"{beside.study} cannot be drawn beside {data.study}: each condition has a panel")
-    drawing = settle(data, band, window, quantities=quantities)
+    drawing = drawing or settle(data)
+    many = len(data.conditions) > style.MOST_IN_A_PANEL
+    if many and (beside or len(drawing.quantities) > 1):
+        reason = f"each of the {len(data.conditions)} conditions has a panel"
+        raise UserError(f"study {data.study}: {reason}, so draw one --quantity, and nothing beside it")
     curves = study_curves(data, drawing.quantities, drawing.window)
-    with house_style():
+    with style.house_style():
+        figure = Figure(layout="constrained")
         if many:
-            figure, inches, entries, named = _draw_small_panels(data, curves, drawing)
+            inches, named = _draw_conditions(figure, data, curves, drawing.band)
         else:
-            figure, inches, entries, named = _draw_panels(data, curves, drawing, beside)
-        caption = [*notes_of(data), *_caption(data, curves, drawing), named]
-        drawn = [curve for group in curves.values() for curve in group]
-        put_texts(figure, inches, headline_of(data, shown), entries, caption, _meaning(drawn, drawing.band))
+            inches, named = _draw_quantities(figure, data, curves, drawing, beside), ""
+        caption = [*panels.notes_of(data, "return" in curves), *_caption(data, curves, drawing.window), named]
+        meaning = _meaning([curve for group in curves.values() for curve in group], drawing.band)
+        panels.put_texts(
+            figure,
+            inches,
+            panels.headline_of(data, shown),
+            panels.legend_entries(figure.axes),
+            caption,
+            meaning,
+        )
         stem = file_stem(data, drawing, beside.study if beside else None)
-        return save_figure(figure, folder, stem, formats)
+        return style.save_figure(figure, folder, stem, formats)
 
 
 def settle(
     data: StudyData, band: str | None = None, window: str | None = None, quantities: Sequence[str] = ()
 ) -> Drawing:
-    """Return how `draw_study` draws, given the same."""
-    wanted = data.checked_window(window)
-    names = tuple(dict.fromkeys(quantities)) or _usual(data)
+    """Return how to draw a study, given what a person asks for.
+
+    Args:
+        data: the study.
+        band: one of `BANDS`; Student's interval when left out.
+        window: one of the study's windows; its first when left out.
+        quantities: of `curve_names`; when left out, the share killed and the return, or of these what there
+            is, and the first of them alone where each condition has a panel. Where returns are of unlike
+            rewards, the length of episodes stands in their place.
+
+    Raises:
+        UserError: for a window that the study's data does not have.
+    """
+    window = data.checked_window(window)
+    names = tuple(dict.fromkeys(quantities))
+    if not names:
+        known = curve_names(data)
+        wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "length")
+        names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
+        names = names[:1] if len(data.conditions) > style.MOST_IN_A_PANEL else names
     if not set(names) & set(EPISODE_QUANTITIES):
-        wanted = data.windows[0]  # nothing that is drawn is read in a window of one's choice
-    return Drawing(names, band or BAND_NAMES[0], wanted)
-
-
-def _usual(data: StudyData) -> tuple[str, ...]:
-    """Return what is drawn where nothing is asked for."""
-    known = curve_names(data)
-    wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "length")
-    names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
-    return names[:1] if len(data.conditions) > MOST_IN_A_PANEL else names
+        window = data.windows[0]  # nothing that is drawn is read in a window of one's choice
+    return Drawing(names, band or BAND_NAMES[0], window)
 
 
 def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
@@ -153,122 +143,177 @@ def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> s
         differs.append("all" if every else "-".join(drawing.quantities))
     differs += [drawing.band] * (drawing.band != usual.band)
     differs += [drawing.window.removesuffix("%")] * (drawing.window != data.windows[0])
-    return stem_of(data, *differs, *(["beside", beside] if beside else []))
+    return panels.stem_of(data, *differs, *(["beside", beside] if beside else []))
 
 
 # --- Panels ------------------------------------------------------------------------------------------
 
-Curves = Mapping[str, Sequence[Curve]]
-Drawn = tuple[Figure, float, dict[str, Any], str]
-"""A figure, the height of its panels in inches, its legend's entries, and what names in it consist of."""
 
-
-def _draw_panels(data: StudyData, curves: Curves, drawing: Drawing, beside: StudyData | None) -> Drawn:
-    """Draw a panel of all conditions for each quantity, and each run of other curves beside them."""
-    rows = -(-len(curves) // COLUMNS)
+def _draw_quantities(
+    figure: Figure, data: StudyData, curves: Curves, drawing: Drawing, beside: StudyData | None
+) -> float:
+    """Draw a panel of all conditions for each quantity; return the height of all in inches."""
+    rows = -(-len(curves) // style.COLUMNS)
     columns = -(-len(curves) // rows)
-    figure = Figure(layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    labels = {name: label_of(data, name) for name in data.conditions if data.of_condition(name)}
-    looks = condition_looks(data.conditions)
-    entries: dict[str, Any] = {}
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    labels = {name: panels.label_of(data, name) for name in data.conditions if data.of_condition(name)}
+    looks = style.condition_looks(data.conditions)
     others: Curves = {}
     if beside:
         window = drawing.window if drawing.window in beside.windows else beside.windows[0]
         named = [name for name in drawing.quantities if name in beside.quantities]
         others = study_curves(beside, named, window)
-    for axes, (name, group) in zip(panels, curves.items(), strict=False):
-        quantity = QUANTITIES[name]
-        draw_panel(axes, group, drawing.band, looks, labels, quantity)
+    for axes, (name, group) in zip(grid, curves.items(), strict=False):
+        _draw_means(axes, name, group, drawing.band, looks, labels)
         _draw_around(axes, data, name, group)
         for curve in others.get(name, ()):
-            lines = axes.plot(
-                curve.step, curve.runs.T, color=BESIDE_COLOUR, linewidth=0.7, linestyle=(0, (3, 1))
-            )
-            lines[0].set_label(beside.title if beside else "")
-        label = quantity.label
+            look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1))}
+            axes.plot(curve.step, curve.runs.T, label=beside.title if beside else "", **look)
+        label = QUANTITIES[name].label
         if data.averaged_over:  # in the log
             label = label.replace(" of an episode", f", mean of {data.averaged_over} episodes")
-        axes.set(title=quantity.title, ylabel=label, xlabel="Environment steps")
-        handles, names = axes.get_legend_handles_labels()
-        entries |= dict(zip(names, handles, strict=True))
-    for axes in panels[len(curves) :]:
+        axes.set(title=QUANTITIES[name].title, ylabel=label, xlabel="Environment steps")
+    for axes in grid[len(curves) :]:
         axes.remove()
-    players_last = dict(sorted(entries.items(), key=lambda entry: entry[0].startswith((*PLAYER_DASHES,))))
-    return figure, rows * PANEL_INCHES * (1.2 if columns == 1 else 1), players_last, ""
+    return rows * style.PANEL_INCHES * (1.2 if columns == 1 else 1)
+
+
+def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str) -> tuple[float, str]:
+    """Draw a small panel for each condition; return the height of all, and what their names consist of."""
+    ((name, group),) = curves.items()
+    columns = min(range(2 * style.COLUMNS, style.COLUMNS - 1, -1), key=lambda each: -len(group) % each)
+    rows = -(-len(group) // columns)
+    names, parts = style.short_names([curve.condition for curve in group])
+    width = style.characters(0.83 * style.TYPE_POINTS, 0.9 * style.WIDTH / columns)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    looks = {own: {**look, "marker": ""} for own, look in style.condition_looks(data.conditions).items()}
+    behind: Any = {"color": OTHERS_COLOUR, "linewidth": 0.08 * style.TYPE_POINTS, "zorder": 1.1}
+    title_lines = 1
+    for place, (axes, curve) in enumerate(zip(grid, group, strict=False)):
+        for other in group if len(group) <= MOST_OTHERS else ():
+            axes.plot(other.step, other.mean, label="all others", **behind)
+        _draw_means(axes, name, [curve], band, looks, {})
+        _draw_around(axes, data, name, group)
+        label = panels.label_of(data, curve.condition, names[curve.condition]).replace(" = ", "=")
+        title = textwrap.wrap(label, width)
+        title_lines = max(title_lines, len(title))
+        axes.set_title("\n".join(title), fontsize="small", weight="normal", pad=2)
+        lowest, leftmost = place + columns >= len(group), place % columns == 0
+        axes.tick_params(labelbottom=lowest, labelsize="small")
+        axes.set_xlabel("Steps" if lowest else "", fontsize="small")
+        axes.set_ylabel(QUANTITIES[name].label if leftmost else "", fontsize="small")
+    for axes in grid[len(group) :]:
+        axes.set_axis_off()
+    grid[0].xaxis.set_major_locator(panels.round_ticks(3))
+    title_inches = 0.85 * style.LINE_INCHES * title_lines
+    panel_inches = max(0.3, min(0.75, LONGEST_INCHES / rows - title_inches))
+    return rows * (panel_inches + title_inches) + 0.4, parts and f"Panels: {parts}."
+
+
+# --- One panel ---------------------------------------------------------------------------------------
+
+
+class Quantity(NamedTuple):
+    """How a quantity's panel reads: its title, and its vertical axis, of shares or logarithmic."""
+
+    title: str
+    label: str
+    percent: bool = False
+    log: bool = False
+
+
+QUANTITIES = {
+    "share_killed": Quantity("Monsters killed in evaluation", "Share killed", percent=True),
+    "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", percent=True),
+    "score": Quantity("Normalised score in evaluation", "0 random player, 1 hunter"),
+    "return": Quantity("Return in training", "Return of an episode"),
+    "length": Quantity("Length of episodes in training", "Steps of an episode"),
+    "kills": Quantity("Monsters killed in training", "Kills of an episode"),
+    "hp": Quantity("HP left in training", "HP at the end of an episode"),
+    "entropy": Quantity("Entropy of the policy", "Entropy (nats)"),
+    "grad_norm": Quantity("Gradient norm before clipping", "L2 norm", log=True),
+    "grad_norm_actor": Quantity("Actor's gradient norm", "L2 norm", log=True),
+    "grad_norm_critic": Quantity("Critic's gradient norm", "L2 norm", log=True),
+    "approx_kl": Quantity("KL divergence of an update", "KL divergence (nats)"),
+    "explained_variance": Quantity("Variance of returns explained", "Explained variance"),
+    "dead_units": Quantity("Dead hidden units", "Share of units", percent=True),
+    **{
+        f"action_{number}": Quantity(f"Share of action: {name}", "Share of actions", percent=True)
+        for number, name in enumerate(ACTION_NAMES)
+    },
+}
+
+
+def _shows_runs(curve: Curve, band: str) -> bool:
+    """Tell whether every run is drawn: where that is the band, runs are few, or it rarely covers the mean."""
+    count = len(curve.runs)
+    return BANDS[band].edges is None or 1 < count < panels.FEW_RUNS or not is_trusted(band, count)
+
+
+def _shows_band(curve: Curve, band: str) -> bool:
+    return BANDS[band].edges is not None and len(curve.runs) >= panels.FEW_RUNS
+
+
+def _draw_means(
+    axes: Axes,
+    name: str,
+    curves: Sequence[Curve],
+    band: str,
+    looks: Mapping[str, Mapping[str, Any]],
+    labels: Mapping[str, str],
+) -> None:
+    """Draw means and bands of a quantity, faint where not all runs have a value.
+
+    On a logarithmic axis they are of logarithms. Conditions without a label are not in the legend.
+    """
+    if QUANTITIES[name].log:
+        curves = [LogCurve(curve.condition, curve.step, curve.runs, curve.diverged) for curve in curves]
+    lines = sum(len(curve.runs) for curve in curves if _shows_runs(curve, band))
+    alpha = 0.4 * min(1.0, MANY_RUNS / max(lines, 1))
+    shade, width = 0.16 if len(curves) < 5 else 0.09, mpl.rcParams["lines.linewidth"]
+    for curve in curves:
+        colour, marker = looks[curve.condition]["color"], looks[curve.condition]["marker"]
+        whole = curve.count == len(curve.runs)
+        if _shows_band(curve, band):
+            low, high = curve.band(band)
+            if BANDS[band].about_mean:  # those that are left where others diverged are no sample
+                low = np.where(whole, low, np.nan)
+            axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
+        if _shows_runs(curve, band):
+            axes.plot(curve.step, curve.runs.T, color=colour, linewidth=0.3 * width, alpha=alpha, zorder=1.4)
+        every = max(len(curve.step) // MARKED_POINTS, 1)
+        first = (
+            style.MARKERS.index(marker) * every // len(style.MARKERS) % every if marker else 0
+        )  # no two meet
+        (line,) = axes.plot(
+            curve.step, np.where(whole, curve.mean, np.nan), label=labels.get(curve.condition, ""),
+            color=colour, clip_on=False, markersize=2.2 * width, marker=marker, markevery=(first, every),
+        )  # fmt: skip
+        line.set_in_layout(False)  # it may reach over the edge, and may be empty
+        axes.plot(curve.step, curve.mean, color=colour, alpha=0.35, zorder=1.5)
+        for step, value in curve.stops:
+            axes.plot(step, value, "x", color=colour, markersize=4 * width)
 
 
 def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]) -> None:
-    """Draw what any panel of a quantity has beside its curves."""
-    draw_players(axes, shared_levels(data, name), highest_point(curves))
+    """Draw what a panel of a quantity has beside its curves, and set what its axes run over."""
+    values = np.concatenate([curve.runs.ravel() for curve in curves])
+    highest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+    panels.draw_players(axes, shared_levels(data, name), highest)
     if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
-        axes.axvline(step, color=GREY, linewidth=0.9, zorder=1.2)
-    set_axes(axes, QUANTITIES[name], data.budget, curves)
-
-
-def _draw_small_panels(data: StudyData, curves: Curves, drawing: Drawing) -> Drawn:
-    """Draw a panel for each condition and quantity, those of a quantity below each other."""
-    conditions = [curve.condition for curve in next(iter(curves.values()))]
-    columns = min(range(2 * COLUMNS, COLUMNS - 1, -1), key=lambda each: -len(conditions) % each)
-    rows = -(-len(conditions) // columns)
-    names, parts = short_names(conditions)
-    width = characters(0.83 * TYPE_POINTS, 0.9 * WIDTH / columns)
-    titles = [
-        "\n".join(textwrap.wrap(label_of(data, name, names[name]).replace(" = ", "="), width))
-        for name in conditions
-    ]
-    figure = Figure(layout="constrained")
-    panels = figure.subplots(rows * len(curves), columns, squeeze=False, sharex=True)
-    looks = {name: {**look, "marker": ""} for name, look in condition_looks(data.conditions).items()}
-    for place, (name, group) in enumerate(curves.items()):
-        quantity = QUANTITIES[name]  # the caption says what was averaged before
-        block = panels[place * rows : (place + 1) * rows].ravel()
-        for axes, curve, title in zip(block, group, titles, strict=False):
-            _draw_others(axes, group, curve, data.record.get("baseline"))
-            draw_panel(axes, [curve], drawing.band, looks, {}, quantity)
-            _draw_around(axes, data, name, group)
-            axes.set_title(title, fontsize="small", weight="normal", pad=2)
-        _align([*block], len(conditions), columns, quantity.label)
-    title_inches = 0.85 * LINE_INCHES * (1 + max(title.count("\n") for title in titles))
-    panel_inches = max(0.3, min(0.75, LONGEST_INCHES / rows - title_inches))
-    inches = rows * len(curves) * (panel_inches + title_inches) + 0.4
-    entries: dict[str, Any] = {}
-    if len(conditions) <= MOST_OTHERS:
-        entries["the others"] = Line2D([], [], color=OTHERS_COLOUR)
-    if data.record.get("baseline") in names:
-        label = f"{names[data.record['baseline']]} (baseline)"
-        entries[label] = Line2D([], [], color=INK, linestyle="--", linewidth=1)
-    handles, labels = panels.flat[0].get_legend_handles_labels()
-    entries |= dict(zip(labels, handles, strict=True))
-    return figure, inches, entries, parts and f"Panels: {parts}."
-
-
-def _draw_others(axes: Axes, curves: Sequence[Curve], own: Curve, baseline: str | None) -> None:
-    """Draw the other conditions' means behind, and the baseline's in front of them."""
-    thin = 0.4 * mpl.rcParams["lines.linewidth"]
-    for curve in curves:
-        if curve.condition == baseline != own.condition:
-            axes.plot(curve.step, curve.mean, color=INK, linewidth=2 * thin, linestyle="--", zorder=1.3)
-        elif curve is not own and len(curves) <= MOST_OTHERS:
-            axes.plot(curve.step, curve.mean, color=OTHERS_COLOUR, linewidth=thin, zorder=1.1)
-
-
-def _align(block: Sequence[Axes], count: int, columns: int, label: str) -> None:
-    """Give panels of one quantity the same axes, with labels at the left and below alone."""
-    used, holes = block[:count], block[count:]
-    low, high = min(axes.get_ylim()[0] for axes in used), max(axes.get_ylim()[1] for axes in used)
-    for place, axes in enumerate(used):
-        axes.set_ylim(low, high)
-        lowest = place + columns >= count
-        axes.tick_params(labelleft=place % columns == 0, labelbottom=lowest, labelsize="small")
-        axes.set_xlabel("Steps" if lowest else "", fontsize="small")
-        axes.xaxis.set_major_locator(round_ticks(3))
-        if axes.get_yscale() == "linear":
-            axes.yaxis.set_major_locator(round_ticks(4))
-        if place % columns == 0:
-            axes.set_ylabel(label, fontsize="small")
-    for axes in holes:
-        axes.set_axis_off()
+        axes.axvline(step, color=style.GREY, linewidth=0.9, zorder=1.2)
+    axes.set_xlim(0, data.budget)
+    panels.set_steps(axes, 5)
+    if QUANTITIES[name].log and highest > 0:
+        axes.set_yscale("log", nonpositive="clip")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    elif QUANTITIES[name].percent:
+        top = min(max(axes.get_ylim()[1], 0.01), 1 + panels.BELOW_ZERO)
+        axes.set_ylim(-panels.BELOW_ZERO * top, top)
+        panels.set_shares(axes)
+    elif np.ptp(axes.get_ylim()) > LONG_AXIS:
+        axes.yaxis.set_major_formatter(EngFormatter(sep=""))
 
 
 # --- Words -------------------------------------------------------------------------------------------
@@ -277,47 +322,35 @@ def _align(block: Sequence[Axes], count: int, columns: int, label: str) -> None:
 def _meaning(drawn: Sequence[Curve], band: str) -> str:
     """Return what lines and bands are, for the legend."""
     told = ["Mean over n runs"]
-    if any(shows_band(curve, band) for curve in drawn):
+    if any(_shows_band(curve, band) for curve in drawn):
         told.append(f"band: {BANDS[band].label}")
-    if any(shows_runs(curve, band) for curve in drawn):
+    if any(_shows_runs(curve, band) for curve in drawn):
         told.append("thin lines: runs")
     return "; ".join(told)
 
 
-def _caption(data: StudyData, curves: Curves, drawing: Drawing) -> list[str]:
+def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
     """Return what to mind in these curves: sentences, the gravest first."""
-    drawn = [curve for group in curves.values() for curve in group]
     told = []
-    if "return" in curves and not have_one_return(data):
-        told.append("Returns of unlike rewards, or of more players, cannot be compared.")
     for name, group in curves.items():
         for curve in group:
-            blank = int((~np.isfinite(curve.runs)).all(axis=1).sum())
-            if blank:
+            if blank := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
                 of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
                 told.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
-    if any(curve.stops for curve in drawn):
+    if any(curve.stops for group in curves.values() for curve in group):
         told.append("×: a run diverged, and its curve ends there.")
-    step = common_step(data)
-    if step is not None:
+    if step := common_step(data):
         told.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
-    if any(shows_band(curve, drawing.band) and shows_runs(curve, drawing.band) for curve in drawn):
-        told.append("Intervals of few runs cover less often than they say, so the runs are drawn too.")
-    if any(curve.count[-1] < len(curve.runs) for curve in drawn):
-        told.append("Faint: not all runs have a value.")
-    told.append(_averages(data, curves, drawing.window))
+    averaged, of_budget = [], "of the last 5 % of the budget"
+    if data.averaged_over and {*curves} & {*EPISODE_QUANTITIES}:
+        averaged.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")
+    elif {*curves} & {*EPISODE_QUANTITIES}:
+        trailing = window == TRAILING_WINDOW
+        averaged.append("the last 100 episodes" if trailing else f"the episodes {of_budget}")
+    if {*curves} & {*UPDATE_QUANTITIES}:
+        averaged.append(f"the updates {of_budget}")
+    if averaged:
+        told.append(f"Training curves average {', or '.join(averaged)}.")
     if any(QUANTITIES[name].log for name in curves):
         told.append("On logarithmic axes means and bands are of logarithms.")
     return told
-
-
-def _averages(data: StudyData, curves: Curves, window: str) -> str:
-    """Say what each point of a training curve averages; '' where there is none."""
-    told = []
-    if {*curves} & {*EPISODE_QUANTITIES}:
-        trailing = "the last 100 episodes" if window == TRAILING_WINDOW else f"the episodes {OF_BUDGET}"
-        logged = f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them"
-        told.append(logged if data.averaged_over else trailing)
-    if {*curves} & {*UPDATE_QUANTITIES}:
-        told.append(f"the updates {OF_BUDGET}")
-    return f"Training curves average {', or '.join(told)}." if told else ""

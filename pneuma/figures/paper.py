@@ -187,9 +187,10 @@ def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[D
     """Draw the conditions of the thesis's figure, also as it drew them, and all where the study has more."""
 
     def drawn(own: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
-        told = {"figure": "curves", "conditions": own.conditions, **asdict(settle(own, **how))}
+        drawing = settle(own, **how)
+        told = {"figure": "curves", "conditions": own.conditions, **asdict(drawing)}
         told |= {"beside": beside.study} if beside else {}
-        return own, draw_study(own, folder, shown=shown, beside=beside, **how), told
+        return own, draw_study(own, folder, drawing, shown=shown, beside=beside), told
 
     if len(data.conditions) <= MOST_CURVES and set(USUAL_QUANTITIES) & set(curve_names(data)):
         names = [name for name in CONTRASTED.get(data.own_name, ()) if name in data.conditions]

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.figures import collapse, curves, style, summary
+from pneuma.figures import style
+from pneuma.figures.style import save_figure
 
 from .hand_made import HandMade
 
@@ -20,10 +21,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
     def save(figure: Figure, *arguments: Any) -> list[Path]:
         figures.append(figure)
-        return style.save_figure(figure, *arguments)
+        return save_figure(figure, *arguments)
 
-    for module in (curves, summary, collapse):
-        monkeypatch.setattr(module, "save_figure", save)
+    monkeypatch.setattr(style, "save_figure", save)
     return figures
 
 

@@ -12,7 +12,7 @@ from matplotlib.text import Text
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import open_study
 from pneuma.engines.records import METRIC_COLUMNS
-from pneuma.figures.curves import draw_study
+from pneuma.figures.curves import draw_study, settle
 from pneuma.study.store import Store
 
 from ..hand_made import make_id, save_run
@@ -72,8 +72,14 @@ class HandMade:
     def data(self) -> StudyData:
         return open_study(self.store, self.record)
 
-    def draw(self, folder: Path, **options: Any) -> list[Path]:
-        return draw_study(self.data, folder, **{"formats": ("svg",), **options})
+    def draw(
+        self,
+        folder: Path,
+        formats: tuple[str, ...] = ("svg",),
+        beside: StudyData | None = None,
+        **how: Any,
+    ) -> list[Path]:
+        return draw_study(self.data, folder, settle(self.data, **how), formats, beside=beside)
 
 
 def legend(figure: Figure) -> list[str]:

@@ -15,7 +15,7 @@ from PIL import Image
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.figures.curves import draw_study
+from pneuma.figures.curves import draw_study, settle
 from pneuma.figures.panels import FEW_RUNS
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
@@ -148,14 +148,13 @@ def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, draw
     study = HandMade(tmp_path)
     for rate in range(12):
         study.add(f"rate={rate}, scale=unit, tanh", 0)
-    study.record["baseline"] = "rate=0, scale=unit, tanh"
     study.draw(tmp_path)
     titles = [axes.get_title(loc="left") for axes in drawn[0].axes]
     assert [" ".join(title.split()) for title in titles] == [
         f"{rate}, unit, tanh (n=1)" for rate in range(12)
     ]
     assert len({axes.get_ylim() for axes in drawn[0].axes}) == 1
-    assert "0, unit, tanh (baseline)" in legend(drawn[0])
+    assert "all others" in legend(drawn[0])
     assert "Panels: rate, scale, condition." in words(drawn[0])
 
 
@@ -193,4 +192,4 @@ def test_imported_logs_say_what_was_averaged_and_where_they_end(
     assert axes.get_ylabel() == "Return, mean of 100 episodes"
     assert legend(drawn[0]) == ["small (n = 2, 1 at the end)"]
     with pytest.raises(UserError, match="window budget-5% cannot be had"):
-        draw_study(data, tmp_path / "other", window="budget-5%")
+        settle(data, window="budget-5%")
