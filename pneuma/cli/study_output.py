@@ -113,12 +113,12 @@ def plot(
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
     from pneuma.figures.curves import draw_study, file_stem, settle
-    from pneuma.figures.index import INDEX, encode_index, index_entries, read_present
+    from pneuma.figures.index import INDEX, encode_index, index_entries, read_index
     from pneuma.figures.panels import stem_of
     from pneuma.figures.summary import draw_summary, shown_outcome
 
     target = out or store.root / "figures"
-    owners = {entry["file"]: entry.get("from") for entry in read_present(target)}
+    owners = {entry["file"]: entry.get("from") for entry in read_index(target)}
     other = open_study(store, study_record(store, beside, None)) if beside else None
     chosen = [*opt.selecting_words(selection), *(["--world", world] if world else [])] if selection else []
     entries: list[dict[str, Any]] = []
@@ -151,7 +151,7 @@ def plot(
                 draw_one(name, folder)
         else:
             each_study(known_studies(store, world), lambda name: draw_one(name, folder))
-        (folder / INDEX).write_bytes(encode_index([*read_present(target), *entries]))
+        (folder / INDEX).write_bytes(encode_index([*read_index(target), *entries]))
         return [*(folder / entry["file"] for entry in entries), folder / INDEX]
 
     tell_written([path for path in draw_files(store, out, draw) if path.name != INDEX], json)

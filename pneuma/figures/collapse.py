@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
 
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
@@ -18,16 +17,8 @@ from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.run_view import Series, common_step, view
 from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
 from pneuma.errors import UserError
-from pneuma.figures.panels import (
-    BELOW_ZERO,
-    headline_of,
-    label_rows,
-    notes_of,
-    put_texts,
-    round_ticks,
-    set_shares,
-)
-from pneuma.figures.style import GREY, INK, condition_looks, house_style, save_figure, short_names
+from pneuma.figures import panels, style
+from pneuma.figures.style import GREY, INK
 
 PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
 """Heights of the panels: the usual one, the greatest with which a figure fits a page, and a condition's."""
@@ -35,18 +26,14 @@ MOST_ROWS = 24
 """Conditions up to which all are shown; of more, those of which a run collapsed."""
 
 PANELS = {
-    "entropy": "Entropy (nats)",
-    "action": "Most frequent action",
-    "dead_units": "Dead units",
-    "share_killed": "Monsters killed",
+    "entropy": ("Entropy (nats)", float(np.log(5)), LEAST_ENTROPY),
+    "action": ("Most frequent action", 1.0, MOST_OF_ONE),
+    "dead_units": ("Dead units", 1.0, None),
+    "share_killed": ("Monsters killed", 0.01, None),
 }
-REACH = {"entropy": float(np.log(5)), "action": 1.0, "dead_units": 1.0, "share_killed": 0.01}
-"""What axes reach to at least, so that what is nothing from the first is not seen to fall."""
-THRESHOLDS = {"entropy": LEAST_ENTROPY, "action": MOST_OF_ONE}
-"""Beyond which a policy is down to one action."""
+"""Title; what the axis reaches to at least; the level beyond which a policy is down to one action."""
 
-Fall = tuple[FinishedRun, np.ndarray, np.ndarray]
-"""A run that collapsed, steps from its onset, (points,), and a quantity's values there."""
+Colours = Mapping[str, str]
 
 
 def collapsed_shares(data: StudyData) -> pd.DataFrame:
@@ -63,8 +50,7 @@ def draw_collapse(
     """Draw a study's collapses; return the files written.
 
     On the left, where any run collapsed, every one that did, its steps counted from its onset, in what is
-    held of its curves; on the right the share of each condition's runs that did, with its interval. Of many
-    conditions those of which none did are left out on the right, and the caption says so.
+    held of its curves; on the right the share of each condition's runs that did, with its interval.
 
     Raises:
         UserError: where no run has records that a collapse shows in.
@@ -77,80 +63,62 @@ def draw_collapse(
         )
     shown = known if len(known) <= MOST_ROWS else known[known["collapsed"] > 0]
     onsets = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
-    held = _held(data, onsets)
-    names, parts = short_names(list(shown["condition"]))
-    with house_style():
-        figure = Figure(layout="constrained")
-        mosaic = _mosaic(list(held))
-        panels = figure.subplot_mosaic(mosaic, width_ratios=[1.0] * len(mosaic[0]))
-        colours = {name: look["color"] for name, look in condition_looks(data.conditions).items()}
-        for name, falls in held.items():
-            _draw_falls(panels[name], colours, falls, name)
-        usual = PANELS_INCHES if len(mosaic) > 1 else 0.7 * PANELS_INCHES
-        inches = max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES))
-        _draw_bars(panels["bars"], colours, names, shown, inches)
-        headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
-        caption = [
-            *notes_of(data),
-            *_caption(data, shares, len(known) - len(shown)),
-            parts and f"Rows: {parts}.",
-        ]
-        put_texts(figure, inches, headline_of(data, headline), caption=caption)
-        return save_figure(figure, folder, stem, formats)
-
-
-def _held(data: StudyData, onsets: Mapping[str, float]) -> dict[str, list[Fall]]:
-    """Return the panels of what is held of any run that collapsed, and its runs."""
     runs = [run for run in data.runs if run.run_id in onsets]
-    held: dict[str, list[Fall]] = {name: [] for name in PANELS}
-    for name, falls in held.items():
-        for run in runs:
-            step, values = _series(data, run, name)
-            falls.append((run, step - onsets[run.run_id], values))
-    return {name: falls for name, falls in held.items() if any(len(step) for _, step, _ in falls)}
+    held = {name: [_series(data, run, name) for run in runs] for name in PANELS}
+    held = {name: series for name, series in held.items() if any(len(step) for step, _ in series)}
+    rows = 2 if len(held) > 1 else 1
+    usual = PANELS_INCHES if rows > 1 else 0.7 * PANELS_INCHES
+    inches = max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES))
+    names, parts = style.short_names(list(shown["condition"]))
+    colours = {name: look["color"] for name, look in style.condition_looks(data.conditions).items()}
+    with style.house_style():
+        figure = Figure(layout="constrained")
+        columns = -(-len(held) // rows)
+        cells = [*held, "."][: rows * columns]
+        grid = figure.subplot_mosaic([[*cells[r * columns :][:columns], "bars"] for r in range(rows)])
+        for name, series in held.items():
+            falls = [(step - onsets[run.run_id], values, colours[run.condition])
+                     for run, (step, values) in zip(runs, series, strict=True)]  # fmt: skip
+            _draw_falls(grid[name], name, falls)
+        counts: list[dict[Any, Any]] = shown.to_dict("records")
+        _draw_bars(grid["bars"], colours, counts)
+        labels = [f"{names[row['condition']]} ({row['collapsed']} of {row['runs']})" for row in counts]
+        panels.label_rows(grid["bars"], labels, inches / len(shown))
+        headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
+        caption = [*_caption(data, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
+        panels.put_texts(figure, inches, panels.headline_of(data, headline), caption=caption)
+        return style.save_figure(figure, folder, stem, formats)
 
 
 def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
-    seen = view(data, run)
+    """Return what is held of a run for one of `PANELS`."""
     if name == "share_killed":
-        return seen.evaluations(name)
+        return view(data, run).evaluations(name)
     if name != "action":
-        return seen.curve(name)
+        return view(data, run).curve(name)
     shares = [data.curve(run, action) for action in ACTION_QUANTITIES if action in data.quantities]
     most = np.max(shares, axis=0) if shares else np.full(data.grid.shape, np.nan)
     return data.grid[np.isfinite(most)], most[np.isfinite(most)]
 
 
-def _mosaic(names: Sequence[str]) -> list[Any]:
-    """Return where panels lie: up to two below each other, with the bars at their right."""
-    if not names:
-        return [["bars"]]
-    rows = min(len(names), 2)
-    columns = -(-len(names) // rows)
-    lines = [[*names[row * columns : (row + 1) * columns]] for row in range(rows)]
-    return [[*line, *["."] * (columns - len(line)), "bars"] for line in lines]
-
-
-def _draw_falls(axes: Axes, colours: Mapping[str, str], falls: Sequence[Fall], name: str) -> None:
+def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndarray, str]]) -> None:
+    """Draw one of `PANELS`: steps from the onset, values and colour of every run that collapsed."""
+    title, reach, threshold = PANELS[name]
     axes.axvline(0, color=GREY, linewidth=0.8)
-    if name in THRESHOLDS:
-        axes.axhline(THRESHOLDS[name], color=GREY, linewidth=0.8, linestyle="--")
-    for run, step, values in falls:
-        faint = 0.8 if len(falls) < 20 else 0.4
-        axes.plot(step, values, color=colours[run.condition], linewidth=0.7, alpha=faint)
-    axes.xaxis.set_major_locator(round_ticks(4))
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    top = 1.02 * max(axes.dataLim.y1, REACH[name])
-    axes.set_ylim(-BELOW_ZERO * top, top)
+    if threshold is not None:
+        axes.axhline(threshold, color=GREY, linewidth=0.8, linestyle="--")
+    for step, values, colour in falls:
+        axes.plot(step, values, color=colour, linewidth=0.7, alpha=0.8 if len(falls) < 20 else 0.4)
+    panels.set_steps(axes, 4)
+    top = 1.02 * max(axes.dataLim.y1, reach)
+    axes.set_ylim(-panels.BELOW_ZERO * top, top)
     if name != "entropy":
-        set_shares(axes)
-    axes.set(title=PANELS[name], xlabel="Steps from onset")
+        panels.set_shares(axes)
+    axes.set(title=title, xlabel="Steps from onset")
 
 
-def _draw_bars(
-    axes: Axes, colours: Mapping[str, str], names: Mapping[str, str], shares: pd.DataFrame, inches: float
-) -> None:
-    rows: Sequence[dict[Any, Any]] = shares.to_dict("records")
+def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) -> None:
+    """Draw the share of each condition's runs that collapsed, hollow as far as they recovered."""
     for place, row in enumerate(rows):
         colour, again = colours[row["condition"]], row["recovered"] / row["runs"]
         axes.barh(place, row["share"], height=0.55, color=colour, alpha=0.6)
@@ -159,22 +127,19 @@ def _draw_bars(
         axes.plot([row["low"], row["high"]], [place, place], color=INK, linewidth=1.1)
         if not row["collapsed"]:
             axes.plot(0, place, marker="o", markersize=3, color=colour, clip_on=False, zorder=4)
-    labels = [f"{names[row['condition']]} ({row['collapsed']} of {row['runs']})" for row in rows]
-    label_rows(axes, labels, inches / len(rows))
     axes.set(xlim=(0, 1), xlabel="Share of runs", title="How often")
-    set_shares(axes, upright=False)
+    panels.set_shares(axes, upright=False)
     axes.set_xticks((0, 0.5, 1))
 
 
 def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
     """Return what to mind in this figure: sentences, the gravest first."""
-    told = []
-    blind = {row["condition"]: row["unknown"] for row in shares.to_dict("records") if row["unknown"]}
-    if blind:
-        of = ", ".join(f"{count} of {name}" for name, count in blind.items())
-        told.append(f"Runs without records that a collapse shows in: {of}.")
+    told = panels.notes_of(data)
+    if blind := shares["unknown"].sum():
+        told.append(f"Left out: {blind} runs without records that a collapse shows in.")
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in run.records.signs()}
-    if named := ", ".join(name for name in data.conditions if name in unseen and name not in blind):
+    if unseen:
+        named = ", ".join(name for name in data.conditions if name in unseen)
         told.append(f"Of {named} no entropy is recorded, and only a fall is seen.")
     if any(run.begun for run in data.runs):
         told.append("Of a fork its parent's best is not known: a fall from that is not seen.")

@@ -23,14 +23,7 @@ MOST_NAMED = 12
 def index_entries(
     paths: Sequence[Path], command: str, data: StudyData, drawn: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return what the index tells of files that show a study.
-
-    Args:
-        paths: the files, already written.
-        command: what draws them again.
-        data: the study.
-        drawn: how they are drawn, such as the band.
-    """
+    """Return what the index tells of files, already written, that show a study."""
     runs = {name: [run.run_id for run in data.of_condition(name)] for name in data.conditions}
     shared = {
         "command": command,
@@ -50,31 +43,24 @@ def index_entries(
 
 
 def read_index(folder: Path) -> list[dict[str, Any]]:
-    """Return all entries of a folder's index; none where it has no index.
+    """Return the entries of a folder's index whose files are still in it, or in a folder of it.
 
     Raises:
         UserError: where a file of its name is no index.
     """
-    path = folder / INDEX
+    path, whole = folder / INDEX, folder.resolve()
     if not path.is_file():
         return []
     try:
-        entries: list[dict[str, Any]] = json.loads(read_whole(path))["figures"]
-        if not all(isinstance(entry["file"], str) for entry in entries):
-            raise ValueError
-        return entries
+        entries = json.loads(read_whole(path))["figures"]
+        files = [(folder / entry["file"]).resolve() for entry in entries]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise UserError(f"{path}: is no index of figures; remove it, or name another folder") from None
-
-
-def read_present(folder: Path) -> list[dict[str, Any]]:
-    """Return the entries of a folder's index whose files are still there.
-
-    Raises:
-        UserError: where a file of its name is no index.
-    """
-    entries = read_index(folder)
-    return [entry for entry in entries if "/" not in entry["file"] and (folder / entry["file"]).is_file()]
+    return [
+        entry
+        for entry, file in zip(entries, files, strict=True)
+        if file.is_file() and file.is_relative_to(whole)
+    ]
 
 
 def encode_index(entries: Sequence[Mapping[str, Any]]) -> bytes:

@@ -53,8 +53,6 @@ COMMAND = "make figures"
 TABLES = "tables"
 TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
 SETTINGS_STEM = "table-6-1-and-6-2"
-FEW = 4
-"""Studies below which starting processes takes longer than they save."""
 
 CONTRASTED = {
     "optimizer": ("stationary", "non-stationary"),
@@ -96,46 +94,33 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     tell_figures_apart(studies)
     names = [(data.study, data.figure) for data in studies]
     logs = {study: own for study, own in (beside or {}).items() if own in dict(names)}
-    draw = partial(_draw_one, folder, results, logs)
-    if len(names) < FEW:
-        found = list(map(draw, names))
-    else:
-        with ProcessPoolExecutor(min(len(names), available_cores()), get_context("spawn")) as pool:
-            found = list(pool.map(draw, names))
-    for own in found:
-        entries += own
+    with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
+        for own in pool.map(partial(_draw_one, folder, results, logs), names):
+            entries += own
     written = {entry["file"] for entry in entries}
     write_whole(folder / INDEX, encode_index(entries))
     write_whole(folder / CONTENTS, encode_contents(entries))
     for name in known - written:
-        if name.removeprefix(f"{TABLES}/") == Path(name).name:  # beside the index, or in its tables
-            (folder / name).unlink(missing_ok=True)
-    drawn = [folder / entry["file"] for entry in entries]
+        (folder / name).unlink()
     verdicts = write_verdicts(published_claims(results), folder) if studies else []
-    return [*drawn, *verdicts, folder / INDEX, folder / CONTENTS]
+    return [*(folder / entry["file"] for entry in entries), *verdicts, folder / INDEX, folder / CONTENTS]
 
 
 def _draw_environment(folder: Path) -> Entries:
     """Draw what the thesis shows of the environment itself, which has more colours than a palette."""
-    sources = {
-        "pneuma/Mailman-v0": draw_mailman(folder),
-        "pneuma/Pneuma-v0, level thesis": [*draw_screens(folder), *draw_level(folder)],
-    }
-    return [
-        {"file": path.name, "command": COMMAND, "from": source, "runs": {}}
-        for source, paths in sources.items()
-        for path in sorted(paths)
-    ]
+    level = sorted([*draw_screens(folder), *draw_level(folder)])
+    drawn = [("pneuma/Mailman-v0", path) for path in sorted(draw_mailman(folder))]
+    drawn += [("pneuma/Pneuma-v0, level thesis", path) for path in level]
+    return [{"file": path.name, "command": COMMAND, "from": source, "runs": {}} for source, path in drawn]
 
 
 def _write_settings(folder: Path) -> Entries:
     """Write the thesis's two tables of hyperparameters."""
-    entries = []
-    for form, suffix in TABLE_FORMATS.items():
-        name = f"{TABLES}/{SETTINGS_STEM}{suffix}"
+    names = {form: f"{TABLES}/{SETTINGS_STEM}{suffix}" for form, suffix in TABLE_FORMATS.items()}
+    for form, name in names.items():
         (folder / name).write_bytes(encode_frame(settings_table(), form))
-        entries.append({"file": name, "command": COMMAND, "from": "thesis Tables 6.1 and 6.2", "runs": {}})
-    return entries
+    told = {"command": COMMAND, "from": "thesis Tables 6.1 and 6.2", "runs": {}}
+    return [{"file": name, **told} for name in names.values()]
 
 
 def settings_table() -> pd.DataFrame:
@@ -227,12 +212,8 @@ def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> N
     """
     if not results.is_dir():
         raise UserError(f"{results}: is no folder, so nothing is drawn, and nothing removed")
-    written = draw_all(folder, results, dict(each.split("=", 1) for each in beside))
-    for path in written:
+    for path in draw_all(folder, results, dict(each.split("=", 1) for each in beside)):
         print(f"wrote {path}")
-    if {path.stem for path in written if path.parent.name == TABLES} <= {SETTINGS_STEM}:
-        mend = "run `make reproduction`, then `make reproduction DO=publish`"
-        print(f"no study is published in {results / 'published'} yet: {mend}")
 
 
 if __name__ == "__main__":
@@ -243,5 +224,4 @@ if __name__ == "__main__":
     try:
         main(**vars(parser.parse_args()))
     except (UserError, OSError) as error:
-        print(f"pneuma: {error}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(f"pneuma: {error}")

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pneuma.analysis.run_index import open_study
-from pneuma.figures import collapse
+from pneuma.figures import collapse, style
 from pneuma.study.store import Store
 
 from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
@@ -33,7 +33,7 @@ def test_bars_are_shares_of_runs_and_hollow_where_they_recovered(
     for key, (updates, shares) in runs.items():
         save_collapse(store, ids[key], updates, shares)
     figures: list[Figure] = []
-    monkeypatch.setattr(collapse, "save_figure", lambda figure, *_: figures.append(figure))
+    monkeypatch.setattr(style, "save_figure", lambda figure, *_: figures.append(figure))
     collapse.draw_collapse(open_study(store, collapse_record(ids)), tmp_path, "collapse")
     panels = {axes.get_title(loc="left"): axes for axes in figures[0].axes}
     bars = [(bar.get_x(), bar.get_width()) for bar in panels["How often"].patches]  # type: ignore[attr-defined]

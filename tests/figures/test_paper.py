@@ -53,16 +53,6 @@ def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     )
 
 
-@pytest.mark.slow
-def test_studies_drawn_at_once_are_drawn_as_alone(
-    published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    paper.draw_all(tmp_path / "paper", published)
-    monkeypatch.setattr(paper, "FEW", 0)
-    for path in paper.draw_all(tmp_path / "again", published):
-        assert path.read_bytes() == (tmp_path / "paper" / path.relative_to(tmp_path / "again")).read_bytes()
-
-
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
     mine, other = tmp_path / "mine.txt", tmp_path.parent / "other.png"
     drawn = tmp_path / "paper" / "fig-old.png"
