@@ -11,8 +11,7 @@ gives the conditions `reward=thesis, tanh` and `reward=kills, tanh`. A study wit
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -95,14 +94,6 @@ class PresetTable(Table):
     steps: Steps
     conditions: dict[str, Amount] = {}
 
-    def preset(self) -> Preset:
-        """Return the seeds and steps of every condition."""
-        own = {
-            name: Preset(amount.seeds or self.seeds, amount.steps or self.steps)
-            for name, amount in self.conditions.items()
-        }
-        return Preset(self.seeds, self.steps, own)
-
 
 class StudyFile(Table):
     """The whole file."""
@@ -123,6 +114,9 @@ class StudyFile(Table):
 
 # --- The study that it makes -----------------------------------------------------------------------
 
+Factors = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""Of every factor, the conditions of the file among them: what each of its values sets."""
+
 
 def read_study(path: Path) -> Study:
     """Read a study's file, and check that its conditions make runs in each of its worlds.
@@ -131,113 +125,102 @@ def read_study(path: Path) -> Study:
         UserError: naming file, line, key, value and what is allowed.
     """
     file = read_toml(path)
-    return _Checked(file, read_model(StudyFile, file)).study()
+    said = read_model(StudyFile, file)
+    factors = {**said.factors, **({CONDITION: said.conditions} if said.conditions else {})}
+    conditions, levels = _cross(file, factors) if said.factors else (said.conditions, {})
+    if not conditions:
+        raise file.mistake((), "a study needs at least one condition", "conditions")
+    first_with_it = (name for name, own in levels.items() if said.baseline in own.values())
+    baseline = next(first_with_it, said.baseline) or next(iter(conditions))
+    if baseline not in conditions:
+        unknown = unknown_name("condition", baseline, conditions)
+        raise file.mistake((), f"baseline: {unknown}", "baseline")
+    usual = (TEXT,) if any("env" in own for own in conditions.values()) else tuple(WORLDS)
+    study = Study(
+        name=path.stem,
+        path=path,
+        title=said.title,
+        section=said.section,
+        about=" ".join(said.about.split()),
+        figure=said.figure or f"study-{path.stem}",
+        baseline=baseline,
+        base=said.base,
+        shared=said.run,
+        conditions=conditions,
+        presets={name: _preset(file, name, own, conditions) for name, own in said.presets.items()},
+        keep_checkpoints=said.keep_checkpoints,
+        levels=levels,
+        worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
+    )
+    for world in study.worlds:
+        _check_runs(file, factors, study.in_world(world), said.run)
+    return study
 
 
-@dataclass(frozen=True)
-class _Checked:
-    """A file whose every value is allowed by itself, on the way to a study."""
+def _preset(file: TomlFile, name: str, own: PresetTable, conditions: Collection[str]) -> Preset:
+    """Return the seeds and steps of every condition."""
+    for condition in own.conditions:
+        if condition not in conditions:
+            unknown = unknown_name("condition", condition, conditions)
+            raise file.mistake(("presets", name, "conditions"), str(unknown), condition)
+    amounts = {
+        condition: Preset(amount.seeds or own.seeds, amount.steps or own.steps)
+        for condition, amount in own.conditions.items()
+    }
+    return Preset(own.seeds, own.steps, amounts)
 
-    file: TomlFile
-    said: StudyFile
 
-    def study(self) -> Study:
-        said = self.said
-        conditions, levels = self._crossed()
-        baseline = next(
-            (name for name, own in levels.items() if said.baseline in own.values()), said.baseline
-        )
-        if baseline and baseline not in conditions:
-            unknown = unknown_name("condition", baseline, conditions)
-            raise self.file.mistake((), f"baseline: {unknown}", "baseline")
-        for name, preset in said.presets.items():
-            where = ("presets", name, "conditions")
-            for own in preset.conditions:
-                if own not in conditions:
-                    raise self.file.mistake(where, str(unknown_name("condition", own, conditions)), own)
-        usual = (TEXT,) if any("env" in own for own in conditions.values()) else tuple(WORLDS)
-        study = Study(
-            name=self.file.path.stem,
-            path=self.file.path,
-            title=said.title,
-            section=said.section,
-            about=" ".join(said.about.split()),
-            figure=said.figure or f"study-{self.file.path.stem}",
-            baseline=baseline or next(iter(conditions)),
-            base=said.base,
-            shared=said.run,
-            conditions=conditions,
-            presets={name: preset.preset() for name, preset in said.presets.items()},
-            keep_checkpoints=said.keep_checkpoints,
-            levels=levels,
-            worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
-        )
-        for world in study.worlds:
-            self._refuse_faults(study.in_world(world))
-        return study
+def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
+    """Return what each crossed condition sets, and the name of each factor's value in it."""
+    count = math.prod(map(len, factors.values()))
+    if count > MOST_CONDITIONS:
+        told = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
+        raise file.mistake((), told, "factors")
+    crossed: dict[str, dict[str, Any]] = {}
+    levels: dict[str, dict[str, str]] = {}
+    for names in product(*factors.values()):
+        own: dict[str, Any] = {}
+        for factor, name in zip(factors, names, strict=True):
+            if twice := own.keys() & factors[factor][name].keys():
+                told = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
+                raise _mistake_at(file, factor, name, min(twice), told)
+            own |= factors[factor][name]
+        joined = ", ".join(names)
+        if joined in crossed:
+            told = f"two combinations are both called {joined}; name their values otherwise"
+            raise file.mistake(("factors",), told)
+        crossed[joined], levels[joined] = own, dict(zip(factors, names, strict=True))
+    return crossed, levels
 
-    @property
-    def _factors(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Every factor, the conditions of the file among them."""
-        own = {CONDITION: self.said.conditions} if self.said.conditions else {}
-        return {**self.said.factors, **own}
 
-    def _crossed(self) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
-        """Return what each condition sets, and of a crossed one the name of each factor's value."""
-        if not self._factors:
-            raise self.file.mistake((), "a study needs at least one condition", "conditions")
-        if not self.said.factors:
-            return self.said.conditions, {}
-        count = math.prod(map(len, self._factors.values()))
-        if count > MOST_CONDITIONS:
-            message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
-            raise self.file.mistake((), message, "factors")
-        crossed: dict[str, dict[str, Any]] = {}
-        levels: dict[str, dict[str, str]] = {}
-        for names in product(*self._factors.values()):
-            own: dict[str, Any] = {}
-            for factor, name in zip(self._factors, names, strict=True):
-                if twice := own.keys() & self._factors[factor][name].keys():
-                    message = (
-                        f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
-                    )
-                    raise self._at(factor, name, min(twice), message)
-                own |= self._factors[factor][name]
-            joined = ", ".join(names)
-            if joined in crossed:
-                message = f"two combinations are both called {joined}; name their values otherwise"
-                raise self.file.mistake(("factors",), message)
-            crossed[joined], levels[joined] = own, dict(zip(self._factors, names, strict=True))
-        return crossed, levels
-
-    def _refuse_faults(self, study: Study) -> None:
-        """Refuse what only the whole shows: conditions that make no run, and fields that do nothing."""
-        runs: list[Run] = []
-        for name, own in study.conditions.items():
-            try:
-                runs.append(make_run(study.fields(name)))
-            except UserError as error:
-                key = next((key for key in study.fields(name) if str(error).startswith(f"{key} ")), "")
-                raise self._mistake(study, name, key, str(error)) from None
+def _check_runs(file: TomlFile, factors: Factors, study: Study, shared: Mapping[str, Any]) -> None:
+    """Refuse what only the whole shows: conditions that make no run, and fields that do nothing."""
+    runs: list[Run] = []
+    for name, own in study.conditions.items():
+        try:
+            runs.append(make_run(study.fields(name)))
             for key in unread_fields(runs[-1:], own):
-                raise self._mistake(study, name, key, does_nothing(key, runs[-1:]))
-        for key in unread_fields(runs, self.said.run):
-            raise self.file.mistake(("run",), does_nothing(key, runs), key)
+                raise UserError(does_nothing(key, runs[-1:]))
+        except UserError as error:
+            raise _mistake_in(file, factors, study, name, str(error)) from None
+    for key in unread_fields(runs, shared):
+        raise file.mistake(("run",), does_nothing(key, runs), key)
 
-    def _mistake(self, study: Study, name: str, key: str, message: str) -> UserError:
-        """Build an error of a condition at the place that sets a key, or where the condition is."""
-        levels = study.levels.get(name, {CONDITION: name})
-        told = f"{message} (in {name})" if study.levels else message
-        for factor, level in levels.items():
-            if key in self._factors[factor][level]:
-                return self._at(factor, level, key, told)
-        if key in self.said.run:
-            return self.file.mistake(("run",), message, key)
-        factor, level = [*levels.items()][-1]
-        return self._at(factor, level, "", told)
 
-    def _at(self, factor: str, level: str, key: str, message: str) -> UserError:
-        """Build an error at what a factor's value sets."""
-        of_condition = factor == CONDITION
-        where = ("conditions", level) if of_condition else ("factors",)
-        return self.file.mistake(where, message, key if of_condition else factor)
+def _mistake_in(file: TomlFile, factors: Factors, study: Study, name: str, message: str) -> UserError:
+    """Build an error of a condition at the place that sets the field it begins with, or at the condition."""
+    key = next((key for key in study.fields(name) if message.startswith(f"{key} ")), "")
+    if key in study.shared and key not in study.conditions[name]:
+        return file.mistake(("run",), message, key)
+    levels = study.levels.get(name, {CONDITION: name})
+    setting = [(factor, level) for factor, level in levels.items() if key in factors[factor][level]]
+    factor, level = (setting or [*levels.items()])[-1]
+    told = f"{message} (in {name})" if study.levels else message
+    return _mistake_at(file, factor, level, key if setting else "", told)
+
+
+def _mistake_at(file: TomlFile, factor: str, level: str, key: str, message: str) -> UserError:
+    """Build an error at what a factor's value sets."""
+    if factor == CONDITION:
+        return file.mistake(("conditions", level), message, key)
+    return file.mistake(("factors",), message, factor)
