@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -49,7 +50,7 @@ def report(
 
 def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """Say what is installed here and whether it works, with the mend for what does not."""
-    from pneuma.doctor import as_document, examine
+    from pneuma.doctor import BROKEN, examine
 
     findings = []
     for finding in examine(results):
@@ -58,14 +59,14 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
             print(f"{SIGNS[finding.state]:<7} {finding.check:<19} {plain(finding.told)}", flush=True)
             if finding.mend:
                 print(f"{'':<27} -> {plain(finding.mend)}", flush=True)
-    document = as_document(findings)
+    sound = all(finding.state != BROKEN for finding in findings)
     if json:
-        print_json(document)
-    elif document["ok"]:
+        print_json({"schema": 1, "ok": sound, "checks": [asdict(finding) for finding in findings]})
+    elif sound:
         print("\nAll that Pneuma needs is here. Begin with: pneuma study run activation")
     else:
         print("\nSomething that Pneuma needs is broken: mend what is marked above, then ask again.")
-    if not document["ok"]:
+    if not sound:
         raise typer.Exit(1)
 
 

@@ -47,14 +47,12 @@ class Job:
         runs: by id; of equal shapes, so that they share compiled programs.
         checkpoint_seconds: time between two checkpoints of a run.
         keep: how many checkpoints of each run to keep when it has ended.
-        final: whether a crash is the runs' end, and not to be tried once more.
     """
 
     store: Store
     runs: Mapping[str, Run]
     checkpoint_seconds: float = 15.0
     keep: int = 0
-    final: bool = True
 
 
 def main() -> int:
@@ -183,13 +181,12 @@ def _train_once(
 
 
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
-    """Report a run's crash, and store it if it is final and can be stored."""
+    """Store and report a run's crash."""
     trace = traceback.format_exc().encode()
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
     try:
-        if job.final:
-            files = {"run.json": run_document(run, name), "error.txt": trace}
-            job.store.save_run(name, Status("crashed"), files)
+        files = {"run.json": run_document(run, name), "error.txt": trace}
+        job.store.save_run(name, Status("crashed"), files)
     except UserError as unwritten:
         reason = str(unwritten)
     reporter.end(name, Status("crashed"), reason=reason)

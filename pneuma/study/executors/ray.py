@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO, Any
+from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
@@ -51,12 +51,9 @@ def most_workers(how: Supervision) -> int:
     if how.address is None:
         return available_cores()
     join(how.address)
-    room = sum(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
+    room = int(ray.cluster_resources().get("CPU", 0))
     if not room:
-        raise UserError(
-            "--executor ray: no node of the cluster has a CPU to give; start one with "
-            "`ray start --address HOST:PORT --num-cpus N`"
-        )
+        raise UserError("--executor ray: no node of the cluster has a CPU to give")
     return room
 
 
@@ -170,7 +167,7 @@ class Node:
             raise UserError(
                 f"--executor ray: the node {node} does not see {job['results']}: all must share that folder"
             )
-        die_with(os.getppid())  # Ray's own process here, without which it lets us go on unheard
+        die_with(os.getppid())  # Ray's own process here
         os.environ[CARRIED_CODE] = command.code
         with suppress(OSError):
             os.chdir(command.folder)  # from which people's own rewards and levels are read
@@ -186,12 +183,16 @@ class NodeProcess:
     """The process of a worker on some node, as the supervisor in the command sees it."""
 
     def __init__(self, command: Command, job: Mapping[str, Any]) -> None:
-        self._node: Any = None
-        self._begun = self._ended = False
-        self._death = Death(True, "its node was lost")
+        import ray
+
+        kind: Any = ray.remote(Node)
+        self._node = kind.options(num_cpus=1, max_concurrency=2).remote()
+        told = self._node.train.options(num_returns="streaming").remote(job, command)
+        self._begun = False
+        self._death: Death | UserError = Death(True, "its node was lost")
         reader, writer = os.pipe()
         self.events = os.fdopen(reader, "rb", buffering=0)
-        self._relaying = threading.Thread(target=self._relay, args=(writer, job, command), daemon=True)
+        self._relaying = threading.Thread(target=self._relay, args=(told, writer), daemon=True)
         self._relaying.start()
 
     def ask_to_stop(self) -> None:
@@ -205,43 +206,39 @@ class NodeProcess:
         """End it at once, and what it has started with it."""
         import ray
 
-        self._ended = True
         with suppress(Exception):  # it may be gone, or the whole cluster
             ray.kill(self._node)
 
     def bury(self) -> Death:
-        """Let go of the node and return how the process ended."""
+        """Let go of the node and return how the process ended.
+
+        Raises:
+            UserError: where runs cannot be trained on the node.
+        """
         self.kill()
         self._relaying.join(BURY_SECONDS)
         self.events.close()
+        if isinstance(self._death, UserError):
+            raise self._death
         return self._death
 
-    def _relay(self, writer: int, job: Mapping[str, Any], command: Command) -> None:
-        """Write what a node tells into the pipe, to its end; one that is gone before it begins is none."""
+    def _relay(self, told: Iterable[Any], writer: int) -> None:
+        """Write what a node tells into the pipe, to its end."""
         import ray
 
-        kind: Any = ray.remote(Node)
-        kind = kind.options(num_cpus=1, max_restarts=0, max_concurrency=2)
         with suppress(BrokenPipeError), os.fdopen(writer, "wb", buffering=0) as pipe:
-            while not self._begun and not self._ended:
-                self._node = kind.remote()
-                try:
-                    for told in self._node.train.options(num_returns="streaming").remote(job, command):
-                        self._take(ray.get(told), pipe)
-                except (ray.exceptions.RayTaskError, ray.exceptions.RuntimeEnvSetupError) as error:
-                    cause = getattr(error, "cause", error)
-                    refusal = cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}")
-                    self._death = Death(False, "its node failed", refusal=refusal)
-                    return
-                except ray.exceptions.RayError as error:
-                    self._death = Death(True, "its node was lost", str(error).encode())
-
-    def _take(self, told: bytes | Death, pipe: IO[bytes]) -> None:
-        self._begun = True
-        if isinstance(told, Death):
-            self._death = told
-        else:
-            pipe.write(told)
+            try:
+                for line in map(ray.get, told):
+                    self._begun = True
+                    if isinstance(line, Death):
+                        self._death = line
+                    else:
+                        pipe.write(line)
+            except (ray.exceptions.RayTaskError, ray.exceptions.RuntimeEnvSetupError) as error:
+                cause = getattr(error, "cause", error)
+                self._death = cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}")
+            except ray.exceptions.RayError as error:
+                self._death = Death(True, "its node was lost", str(error).encode())
 
 
 def versions() -> dict[str, str]:

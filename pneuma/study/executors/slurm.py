@@ -30,7 +30,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study.executors import local
-from pneuma.study.executors.base import Detached, Event, OnEvent, Supervision, end_event
+from pneuma.study.executors.base import Detached, OnEvent, Supervision, end_event
 from pneuma.study.executors.supervisor import Interrupts, Supervisor
 from pneuma.study.files import replace_file, to_json
 from pneuma.study.store import Status, Store
@@ -43,8 +43,8 @@ LOOK_SECONDS = 5.0
 ANSWER_SECONDS = 8.0
 """How long Slurm's programs may take to answer."""
 USUAL_MINUTES = "60"
-MOST_REQUEUES = 10_000
-"""submitit asks for a limit; a job that gets nowhere in its time ends by itself."""
+MOST_REQUEUES = 1_000
+"""submitit asks for a limit."""
 OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
 """What a job is made of here, and nobody else sets."""
 GPU_OPTIONS = ("gres", "gpus", "gpus_per_node", "gpus_per_task")
@@ -110,17 +110,10 @@ class Training:
         local.prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
-        how, steps = replace(self.how, workers=cores), dict[str, set[int]]()
-
-        def note(event: Event) -> None:
-            if event["event"] == "step":
-                steps.setdefault(event["run_id"], set()).add(event["step"])
-
-        with Interrupts(SIGNALS, patient=True) as interrupts:
-            Supervisor(shares, self.store, how, note, interrupts, _start_shielded).work()
+        how = replace(self.how, workers=cores)
+        with Interrupts(SIGNALS, most=1) as interrupts:
+            Supervisor(shares, self.store, how, lambda event: None, interrupts, _start_shielded).work()
         if signal.SIGUSR2 in interrupts.seen:
-            if not any(len(own) > 1 for own in steps.values()):  # only where runs began
-                raise RuntimeError("no run came to a checkpoint in the job's time: raise it by --slurm time=")
             signal.raise_signal(signal.SIGUSR2)  # submitit's, which puts the job back into the queue
         if interrupts.seen:
             raise SystemExit(128 + signal.SIGTERM)

@@ -32,9 +32,7 @@ TRIES = 2
 BUSY_SECONDS = 1.0
 """How long to wait before looking again for a run that another process holds."""
 STOPPING = "Stopping after this step; again to stop now."
-HANGUP = getattr(signal, "SIGHUP", None)
-"""Of a terminal that was closed; the system and a shell may each send one."""
-SIGNALS = tuple(number for number in (signal.SIGINT, signal.SIGTERM, HANGUP) if number)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interrupts:
@@ -42,17 +40,16 @@ class Interrupts:
 
     Args:
         signals: which.
-        patient: whether any number of them counts as one.
+        most: how many of them count.
 
     Attributes:
-        seen: the signals that came.
+        seen: the signals that came; of SIGHUP, which a closed terminal's shell sends again, at most one.
         wakeup: a file descriptor that can be read from once one has come, for a selector.
     """
 
-    def __init__(self, signals: Iterable[int] = SIGNALS, patient: bool = False) -> None:
+    def __init__(self, signals: Iterable[int] = SIGNALS, most: int = 2) -> None:
         self.seen: list[int] = []
-        self._signals = signals
-        self._patient = patient
+        self._signals, self._most = signals, most
         self.wakeup, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         self._before: dict[int, Any] = {}
@@ -61,7 +58,7 @@ class Interrupts:
     @property
     def count(self) -> int:
         """How many came."""
-        return min(len(self.seen), 1) if self._patient else len(self.seen)
+        return min(len(self.seen), self._most)
 
     def __enter__(self) -> Interrupts:
         """Begin to collect.
@@ -70,9 +67,9 @@ class Interrupts:
         thread's wait: the interpreter's own wake-up does.
         """
         if threading.current_thread() is threading.main_thread():
-            ignored = [HANGUP] if HANGUP and signal.getsignal(HANGUP) == signal.SIG_IGN else []  # by `nohup`
-            taken = [number for number in self._signals if number not in ignored]
-            self._before = {number: signal.signal(number, self._note) for number in taken}
+            for number in self._signals:
+                if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` lets SIGHUP be
+                    self._before[number] = signal.signal(number, self._note)
             self._woken_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
         return self
 
@@ -86,25 +83,17 @@ class Interrupts:
         os.close(self._writer)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if number != HANGUP or not self.seen:
+        if number != signal.SIGHUP or not self.seen:
             self.seen.append(number)
 
 
 @dataclass(frozen=True)
 class Death:
-    """How a worker's process ended.
-
-    Attributes:
-        killed: whether it was killed, and did not end by itself.
-        why: in words.
-        last_words: what it wrote on standard error.
-        refusal: why no worker can be started there, which ends the whole command.
-    """
+    """How a worker's process ended: killed or by itself, why, and what it wrote on standard error."""
 
     killed: bool
     why: str
     last_words: bytes = b""
-    refusal: UserError | None = None
 
 
 class Process(Protocol):
@@ -121,17 +110,16 @@ class Process(Protocol):
         """End it at once."""
 
     def bury(self) -> Death:
-        """Wait until it has gone, let go of its files and return how it ended."""
+        """Wait until it has gone, let go of its files and return how it ended.
+
+        Raises:
+            UserError: where no worker can be started there, which ends the whole command.
+        """
 
 
 @dataclass
 class _Task:
-    """A group of runs, by id, that waits to be trained.
-
-    Attributes:
-        tries: how often it was begun, this time counted.
-        busy: whether it is a single run that another process was training.
-    """
+    """Runs by id that one worker is to train, the try, and whether another process was training them."""
 
     group: Mapping[str, Run]
     tries: int = 1
@@ -166,13 +154,9 @@ class Supervisor:
         start: Callable[[Mapping[str, Any]], Process],
     ) -> None:
         self._tasks = [_Task(group) for group in groups]
-        self._store = store
-        self._how = how
-        self._on_event = on_event
-        self._interrupts = interrupts
-        self._start_process = start
-        self._heeded = 0
-        self._told_busy: set[str] = set()
+        self._store, self._how, self._on_event = store, how, on_event
+        self._interrupts, self._heeded = interrupts, 0
+        self._start = start
         self._selector = selectors.DefaultSelector()
         self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
 
@@ -188,7 +172,8 @@ class Supervisor:
         finally:
             for worker in self._workers():
                 worker.process.kill()
-                worker.process.bury()
+                with suppress(UserError):
+                    worker.process.bury()
             self._selector.close()
 
     def _workers(self) -> list[_Worker]:
@@ -205,10 +190,7 @@ class Supervisor:
         self._heeded = count
         self._tasks.clear()
         for worker in self._workers():
-            if count > 1:
-                worker.process.kill()
-            else:
-                worker.process.ask_to_stop()
+            worker.process.kill() if count > 1 else worker.process.ask_to_stop()
 
     def _start_what_may(self) -> None:
         for task in [*self._tasks]:
@@ -222,9 +204,8 @@ class Supervisor:
                 "runs": {name: as_fields(run) for name, run in task.group.items()},
                 "checkpoint_seconds": self._how.checkpoint_seconds,
                 "keep": self._how.keep_checkpoints,
-                "final": task.tries >= TRIES,
             }
-            worker = _Worker(self._start_process(job), task)
+            worker = _Worker(self._start(job), task)
             self._selector.register(worker.process.events, selectors.EVENT_READ, worker)
 
     def _read(self, worker: _Worker) -> None:
@@ -234,24 +215,24 @@ class Supervisor:
             self._selector.unregister(worker.process.events)
             self._bury(worker)
             return
-        event = _read_event(line)
-        if event is None or event["run_id"] not in worker.task.group:
+        try:
+            event = parse_json(line)
+            name, kind = event["run_id"], event["event"]
+            worker.task.group[name]
+        except (ValueError, KeyError, TypeError):
             worker.process.kill()  # it has gone astray; reading on finds its end
             return
-        name = event["run_id"]
-        if event["event"] == "busy":
+        if kind == "busy":
             worker.busy.add(name)
-            if name not in self._told_busy:
-                self._told_busy.add(name)
+            if not worker.task.busy:
                 lock = self._store.run_folder(name) / ".lock"
                 self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
-            return
-        if event["event"] == "end":
-            worker.ended.add(name)
-            if event["status"] == "crashed":  # judged when the worker, and its lock, has gone
-                worker.crashed[name] = event
-                return
-        self._on_event(event)
+        elif kind == "end" and event["status"] == "crashed":  # judged when the worker's lock has gone
+            worker.crashed[name] = event
+        else:
+            if kind == "end":
+                worker.ended.add(name)
+            self._on_event(event)
 
     def _bury(self, worker: _Worker) -> None:
         """Reap a worker; see to its runs that were busy, crashed, or went with it.
@@ -260,14 +241,12 @@ class Supervisor:
             UserError: when it could not be started where it was to be.
         """
         death = worker.process.bury()
-        if death.refusal:
-            raise death.refusal
         group, tries = worker.task.group, worker.task.tries
-        lost = [name for name in group if name not in worker.ended | worker.busy]
-        begun = {*lost[:1], *worker.crashed}  # a group is trained in its order
+        silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
+        begun = {*silent[:1], *worker.crashed}  # a group is trained in its order
         if not self._interrupts.count:
             self._tasks += [_Task({name: group[name]}, tries, busy=True) for name in worker.busy]
-        for name in (*lost, *worker.crashed):
+        for name in (*silent, *worker.crashed):
             crash = worker.crashed.get(name)
             if self._interrupts.count:
                 self._on_event(crash or end_event(name, Status("stopped")))
@@ -280,17 +259,16 @@ class Supervisor:
             elif crash:
                 self._on_event(crash)
             else:
-                self._end_lost(name, group[name], Status("killed" if death.killed else "crashed"), death)
+                self._end_lost(name, group[name], death)
 
-    def _end_lost(self, name: str, run: Run, status: Status, death: Death) -> None:
+    def _end_lost(self, name: str, run: Run, death: Death) -> None:
         """Store and report how a run ended whose worker went without a word, unless another trains it now."""
-        files = {
-            "run.json": run_document(run, name),
-            "error.txt": f"{death.why}\n".encode() + death.last_words,
-        }
+        status = Status("killed" if death.killed else "crashed")
+        text = f"{death.why}\n".encode() + death.last_words
         try:
             with self._store.lock(name) as mine:
                 if mine:
+                    files = {"run.json": run_document(run, name), "error.txt": text}
                     self._store.save_run(name, status, files)
         except (UserError, OSError) as error:
             self._note(name, str(error))
@@ -298,12 +276,3 @@ class Supervisor:
 
     def _note(self, name: str, text: str) -> None:
         self._on_event({"event": "note", "run_id": name, "text": text})
-
-
-def _read_event(line: bytes) -> Event | None:
-    """Return the event in a line; None for any other, whose writer has gone astray or was killed."""
-    try:
-        event = parse_json(line)
-    except ValueError:
-        return None
-    return event if {"event", "run_id"} <= event.keys() else None
