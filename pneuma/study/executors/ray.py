@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -44,13 +45,13 @@ def most_workers(how: Supervision) -> int:
     Raises:
         UserError: where Ray is not installed, no cluster answers in time, or none of its nodes has a CPU.
     """
-    try:
-        import ray
-    except ImportError:
-        raise UserError(f"--executor ray needs Ray: {install_extra('ray')}") from None
+    if find_spec("ray") is None:
+        raise UserError(f"--executor ray needs Ray: {install_extra('ray')}")
     if how.address is None:
         return available_cores()
     join(how.address)
+    import ray
+
     room = int(ray.cluster_resources().get("CPU", 0))
     if not room:
         raise UserError("--executor ray: no node of the cluster has a CPU to give")
@@ -86,7 +87,7 @@ def join(address: str | None) -> None:
     Raises:
         UserError: when no cluster answers there in time.
     """
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # all this before Ray, which reads it when it is loaded
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # the nodes have their own environments
     if address is None or address.rpartition(":")[0] in LOOPBACK:
         # or Ray takes 127.0.0.1 for the machine's address in its network; it has no option for this
