@@ -1,12 +1,8 @@
-"""Speed of the environment's faces beside Gymnasium's CartPole, and of starting, on one core."""
+"""Speed of the environment's faces beside Gymnasium's CartPole, on one core."""
 
 from __future__ import annotations
 
-import os
 import statistics
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from typing import Any
@@ -21,29 +17,10 @@ from pneuma.env.worlds import Worlds
 ROUNDS = 7
 SECONDS_PER_ROUND = 0.4
 
-IMPORT = "import pneuma"
-FIRST_STEP = """
-import gymnasium, pneuma
-env = gymnasium.make("pneuma/Pneuma-v0")
-env.reset(seed=0)
-env.step(0)
-"""
-TIMED = "from time import perf_counter; start = perf_counter()\n{}\nprint(perf_counter() - start)"
-
 Step = Callable[[int], None]
 
 
-def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> dict[str, Any]:
-    """Return what `pneuma bench env --json` prints: the speed of every face, and of starting.
-
-    Args:
-        rounds: of which the median is told.
-        seconds: that each case gets in a round.
-    """
-    return {"cases": face_rates(rounds, seconds), **start_seconds()}
-
-
-def face_rates(rounds: int, seconds: float) -> list[dict[str, Any]]:
+def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[dict[str, Any]]:
     """Return agent steps a second of every case: the median of rounds that alternate between cases.
 
     Actions are uniformly random; an ended episode is reset within the measured time.
@@ -126,29 +103,3 @@ def _vector(count: int) -> Step:
 
     step(0)
     return step
-
-
-def start_seconds(rounds: int = 3) -> dict[str, float]:
-    """Return seconds until `pneuma` is imported, and until an environment's first step, cold and warm.
-
-    Cold is with an empty compile cache, once; the others are medians of some rounds.
-    """
-    with tempfile.TemporaryDirectory() as cache:
-        cold = _started(FIRST_STEP, NUMBA_CACHE_DIR=cache)
-        warm = statistics.median(_started(FIRST_STEP, NUMBA_CACHE_DIR=cache) for _ in range(rounds))
-    imported = statistics.median(_started(IMPORT) for _ in range(rounds))
-    return {
-        "import_seconds": imported,
-        "first_step_cold_seconds": cold,
-        "first_step_warm_seconds": warm,
-    }
-
-
-def _started(code: str, **environment: str) -> float:
-    """Run code in another process; return its seconds, without those of starting Python."""
-    path = {"PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-c", TIMED.format(code)]
-    done = subprocess.run(
-        command, env={**os.environ, **path, **environment}, capture_output=True, text=True, check=True
-    )
-    return float(done.stdout)

@@ -18,27 +18,23 @@ app = typer.Typer(
 
 @app.command(short_help="Measure the environment in agent steps a second.")
 def env(json: opt.Json = False) -> None:
-    """Measure the environment's faces in agent steps a second, and starting, on one core."""
+    """Measure the environment's faces in agent steps a second, on one core."""
     from pneuma.bench.env import bench_env
 
-    report = bench_env()
+    cases = bench_env()
     if json:
-        return print_json({"schema": 1, **report})
-    for case in report["cases"]:
+        return print_json({"schema": 1, "cases": cases})
+    for case in cases:
         print(
             f"{case['case']:<28} {case['worlds']:>4} worlds {case['agent_steps_per_second']:>12,.0f} steps/s"
         )
-    print(f"{'import pneuma':<40} {report['import_seconds']:>12.2f} s")
-    for cache in ("cold", "warm"):
-        seconds = report[f"first_step_{cache}_seconds"]
-        print(f"{f'first step, {cache} compile cache':<40} {seconds:>12.2f} s")
     return None
 
 
 @app.command(short_help="Compare the engines in steps a second.")
 def engines(json: opt.Json = False) -> None:
     """Compare the engines in steps a second on one core; takes about two minutes."""
-    from pneuma.bench.engines import WORKERS, bench_engines
+    from pneuma.bench.engines import bench_engines
 
     report = bench_engines()
     if json:
@@ -46,9 +42,7 @@ def engines(json: opt.Json = False) -> None:
     for case in report["cases"]:
         print(f"{case['case']:<28} {case['engine']:<20} {case['steps_per_second']:>10,.0f} steps/s")
     for case, ratio in report["ratios"].items():
-        compared = "" if case == WORKERS else ": batched over sb3"
-        print(f"{case}{compared}, median of rounds: {ratio:.2f}")
-    print(f"peak memory of both engines: {report['peak_megabytes']:.0f} MB")
+        print(f"{case}: batched over sb3, median of rounds: {ratio:.2f}")
     return None
 
 

@@ -15,25 +15,22 @@ def test_ratios_are_the_medians_of_rounds_and_are_printed(monkeypatch: pytest.Mo
     """By hand: 10 over 5, 30 over 6 and 24 over 8 steps a second are 2, 5 and 3."""
     monkeypatch.setattr(engines, "CASES", (("small", 10, 512, 256, 3),))
     monkeypatch.setattr(engines, "engine_rates", lambda *_: ([10.0, 30.0, 24.0], [5.0, 6.0, 8.0]))
-    monkeypatch.setattr(engines, "worker_rates", lambda: ([2.0, 4.0, 4.0], [3.0, 8.0, 7.0]))
     monkeypatch.setattr(engines, "bench_engines", engines.measure)
     told = described("bench", "engines", "--json")
     case = "small network, 10 runs"
-    assert told["ratios"] == {case: 3.0, engines.WORKERS: 1.75}
+    assert told["ratios"] == {case: 3.0}
     assert told["cases"][0] == {"case": case, "engine": "batched", "runs": 10, "steps_per_second": 24.0}
     assert f"{case}: batched over sb3, median of rounds: 3.00\n" in printed("bench", "engines")
 
 
 @pytest.mark.slow
 def test_every_face_is_measured_beside_cartpole(monkeypatch: pytest.MonkeyPatch) -> None:
-    start = {"import_seconds": 0.1, "first_step_cold_seconds": 4.0, "first_step_warm_seconds": 0.2}
-    monkeypatch.setattr(env, "start_seconds", lambda: start)
     quick = env.bench_env(rounds=1, seconds=0.01)
     monkeypatch.setattr(env, "bench_env", lambda: quick)
     document = described("bench", "env", "--json")
     assert {case["face"] for case in document["cases"]} == {"kernel", "single", "vector", "cartpole"}
     assert all(case["agent_steps_per_second"] > 0 for case in document["cases"])
-    assert len(printed("bench", "env").splitlines()) == len(document["cases"]) + 3
+    assert len(printed("bench", "env").splitlines()) == len(document["cases"])
 
 
 def test_worst_case_keeps_every_monster_busy() -> None:
@@ -47,14 +44,8 @@ def test_worst_case_keeps_every_monster_busy() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_measured_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiled_engine_is_the_faster_one() -> None:
     ours, theirs = engines.engine_rates(
         [engines.engine_run("small", "batched", 0, 256)], engines.engine_run("small", "sb3", 0, 256), 2
     )
     assert len(ours) == len(theirs) == 2 and max(ours) > max(theirs)
-    monkeypatch.setattr(engines, "WORKER_ROUNDS", 1)
-    monkeypatch.setattr(engines, "WORKER_STEPS", 512)
-    one, two = engines.worker_rates()
-    assert len(one) == len(two) == 1
-    seconds = env.start_seconds(rounds=1)
-    assert seconds["first_step_warm_seconds"] < seconds["first_step_cold_seconds"] / 3
