@@ -56,12 +56,11 @@ WORLDS_published-logs = godot
 PRESET = paper
 BUDGETS_architecture = 200000 40000
 
-# What of a study's curves is committed; outcomes, evaluations and signs of collapse are whatever is left out.
-CURVES = return,length,entropy,grad_norm,grad_norm_actor,grad_norm_critic,dead_units,actions
+# What of a study's curves is committed, where it is not the usual; outcomes, evaluations and signs of collapse are whatever is left out.
 CURVES_tabular = return,length
 CURVES_collapse = entropy,dead_units,actions
 CURVES_robustness = none
-SMALL = --round --curves $(or $(CURVES_$(1)),$(CURVES))
+KEPT = $(if $(CURVES_$(1)),--curves $(CURVES_$(1)))
 
 # Of several budgets each but the first has a table of its own.
 OWN_TABLE = $(if $(filter-out $(firstword $(BUDGETS_$(1))),$(if $(BUDGETS_$(1)),$(3))),--as $(1)-$(3))
@@ -70,7 +69,7 @@ OWN_TABLE = $(if $(filter-out $(firstword $(BUDGETS_$(1))),$(if $(BUDGETS_$(1)),
 # stop all.
 define one
 $(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --world $(2) \
-  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(3),--steps $(3)) $(if $(filter publish,$(DO)),$(SMALL) $(OWN_TABLE)) \
+  $(if $(SEEDS),--seeds $(SEEDS)) $(if $(3),--steps $(3)) $(if $(filter publish,$(DO)),$(KEPT) $(OWN_TABLE)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
   $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \
   || { code=$$?; [ $$code = $(if $(filter publish,$(DO)),2,1) ] || exit $$code; failed="$$failed $(1) ($(2))"; };

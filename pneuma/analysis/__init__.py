@@ -8,10 +8,6 @@ EXPORTED_BAND = "std"
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
 EXPORT_TABLES = (*RECORD_TABLES, "curves", "summary")
-PUBLISHED_TABLES = ("evaluations", "curves", "summary")
-"""Those of them that a published table gives too."""
-
-EXPORT_FORMATS = ("csv", "parquet", "latex", "markdown")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}
 
 EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
@@ -31,11 +27,10 @@ UPDATE_QUANTITIES = (
 )
 """What it may average over updates: columns of the metrics table."""
 
-PEAKED_QUANTITIES = ("entropy", "grad_norm")
-"""Those of which the least and the greatest single update are kept, as means would hide them."""
+TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 
 EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed")
 """What a curve over evaluations may be of: columns of the evaluations table."""
 
-CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
+CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)
 """All that curves may be of."""

@@ -7,7 +7,7 @@ edge, (points,) each, NaN where fewer than two runs have a value.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,13 +49,6 @@ def mean_of(runs: np.ndarray) -> np.ndarray:
     return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
 
-def variance_of(runs: np.ndarray) -> np.ndarray:
-    """Return the sample variance over runs, NaN where fewer than two have a value, (points,)."""
-    count = count_of(runs)
-    squares = np.where(np.isfinite(runs), (runs - mean_of(runs)) ** 2, 0.0).sum(axis=0)
-    return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
-
-
 # --- Edges -----------------------------------------------------------------------------------------
 
 
@@ -63,8 +56,15 @@ def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], 
     return lambda runs: (mean_of(runs) - half(runs), mean_of(runs) + half(runs))
 
 
+def _variance(runs: np.ndarray) -> np.ndarray:
+    """Return the sample variance over runs, NaN where fewer than two have a value, (points,)."""
+    count = count_of(runs)
+    squares = np.where(np.isfinite(runs), (runs - mean_of(runs)) ** 2, 0.0).sum(axis=0)
+    return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
+
+
 def _standard_error(runs: np.ndarray) -> np.ndarray:
-    return np.sqrt(variance_of(runs) / np.maximum(count_of(runs), 1))
+    return np.sqrt(_variance(runs) / np.maximum(count_of(runs), 1))
 
 
 def _t_half(runs: np.ndarray) -> np.ndarray:
@@ -73,23 +73,19 @@ def _t_half(runs: np.ndarray) -> np.ndarray:
     return special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * _standard_error(runs)
 
 
-def _of_points_alike(of_whole: Callable[[np.ndarray], Edges]) -> Callable[[np.ndarray], Edges]:
-    """Turn edges of values without gaps into edges of any, point by point of the runs that have a value."""
+def _by_present(of_whole: Callable[[np.ndarray], Edges]) -> Callable[[np.ndarray], Edges]:
+    """Turn edges of values without gaps into edges of any: points alike by the runs that have a value."""
 
     def edges(runs: np.ndarray) -> Edges:
+        finite = np.isfinite(runs)
         low, high = np.full((2, runs.shape[1]), np.nan)
-        for present, points in _patterns(np.isfinite(runs)):
+        for present in np.unique(finite, axis=1).T:  # (runs,)
+            points = (finite == present[:, None]).all(axis=0)
             if present.sum() > 1:
                 low[points], high[points] = of_whole(runs[np.ix_(present, points)])
         return low, high
 
     return edges
-
-
-def _patterns(finite: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield which runs have a value, (runs,), and where exactly these have, (points,), as booleans."""
-    for present in np.unique(finite, axis=1).T:
-        yield present, (finite == present[:, None]).all(axis=0)
 
 
 def _bootstrap(runs: np.ndarray) -> Edges:
@@ -98,26 +94,21 @@ def _bootstrap(runs: np.ndarray) -> Edges:
     picked = generator.integers(len(runs), size=(_RESAMPLES, len(runs)))
     weights = np.stack([np.bincount(row, minlength=len(runs)) for row in picked]) / len(runs)
     means = weights @ runs  # (resamples, points)
-    low, high = np.quantile(means, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], axis=0)
-    return low, high
+    return _quantiles(means, 0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
 
 
-def _extremes(runs: np.ndarray) -> Edges:
-    return runs.min(axis=0), runs.max(axis=0)
-
-
-def _quartiles(runs: np.ndarray) -> Edges:
-    low, high = np.quantile(runs, [0.25, 0.75], axis=0)
+def _quantiles(values: np.ndarray, *levels: float) -> Edges:
+    low, high = np.quantile(values, levels, axis=0)
     return low, high
 
 
 BANDS = {
     "ci": Band("95 % interval of the mean (Student's t)", _around(_t_half), about_mean=True),
-    "bootstrap": Band("95 % interval of the mean (bootstrap)", _of_points_alike(_bootstrap), about_mean=True),
+    "bootstrap": Band("95 % interval of the mean (bootstrap)", _by_present(_bootstrap), about_mean=True),
     "se": Band("± 1 standard error", _around(_standard_error), about_mean=True),
-    "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(variance_of(runs)))),
-    "minmax": Band("least to greatest", _of_points_alike(_extremes)),
-    "iqr": Band("first to third quartile", _of_points_alike(_quartiles)),
+    "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(_variance(runs)))),
+    "minmax": Band("least to greatest", _by_present(lambda runs: (runs.min(axis=0), runs.max(axis=0)))),
+    "iqr": Band("first to third quartile", _by_present(lambda runs: _quantiles(runs, 0.25, 0.75))),
     "runs": Band("every run as a thin line", None),
 }
 

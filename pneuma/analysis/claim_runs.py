@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.frames import FinishedRun, StudyData, view
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.published import published_studies
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
-from pneuma.analysis.run_view import view
 from pneuma.config import as_fields
 from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan
@@ -119,10 +118,10 @@ class ClaimRuns:
             for cell in self._cells(claim, world, condition)
         }
         record = _record(self.study(study, world), [*cells.values()])
-        records, budget = self._index.of_record(record, curves=False)
+        records = self._index.of_record(record)
         if not any(own.status.finished for own in records.values()):
             return None
-        return StudyData(records, {**record, "budget": budget} if budget else record, str(self._store.root))
+        return StudyData(records, record, str(self._store.root))
 
     def _finished(self, claim: Claim, world: str, condition: str) -> dict[int, FinishedRun]:
         """Return the finished ones of a condition's runs, by seed."""

@@ -18,21 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
 from pneuma.analysis.intervals import incidence_interval
-from pneuma.analysis.run_view import RunView, view
-from pneuma.analysis.signs import (
-    FALL,
-    LOSS,
-    NO_ENTROPY,
-    ONE_ACTION,
-    SIGNS,
-    Stretch,
-    both,
-    joined,
-    share_held,
-    stretches,
-)
+from pneuma.analysis.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
 SHORTEST = 0.05
 """Share of the budget that a policy of one action, or a return below zero, must last to be a collapse."""
@@ -76,39 +64,54 @@ class Diagnosis:
     @property
     def blind(self) -> bool:
         """Whether the run's records tell of no sign at all."""
-        return len(self.unseen) == len(SIGNS)
+        return self.unseen == SIGNS
 
 
 def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
     """Diagnose a run, as it stood at a step where one is given."""
     seen = view(data, run, at_step)
     steps, shares = seen.evaluations("share_killed")
-    found, falls, losses = _clipped(run.records.signs(), seen), _falls(seen, steps, shares), _losses(seen)
+    distance = _update_steps(run)
+    gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
+    found = {
+        sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
+        for sign, parts in run.records.signs().items()
+    }
+    falls, losses = _falls(seen, steps, shares), _losses(seen)
+    sunk = _lasting(losses or [], gap, shortest)
+    alone = found.get(NO_ENTROPY, [])
+    if ONE_ACTION in found:
+        alone = both(alone, found[ONE_ACTION])
+    # Single updates that come again and again are joined, but are no collapse: most updates must show it.
+    stuck = [own for own in _lasting(alone, gap, shortest) if share_held(alone, own, distance or 1) > MOST]
     judged = {*found, *([LOSS] if losses is not None else [])}
     if falls or (len(steps) and not run.begun):  # a fork's best was its parent's
         judged.add(FALL)
     unseen = tuple(sign for sign in SIGNS if sign not in judged)
-    distance = _update_steps(data, run)
-    gap = GAP * seen.until + (distance or 0)
-    sunk = _lasting(joined(losses or [], gap), seen)
-    spells = joined(_one_action(found, seen, gap, distance or 1) + falls + sunk, gap)
+    spells = joined(stuck + falls + sunk, gap)
     if not spells:
         return Diagnosis(False, unseen=unseen)
     (onset, last), ended = spells[0], spells[-1][1]
     fell, lost = ([own for own in parts if onset <= own[0] <= last] for parts in (falls, sunk))
     held = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
     held |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
+    if fell and fell[0][0] == onset:
+        sound = max(steps[steps < onset], default=0)
+    elif lost and lost[0][0] == onset:
+        points, returns = seen.curve("return")
+        sound = points[returns[points < onset].argmax()]
+    else:
+        sound = max(onset - (distance or 1), 0)
     lasts = ended >= min(run.end, seen.last_step) - gap or ended >= max(steps, default=np.inf)
-    recovered = None if lasts else int(ended)
     return Diagnosis(
         True,
         onset_step=int(onset),
         onset_update=round(onset / distance) if distance else None,
-        sound_step=_sound_step(seen, onset, fell, lost, steps, distance),
+        sound_step=int(sound),
         signs=tuple(sign for sign in SIGNS if sign in held),
         unseen=unseen,
-        recovered_step=recovered,
-        relearned=_relearned(seen, steps, shares, onset, recovered),
+        recovered_step=None if lasts else int(ended),
+        relearned=_relearned(seen, steps, shares, onset, None if lasts else ended),
     )
 
 
@@ -120,9 +123,8 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
         told = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
         rows.append({**named, **told})
-    frame = pd.DataFrame(rows)
     whole = ["onset_step", "onset_update", "sound_step", "recovered_step"]
-    return frame.astype({**dict.fromkeys(whole, "Int64"), "relearned": "boolean"})
+    return pd.DataFrame(rows).astype({**dict.fromkeys(whole, "Int64"), "relearned": "boolean"})
 
 
 def incidence(data: StudyData) -> pd.DataFrame:
@@ -130,27 +132,25 @@ def incidence(data: StudyData) -> pd.DataFrame:
 
     Runs whose records can tell of no sign at all are left out; `unknown` counts them.
     """
-    rows = []
+    rows, every = [], diagnoses(data)
     for condition in data.conditions:
-        runs = data.of_condition(condition)
-        every = [diagnose(data, run) for run in runs]
-        statuses = [run.status for run, own in zip(runs, every, strict=True) if not own.blind]
-        found = [own for own in every if not own.blind]
-        count = sum(own.collapsed for own in found)
+        own = every[every["condition"] == condition]
+        found = own[own["unseen"] != ", ".join(SIGNS)]
+        count = int(found["collapsed"].sum())
         interval = incidence_interval(count, len(found))
         rows.append(
             {
                 "condition": condition,
                 "runs": len(found),
-                "diverged": statuses.count("diverged"),
+                "diverged": int((found["status"] == "diverged").sum()),
                 "collapsed": count,
-                "share": count / len(found) if found else float("nan"),
+                "share": count / len(found) if len(found) else float("nan"),
                 "low": interval.low,
                 "high": interval.high,
                 "interval": interval.method,
-                "recovered": sum(own.recovered_step is not None for own in found),
-                "relearned": sum(bool(own.relearned) for own in found),
-                "unknown": len(every) - len(found),
+                "recovered": int(found["recovered_step"].notna().sum()),
+                "relearned": int(found["relearned"].sum()),
+                "unknown": len(own) - len(found),
             }
         )
     return pd.DataFrame(rows)
@@ -159,27 +159,9 @@ def incidence(data: StudyData) -> pd.DataFrame:
 # --- Spells ----------------------------------------------------------------------------------------
 
 
-def _clipped(found: dict[str, list[Stretch]], seen: RunView) -> dict[str, list[Stretch]]:
-    """Return stretches up to the step that the run is looked at."""
-    last = seen.last_step
-    return {sign: [(a, min(b, last)) for a, b in parts if a <= last] for sign, parts in found.items()}
-
-
-def _one_action(found: dict[str, list[Stretch]], seen: RunView, gap: float, distance: float) -> list[Stretch]:
-    """Return where the policy is down to one action for long enough; by entropy alone if need be.
-
-    Single updates that come again and again are joined, but are no collapse: most updates must show it.
-    """
-    parts = found.get(NO_ENTROPY, [])
-    if ONE_ACTION in found:
-        parts = both(parts, found[ONE_ACTION])
-    lasting = _lasting(joined(parts, gap), seen)
-    return [spell for spell in lasting if share_held(parts, spell, distance) > MOST]
-
-
-def _lasting(spells: list[Stretch], seen: RunView) -> list[Stretch]:
-    """Return the spells that last long enough to be a collapse."""
-    return [spell for spell in spells if spell[1] - spell[0] >= SHORTEST * seen.until]
+def _lasting(parts: list[Stretch], gap: float, shortest: float) -> list[Stretch]:
+    """Join stretches over gaps; return what lasts long enough to be a collapse."""
+    return [own for own in joined(parts, gap) if own[1] - own[0] >= shortest]
 
 
 def _losses(seen: RunView) -> list[Stretch] | None:
@@ -188,7 +170,7 @@ def _losses(seen: RunView) -> list[Stretch] | None:
     In a world that resets XP a low return is one episode's alone. What logs were of is not known.
     """
     steps, returns = seen.curve("return")
-    if not len(steps) or seen.data.settings(seen.run).get("xp_scope") == "episode":
+    if not len(steps) or seen.run.fields.get("xp_scope") == "episode":
         return None
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
@@ -204,25 +186,8 @@ def _falls(seen: RunView, steps: np.ndarray, shares: np.ndarray) -> list[Stretch
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
 
 
-def _sound_step(
-    seen: RunView,
-    onset: float,
-    fell: list[Stretch],
-    lost: list[Stretch],
-    steps: np.ndarray,
-    distance: int | None,
-) -> int:
-    """Return the last evaluation before a fall, the best return before a loss, or else the last update."""
-    if fell and fell[0][0] == onset:
-        return int(max(steps[steps < onset], default=0))
-    if lost and lost[0][0] == onset:
-        points, returns = seen.curve("return")
-        return int(points[returns[points < onset].argmax()])
-    return int(max(onset - (distance or 1), 0))
-
-
 def _relearned(
-    seen: RunView, steps: np.ndarray, shares: np.ndarray, onset: float, recovered: int | None
+    seen: RunView, steps: np.ndarray, shares: np.ndarray, onset: float, recovered: float | None
 ) -> bool | None:
     """Tell whether evaluations after the recovery come near the best before the onset."""
     _, random = seen.evaluations("random_share_killed")
@@ -233,14 +198,42 @@ def _relearned(
     if seen.run.begun:  # its best before was its parent's
         return None
     best = max(shares[steps < onset], default=0.0)
-    after = max(shares[steps > recovered], default=0.0)
+    after = max(shares[steps > int(recovered)], default=0.0)
     return bool(after >= max(RELEARNED * best, random[0] + DEPTH))
 
 
-def _update_steps(data: StudyData, run: FinishedRun) -> int | None:
-    """Return the agent steps of one update, None where the settings do not tell."""
-    settings = data.settings(run)
-    horizon, slots, players = settings.get("horizon"), settings.get("slots"), settings.get("players", 1)
-    if not (isinstance(horizon, int) and isinstance(slots, int) and isinstance(players, int)):
-        return None
-    return horizon * slots * players or None
+def _update_steps(run: FinishedRun) -> int | None:
+    """Return the agent steps of one update, None where the run's fields do not tell."""
+    horizon = run.fields.get("horizon")
+    return horizon * run.slots or None if isinstance(horizon, int) and run.slots else None
+
+
+# --- Stretches -------------------------------------------------------------------------------------
+
+
+def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
+    """Return where two signs of the same updates hold together; each sign's stretches lie apart, in order."""
+    shared, i, j = [], 0, 0
+    while i < len(one) and j < len(other):
+        (a, b), (c, d) = one[i], other[j]
+        if max(a, c) <= min(b, d):
+            shared.append((max(a, c), min(b, d)))
+        i, j = (i + 1, j) if b < d else (i, j + 1)
+    return shared
+
+
+def joined(parts: list[Stretch], gap: float) -> list[Stretch]:
+    """Join stretches that overlap or lie no further apart than a gap."""
+    whole: list[Stretch] = []
+    for first, last in sorted(parts):
+        if whole and first - whole[-1][1] <= gap:
+            whole[-1] = (whole[-1][0], max(whole[-1][1], last))
+        else:
+            whole.append((first, last))
+    return whole
+
+
+def share_held(parts: list[Stretch], within: Stretch, distance: float) -> float:
+    """Return over what share of a stretch's updates a sign holds, given the updates' distance in steps."""
+    lengths = [last - first + distance for first, last in both(parts, [within])]
+    return sum(lengths) / (within[1] - within[0] + distance)

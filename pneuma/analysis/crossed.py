@@ -22,7 +22,7 @@ import pandas as pd
 
 from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.factorial import Effect, factorial
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
@@ -32,7 +32,6 @@ from pneuma.analysis.outcomes import (
     refuse_unlike_returns,
 )
 from pneuma.analysis.pvalues import holm
-from pneuma.analysis.run_view import common_step
 from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
 from pneuma.values import as_tuple, shown_level, shown_value
@@ -142,7 +141,7 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
     Raises:
         UserError: where engines are mixed, fewer than two factors are crossed, or a combination is missing.
     """
-    engines = {str(data.settings(run).get("engine")): run.condition for run in reversed(data.runs)}
+    engines = {str(run.fields.get("engine")): run.condition for run in reversed(data.runs)}
     if len(engines) > 1:
         told = ", ".join(f"{condition} by {engine}" for engine, condition in reversed(engines.items()))
         raise UserError(f"engines are mixed: {told}; choose the runs of one with --engine {[*engines][-1]}")

@@ -68,19 +68,19 @@ class LogCurve(Curve):
     """
 
     @property
-    def logs(self) -> np.ndarray:
-        """Logarithms to base 10, (seeds, points)."""
-        return np.log10(self.runs, out=np.full(self.runs.shape, np.nan), where=self.runs > 0)
+    def _logs(self) -> Curve:
+        """The curve of logarithms to base 10."""
+        logs = np.log10(self.runs, out=np.full(self.runs.shape, np.nan), where=self.runs > 0)
+        return Curve(self.condition, self.step, logs)
 
     @property
     def mean(self) -> np.ndarray:
         """Geometric mean over the runs that have a value, (points,)."""
-        return 10.0 ** mean_of(self.logs)
+        return 10.0**self._logs.mean
 
     def band(self, name: str) -> Edges:
         """Return both edges of a band of `BANDS`, made of logarithms."""
-        edges = find_band(name).edges
-        low, high = edges(self.logs) if edges else (np.full(self.step.shape, np.nan),) * 2
+        low, high = self._logs.band(name)
         return 10.0**low, 10.0**high
 
 
@@ -96,23 +96,21 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
     Raises:
         UserError: for a quantity or window that the study's data does not have.
     """
-    curves = []
-    for condition, runs in _groups(data).items():
-        values = np.array([data.curve(run, quantity, window) for run in runs])
-        curves.append(_curve(condition, data.grid, values, runs))
-    return curves
+    return [
+        _curve(runs, data.grid, np.array([data.curve(run, quantity, window) for run in runs]))
+        for runs in _groups(data)
+    ]
 
 
 def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
     """Return the curve of an evaluation column of every condition, at the evaluations' own steps."""
+    table = data.table("evaluations").drop_duplicates(["condition", "run_id", "step"], keep="last")
     curves = []
-    for condition, runs in _groups(data).items():
-        tables = [data.run_table(run, "evaluations") for run in runs]
-        step = np.unique(np.concatenate([table["step"].to_numpy(float) for table in tables]))
-        values = np.full((len(runs), len(step)), np.nan)
-        for row, table in zip(values, tables, strict=True):
-            row[np.searchsorted(step, table["step"].to_numpy(float))] = table[column].to_numpy(float)
-        curves.append(_curve(condition, step, values, runs))
+    for runs in _groups(data):
+        own = table[table["condition"] == runs[0].condition]
+        values = own.pivot(index="run_id", columns="step", values=column)
+        values = values.reindex([run.run_id for run in runs])
+        curves.append(_curve(runs, values.columns.to_numpy(float), values.to_numpy(float)))
     return curves
 
 
@@ -121,14 +119,11 @@ def curve_names(data: StudyData) -> list[str]:
 
     Of evaluations those that some run has a value of: the mailman kills nobody.
     """
-    names = EVALUATION_QUANTITIES if "evaluations" in data.tables else ()
-    held = [name for name in names if any(_has_value(data, run, name) for run in data.runs)]
+    if "evaluations" not in data.tables:
+        return data.quantities
+    table = data.table("evaluations")
+    held = [name for name in EVALUATION_QUANTITIES if name in table and table[name].notna().any()]
     return [*held, *data.quantities]
-
-
-def _has_value(data: StudyData, run: FinishedRun, column: str) -> bool:
-    table = data.run_table(run, "evaluations")
-    return column in table and bool(table[column].notna().any())
 
 
 def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:
@@ -137,23 +132,20 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
     Raises:
         UserError: for a name or window that the study's data does not have.
     """
-    known = curve_names(data)
+    evaluated = {*EVALUATION_QUANTITIES} & {*curve_names(data)}
     return {
-        name: evaluation_curves(data, name)
-        if name in EVALUATION_QUANTITIES and name in known
-        else training_curves(data, name, window)
+        name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)
         for name in names
     }
 
 
-def _groups(data: StudyData) -> dict[str, list[FinishedRun]]:
+def _groups(data: StudyData) -> list[list[FinishedRun]]:
     """Return the finished runs of every condition that has any."""
-    groups = {condition: data.of_condition(condition) for condition in data.conditions}
-    return {condition: runs for condition, runs in groups.items() if runs}
+    return [runs for condition in data.conditions if (runs := data.of_condition(condition))]
 
 
-def _curve(condition: str, step: np.ndarray, values: np.ndarray, runs: Sequence[FinishedRun]) -> Curve:
-    return Curve(condition, step, values, tuple(run.status == "diverged" for run in runs))
+def _curve(runs: Sequence[FinishedRun], step: np.ndarray, values: np.ndarray) -> Curve:
+    return Curve(runs[0].condition, step, values, tuple(run.status == "diverged" for run in runs))
 
 
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
@@ -162,20 +154,9 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
     for quantity, group in curves.items():
         for curve in group:
             low, high = curve.band(band)
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "condition": curve.condition,
-                        "quantity": quantity,
-                        "step": curve.step,
-                        "mean": curve.mean,
-                        "low": low,
-                        "high": high,
-                        "band": band,
-                        "runs": curve.count,
-                    }
-                )
-            )
+            about = {"condition": curve.condition, "quantity": quantity, "step": curve.step}
+            own = {"mean": curve.mean, "low": low, "high": high, "band": band, "runs": curve.count}
+            frames.append(pd.DataFrame({**about, **own}))
     return pd.concat(frames, ignore_index=True)
 
 
@@ -185,33 +166,22 @@ PLAYERS = ("random player", "scripted hunter")
 NEAR = 0.02
 """Levels that lie no further apart are drawn as one line."""
 
-_LEVELS = {
-    "share_killed": ("random_share_killed", "hunter_share_killed"),
-    "argmax_share_killed": ("random_share_killed", "hunter_share_killed"),
-}
-
-
-def reference_levels(data: StudyData, quantity: str) -> dict[str, dict[str, float]]:
-    """Return the level of each of `PLAYERS` in every condition, as far as evaluations recorded it.
-
-    A normalised score is 0 and 1 for them by its definition; returns of theirs are not recorded.
-    """
-    if quantity == "score":
-        return {condition: dict(zip(PLAYERS, (0.0, 1.0), strict=True)) for condition in data.conditions}
-    if quantity not in _LEVELS or "evaluations" not in data.tables:
-        return {}
-    levels = {}
-    for condition in data.conditions:
-        tables = [data.run_table(run, "evaluations") for run in data.of_condition(condition)]
-        rows = [table[[*_LEVELS[quantity]]].to_numpy(float) for table in tables if len(table)]
-        if rows:
-            levels[condition] = dict(zip(PLAYERS, np.concatenate(rows).mean(axis=0).tolist(), strict=True))
-    return levels
-
 
 def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
-    """Return the levels that hold for all conditions; none where their environments differ in them."""
-    levels = [list(level.values()) for level in reference_levels(data, quantity).values()]
+    """Return the level of each of `PLAYERS`, as far as evaluations recorded it.
+
+    A normalised score is 0 and 1 for them by its definition; returns of theirs are not recorded. None where
+    conditions, whose environments may differ, do not share them.
+    """
+    if quantity == "score":
+        return dict(zip(PLAYERS, (0.0, 1.0), strict=True))
+    if quantity not in EVALUATION_QUANTITIES or "evaluations" not in data.tables:
+        return {}
+    rows = data.table("evaluations").groupby("condition", sort=False)
+    levels = [
+        [np.ascontiguousarray(own[f"{player}_share_killed"], float).mean() for player in ("random", "hunter")]
+        for _, own in rows
+    ]
     if not levels or np.ptp(levels, axis=0).max() > NEAR:
         return {}
     return dict(zip(PLAYERS, np.mean(levels, axis=0).tolist(), strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import pandas as pd
 
@@ -19,14 +19,14 @@ from pneuma.errors import UserError
 def encode_table(
     data: StudyData, table: str, form: str, window: str | None = None, band: str = EXPORTED_BAND
 ) -> tuple[bytes, int]:
-    """Return one of `EXPORT_TABLES` in one of `EXPORT_FORMATS`, and its number of rows.
+    """Return one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`, and its number of rows.
 
     The same runs give the same bytes; no table holds wall-clock values.
 
     Args:
         data: the study's finished runs.
         table: which.
-        form: as what kind of file.
+        form: csv, parquet, latex or markdown.
         window: of curves, one of `WINDOWS`; the study's usual one when left out.
         band: of curves, one of `EDGED_BANDS`, whose edges are the columns `low` and `high`.
 
@@ -41,9 +41,9 @@ def encode_table(
 
 
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
-    """Return every curve there is; returns that were averaged when they were recorded say so."""
-    lacking = lacks_window(data, window)
-    names = [name for name in EPISODE_QUANTITIES if name in data.quantities and name not in lacking]
+    """Return every curve that all runs have; returns that were averaged when recorded say so."""
+    held = data.checked_window(window)
+    names = [own for own in EPISODE_QUANTITIES if data.has_curve(own, held)]
     curves = {name: training_curves(data, name, window) for name in names}
     if "evaluations" in data.tables:
         curves["share_killed"] = evaluation_curves(data)
@@ -55,40 +55,24 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     return table
 
 
-def lacks_window(data: StudyData, window: str | None) -> list[str]:
-    """Return the quantities of episodes that are not held with a window: small published tables hold few.
-
-    Raises:
-        UserError: for a window that the data cannot have.
-    """
-    data.checked_window(window)
-    held = [name for name in EPISODE_QUANTITIES if name in data.quantities]
-    return [name for name in held if not _is_held(data, name, window)]
-
-
-def _is_held(data: StudyData, quantity: str, window: str | None) -> bool:
-    try:
-        data.curve(data.runs[0], quantity, window)
-    except UserError:
-        return False
-    return True
-
-
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
-    """Return a table in one of `EXPORT_FORMATS`."""
-    if form == "csv":
-        return _unrunnable(frame).to_csv(index=False, lineterminator="\n").encode()
+    """Return a table as csv, parquet, latex or markdown; the last two rounded as people read them."""
+    if form == "csv":  # in which a spreadsheet runs no text: names may be untrusted
+        texts = frame.select_dtypes(include=["object", "string"])
+        safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts})
+        return safe.to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
-    return (_to_latex if form == "latex" else _to_markdown)(frame).encode()
-
-
-def _unrunnable(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a table in which a spreadsheet runs no text: names may be untrusted."""
-    safe = frame.copy()
-    for name in safe.select_dtypes(include=["object", "string"]):
-        safe[name] = safe[name].map(_as_text)
-    return safe
+    rows = [[*map(str, frame.columns)], *_read_rows(frame)]
+    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
+    if form == "markdown":
+        cells = [[cell.translate(_MARKDOWN) if i else cell for cell in row] for i, row in enumerate(rows)]
+        cells.insert(1, ["---:" if right else "---" for right in numeric])
+        return "".join(f"| {' | '.join(row)} |\n" for row in cells).encode()
+    columns = "".join("r" if right else "l" for right in numeric)
+    head, *lines = (f"{' & '.join(cell.translate(_LATEX) for cell in row)} \\\\\n" for row in rows)
+    body = f"\\hline\n{head}\\hline\n{''.join(lines)}\\hline\n"
+    return f"\\begin{{tabular}}{{{columns}}}\n{body}\\end{{tabular}}\n".encode()
 
 
 def _as_text(cell: object) -> object:
@@ -96,23 +80,6 @@ def _as_text(cell: object) -> object:
     if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
         return cell
     return cell if re.fullmatch(r"[+-][\d.]+(e[+-]?\d+)?", cell) else "'" + cell
-
-
-def _to_latex(frame: pd.DataFrame) -> str:
-    """Return a plain LaTeX tabular; written here because pandas' own wants Jinja2."""
-    columns = "".join("r" if pd.api.types.is_numeric_dtype(kind) else "l" for kind in frame.dtypes)
-    lines = [r"\begin{tabular}{" + columns + "}", r"\hline", _latex_row(frame.columns), r"\hline"]
-    lines += [_latex_row(row) for row in _read_rows(frame)]
-    return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
-
-
-def _to_markdown(frame: pd.DataFrame) -> str:
-    """Return a pipe table; written here because pandas' own wants tabulate."""
-    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
-    rule = ["---:" if right else "---" for right in numeric]
-    rows = [[cell.translate(_MARKDOWN) for cell in row] for row in _read_rows(frame)]
-    lines = ["| " + " | ".join(cells) + " |" for cells in ([*map(str, frame.columns)], rule, *rows)]
-    return "\n".join([*lines, ""])
 
 
 def _read_rows(frame: pd.DataFrame) -> Iterator[list[str]]:
@@ -133,20 +100,13 @@ def _cell(cell: object) -> str:
     return str(cell)
 
 
-def _latex_row(cells: Iterable[object]) -> str:
-    return " & ".join(_latex_cell(cell) for cell in cells) + r" \\"
-
-
-def _latex_cell(cell: object) -> str:
-    return str(cell).translate(_LATEX).replace("–", "--")
-
-
 _LATEX = str.maketrans(
     {
         **{special: "\\" + special for special in "&%$#_{}"},
         "\\": r"\textbackslash{}",
         "^": r"\textasciicircum{}",
         "~": r"\textasciitilde{}",
+        "–": "--",
     }
 )
 

@@ -1,11 +1,15 @@
 """A study's data: its finished runs, their tables and their curves, wherever these come from.
 
+    open_study → StudyData of FinishedRuns; StudyData, run and step → RunView
+
 `open_study` (`pneuma.analysis.run_index`) makes it; it is what all further steps read. What is held of a run
-tells its `Records`.
+tells its `Records`. A `RunView` is a run as it stood at a step; it reads only evaluations and curves on the
+study's grid, which runs and published tables hold alike, so that both give the same numbers.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -17,11 +21,15 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import RECORD_TABLES, WINDOWS
-from pneuma.analysis.records import Records
-from pneuma.analysis.windows import make_grid
+from pneuma.analysis.published import PublishedRecords
+from pneuma.analysis.records import Records, Series
+from pneuma.analysis.series import make_grid
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.spec import list_studies, run_command
 from pneuma.worlds import in_world, split_world
+
+SLACK = 1 / 40
+"""Share of a step count by which budgets of whole horizons may miss it: half way to the next evaluation."""
 
 
 @dataclass(frozen=True)
@@ -29,23 +37,46 @@ class FinishedRun:
     """A run that counts in every statistic, done or diverged.
 
     Attributes:
-        slots: players, over all worlds, that it collected from; None where that is not known.
-        budget: agent steps that it was to train.
-        end: agent steps that it trained; less than the budget where it diverged.
+        fields: its run's, as the record has them, which may be a stranger's.
         records: what is held of it.
-        status: 'done' or 'diverged'.
-        begun: agent steps with which it began: those of its parent, of a fork.
     """
 
     condition: str
     seed: int
     run_id: str
-    slots: int | None
-    budget: int
-    end: int
+    fields: Mapping[str, Any] = field(repr=False)
     records: Records = field(compare=False, repr=False)
-    status: str = "done"
-    begun: int = 0
+
+    @property
+    def status(self) -> str:
+        """'done' or 'diverged'."""
+        return self.records.status.name
+
+    @property
+    def slots(self) -> int | None:
+        """Players, over all worlds, that it collected from; None where that is not known."""
+        slots, players = self.fields["slots"], self.fields.get("players", 1)
+        return slots * players if isinstance(slots, int) and isinstance(players, int) else None
+
+    @property
+    def budget(self) -> int:
+        """Agent steps that it was to train."""
+        steps: int = self.fields["steps"]
+        return steps
+
+    @property
+    def begun(self) -> int:
+        """Agent steps with which it began: those of its parent, of a fork."""
+        return self.fields.get("fork_step") or 0
+
+    @property
+    def end(self) -> int:
+        """Agent steps that it trained; less than the budget where it diverged."""
+        return self.records.status.step
+
+    def ends_before(self, step: float | None) -> bool:
+        """Tell whether it was not to reach a step, so that it has no value there."""
+        return step is not None and self.budget * (1 + SLACK) < step
 
 
 class StudyData:
@@ -67,19 +98,23 @@ class StudyData:
         self._where = where
         self.study: str = record["study"]
         self.title: str = record["title"]
-        self.figure: str = record["figure"]
         for key in ("study", "figure"):
             if not re.fullmatch(r"(?!\.+$)[^/\\\0]+", record[key]):
                 raise UserError(
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
         self.own_name, self.world = split_world(self.study)
-        self.figure = in_world(self.figure, self.world)  # each has figures
+        self.figure = in_world(record["figure"], self.world)  # each has figures
         self.same: list[list[str]] = record["same"]
-        self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in record["runs"]))
-        self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in record["runs"]))
-        self.runs = [run for run in (self._finished(run) for run in record["runs"]) if run]
-        self.left_out = len(record["runs"]) - len(self.runs)
+        planned = record["runs"]
+        self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in planned))
+        self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in planned))
+        self.runs = [
+            FinishedRun(run["condition"], run["seed"], run["run_id"], run["run"], index[run["run_id"]])
+            for run in planned
+            if index[run["run_id"]].status.finished
+        ]
+        self.left_out = len(planned) - len(self.runs)
         if not self.runs:
             raise UserError(
                 f"no run of this selection of study {self.study} has finished in {where}: "
@@ -89,31 +124,21 @@ class StudyData:
     @property
     def how_to_train(self) -> str:
         """What trains the study, where it is known: forks and searches are none of `study run`'s."""
-        is_shipped = self.own_name in list_studies()
-        path = None if is_shipped else self.record.get("path")
-        if path is None and not is_shipped:
+        path = None if self.own_name in list_studies() else self.record.get("path")
+        if path is None and self.own_name not in list_studies():
             return "repeat the command that began it"
         return f"run `{run_command(self.study, path)}` with the same options"
-
-    def _finished(self, run: Mapping[str, Any]) -> FinishedRun | None:
-        records, fields = self.index[run["run_id"]], run["run"]
-        if not records.status.finished:
-            return None
-        slots, players = fields["slots"], fields.get("players", 1)
-        if isinstance(slots, int) and isinstance(players, int):
-            slots *= players
-        told = run["condition"], run["seed"], run["run_id"], slots, fields["steps"], records.status.step
-        return FinishedRun(*told, records, records.status.name, fields.get("fork_step") or 0)
 
     @property
     def what(self) -> str:
         """Where its runs are, for people."""
-        return " with ".join(dict.fromkeys(run.records.what for run in sorted(self.runs, key=_is_published)))
+        here_first = sorted(self.runs, key=lambda run: run.records.published)
+        return " with ".join(dict.fromkeys(run.records.what for run in here_first))
 
     @property
     def published(self) -> list[FinishedRun]:
         """Those of its runs that are had from published tables."""
-        return [run for run in self.runs if _is_published(run)]
+        return [run for run in self.runs if run.records.published]
 
     def engines(self, condition: str) -> set[str]:
         """Return which engines trained a condition's runs, as far as it is known."""
@@ -122,8 +147,9 @@ class StudyData:
 
     @cached_property
     def budget(self) -> int:
-        """The largest budget of the runs, in agent steps; in a published table, of all that it holds."""
-        return self.record.get("budget") or max(run.budget for run in self.runs)
+        """Where curves end: the largest budget, in agent steps, of the runs and of tables that hold some."""
+        tables = (run.records.budget for run in self.runs if isinstance(run.records, PublishedRecords))
+        return self.record.get("budget") or max(*(run.budget for run in self.runs), 0, *tables)
 
     @cached_property
     def latest_first_evaluation(self) -> float:
@@ -133,7 +159,7 @@ class StudyData:
         tables = (run.records.table("evaluations") for run in self.runs)
         return max((float(table["step"].iloc[0]) for table in tables if len(table)), default=0.0)
 
-    @property
+    @cached_property
     def grid(self) -> np.ndarray:
         """The steps at which curves have their points, (points,)."""
         return make_grid(self.budget)
@@ -155,7 +181,7 @@ class StudyData:
 
     @cached_property
     def quantities(self) -> list[str]:
-        """What curves some run has, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`.
+        """What curves some run has, of `TRAINING_QUANTITIES`.
 
         Only those that published tables have where runs are had from such: a line over some of a
         condition's runs would mislead.
@@ -164,30 +190,18 @@ class StudyData:
         some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
         return [name for name in some if all(name in own for own in held)]
 
-    @cached_property
-    def _settings(self) -> dict[tuple[str, str], Mapping[str, Any]]:
-        return {(run["condition"], run["run_id"]): run["run"] for run in self.record["runs"]}
-
-    def settings(self, run: FinishedRun) -> Mapping[str, Any]:
-        """Return a run's settings, as its record has them, which may be a stranger's."""
-        return self._settings[run.condition, run.run_id]
-
     def of_conditions(self, names: Sequence[str]) -> StudyData:
-        """Return the study with some conditions, or one, alone, on the same grid and for the same figure.
+        """Return the study with some conditions alone, on the same grid and for the same figure.
 
         Raises:
-            UserError: for a condition that it has not, or when no run of theirs has finished.
+            UserError: when no run of theirs has finished.
         """
-        wanted = [names] if isinstance(names, str) else names
-        for name in wanted:
-            if name not in self.conditions:
-                raise unknown_name(f"condition of study {self.study}", name, self.conditions)
-        runs = [run for run in self.record["runs"] if run["condition"] in wanted]
-        held = {run["condition"] for run in runs}
-        same = [[name for name in group if name in held] for group in self.same]
+        runs = [run for run in self.record["runs"] if run["condition"] in names]
+        same = [[name for name in group if name in names] for group in self.same]
         same = [group for group in same if len(group) > 1]
-        record = {**self.record, "runs": runs, "same": same, "budget": self.budget}
-        some = StudyData(self.index, record, self._where)
+        some = StudyData(
+            self.index, {**self.record, "runs": runs, "same": same, "budget": self.budget}, self._where
+        )
         some.figure = self.figure
         return some
 
@@ -203,26 +217,15 @@ class StudyData:
         Raises:
             UserError: where there is no such table.
         """
-        frames = []
-        for run in self.runs:
-            frame = self.run_table(run, name)
-            for place, column in enumerate(("condition", "seed", "run_id")):
-                frame.insert(place, column, getattr(run, column))
-            frames.append(frame)
-        return pd.concat(frames, ignore_index=True)
-
-    def run_table(self, run: FinishedRun, name: str) -> pd.DataFrame:
-        """Return one of `RECORD_TABLES` of one run.
-
-        Raises:
-            UserError: where there is no such table.
-        """
         if name not in self.tables:
-            raise UserError(
-                f"study {self.study}: {self.what} holds no {name}; "
-                f"there are {', '.join((*self.tables, 'curves'))}"
-            )
-        return run.records.table(name).copy(deep=False)  # that of all who ask is not to be written on
+            held = ", ".join((*self.tables, "curves"))
+            raise UserError(f"study {self.study}: {self.what} holds no {name}; there are {held}")
+        naming = ("condition", "seed", "run_id")
+        frames = [
+            run.records.table(name).assign(**{key: getattr(run, key) for key in naming}) for run in self.runs
+        ]
+        frame = pd.concat(frames, ignore_index=True)
+        return frame[[*naming, *(own for own in frame if own not in naming)]]
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,), NaN where it has no value.
@@ -235,22 +238,19 @@ class StudyData:
         Raises:
             UserError: for a quantity or window that there is not.
         """
-        self._check(quantity)
+        if quantity not in self.quantities:
+            held = ", ".join(self.quantities) or "none"
+            raise UserError(f"study {self.study}: {self.what} holds no {quantity}; its curves are: {held}")
         window = self.checked_window(window)
         if quantity not in run.records.quantities:
             return np.full(self.grid.shape, np.nan)
+        if not run.records.has_curve(quantity, window):
+            raise UserError(f"study {self.study}: {self.what} holds no {quantity} with the window {window}")
         return run.records.curve(quantity, window, self.grid, run.slots)
 
-    def final(self, run: FinishedRun, quantity: str) -> float:
-        """Return the mean of a run's last 100 episodes (of its last update, for what updates have).
-
-        At the run's own end, also where that came early; NaN where there is no value.
-
-        Raises:
-            UserError: for a quantity that there is not.
-        """
-        self._check(quantity)
-        return run.records.final(quantity) if quantity in run.records.quantities else float("nan")
+    def has_curve(self, quantity: str, window: str) -> bool:
+        """Tell whether all runs have the curve of a quantity with a window."""
+        return all(run.records.has_curve(quantity, window) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`, the first for None.
@@ -260,23 +260,9 @@ class StudyData:
         """
         if window is None:
             return self.windows[0]
-        if window not in WINDOWS:
-            raise unknown_name("window", window, WINDOWS)
         if window not in self.windows:
-            raise UserError(
-                f"window {window} cannot be had of study {self.study}: {self.what} holds returns that "
-                f"were averaged over {self.averaged_over} episodes; {', '.join(self.windows)} can"
-            )
+            raise unknown_name(f"window of study {self.study}", window, self.windows)
         return window
-
-    def _check(self, quantity: str) -> None:
-        if quantity not in self.quantities:
-            held = ", ".join(self.quantities) or "none"
-            raise UserError(f"study {self.study}: {self.what} holds no {quantity}; its curves are: {held}")
-
-
-def _is_published(run: FinishedRun) -> bool:
-    return run.records.published
 
 
 def tell_figures_apart(studies: Sequence[StudyData]) -> None:
@@ -285,3 +271,88 @@ def tell_figures_apart(studies: Sequence[StudyData]) -> None:
     for data in studies:
         if stems[data.figure] > 1:
             data.figure += f"-{data.study}"
+
+
+# --- A run up to a step -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RunView:
+    """A run as it stood at a step. One that diverged has its last recorded values.
+
+    Attributes:
+        until: agent steps; the run's budget unless a smaller one was asked for.
+        since: where means over evaluations begin.
+    """
+
+    data: StudyData
+    run: FinishedRun
+    until: float
+    since: float = 0.0
+
+    @property
+    def last_step(self) -> float:
+        """The last step of which anything is taken into account."""
+        return self.until * (1 + SLACK)
+
+    def evaluations(self, column: str) -> Series:
+        """Return a column of the evaluations; nothing where there is no such column."""
+        if "evaluations" not in self.run.records.tables:
+            return _NOTHING
+        table = self.run.records.table("evaluations")
+        if column not in table:
+            return _NOTHING
+        return self._finite(table["step"].to_numpy(float), table[column].to_numpy(float))
+
+    def curve(self, quantity: str) -> Series:
+        """Return a training curve's points that have a value; nothing where there is no such quantity."""
+        records, grid = self.run.records, self.data.grid
+        if quantity not in records.quantities:
+            return _NOTHING
+        return self._finite(grid, records.curve(quantity, self.data.windows[0], grid, self.run.slots))
+
+    def peaks(self, quantity: str) -> Series:
+        """Return, for each point, the extreme value of an update since the point before."""
+        if quantity not in self.run.records.quantities:
+            return _NOTHING
+        return self._finite(self.data.grid, self.run.records.peaks(quantity, self.data.grid))
+
+    def _finite(self, step: np.ndarray, values: np.ndarray) -> Series:
+        kept = np.isfinite(values) & (step <= self.last_step)
+        return step[kept], values[kept]
+
+
+_NOTHING: Series = np.empty(0), np.empty(0)
+
+
+def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
+    """Look at a run as it stood at a step, at its own budget where none is given or it is smaller.
+
+    A step is given where runs of unlike budgets are compared. Each was evaluated at even parts of its own, so
+    that what they have in common begins at the latest of their first evaluations.
+    """
+    since = 0.0 if at_step is None else data.latest_first_evaluation
+    return RunView(data, run, min(run.budget, at_step or run.budget), since)
+
+
+def common_step(data: StudyData) -> int | None:
+    """Return the largest step count that every run was to reach; None where all budgets are the same.
+
+    Budgets that whole horizons put apart, by less than half the way to an evaluation, are the same. A run
+    that diverged was to reach its budget, and has its last values there. Imported logs do not tell what
+    their runs were to reach: of these it is what two thirds of them did reach.
+    """
+    budgets = sorted((run.budget for run in data.runs), reverse=True)
+    if budgets[0] <= budgets[-1] * (1 + SLACK):
+        return None
+    return budgets[math.ceil(len(budgets) * 2 / 3) - 1 if data.averaged_over else -1]
+
+
+def step_words(data: StudyData) -> str:
+    """Say what the common step is, and which runs end before it."""
+    if not data.averaged_over:
+        return "the most that all runs were to reach"
+    step = common_step(data)
+    short = [f"{run.condition} {run.seed}" for run in data.runs if run.ends_before(step)]
+    left_out = f" (left out, as they end before: {', '.join(short)})" if short else ""
+    return f"the most that two thirds of the logs reached{left_out}"

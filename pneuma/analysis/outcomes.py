@@ -18,8 +18,8 @@ from functools import partial
 import numpy as np
 
 from pneuma.analysis.collapse import diagnose
-from pneuma.analysis.frames import FinishedRun, StudyData
-from pneuma.analysis.run_view import RunView, Series, ends_before, mean_height, view
+from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
+from pneuma.analysis.records import Series
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError, nearest_name, unknown_name
 
@@ -69,8 +69,8 @@ _OF_RETURNS = ("reward", "players")
 def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
     """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
     names = data.conditions if conditions is None else conditions
-    settings = [data.settings(own[0]) for name in names if (own := data.of_condition(name))]
-    return len({str([own.get(key) for key in _OF_RETURNS]) for own in settings}) <= 1
+    firsts = [own[0].fields for name in names if (own := data.of_condition(name))]
+    return len({str([own.get(key) for key in _OF_RETURNS]) for own in firsts}) <= 1
 
 
 def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
@@ -99,7 +99,7 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
         UserError: for a name that is no outcome's.
     """
     found = find_outcome(name)
-    if ends_before(run, at_step):
+    if run.ends_before(at_step):
         return NAN
     kept = None if at_step is not None and at_step < run.budget else run.records.kept_outcome(name)
     return found.measure(view(data, run, at_step)) if kept is None else kept
@@ -138,7 +138,7 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
     found = find_outcome(name)
     if not np.isnan(outcome(data, run, name, at_step)):
         return ""
-    if ends_before(run, at_step):
+    if run.ends_before(at_step):
         return f"the run ends at step {run.end:,}, before the others are compared"
     if found.source == "times":
         return f"{data.what} does not tell how long the run took"
@@ -217,10 +217,23 @@ def _early(quantity: str) -> Measure:
     return measure
 
 
+def _mean_height(series: Series, until: float) -> float:
+    """Return the area under a curve by trapezoids over the steps it spans: its mean height.
+
+    The last value is carried on to `until`, for a run that ended early; NaN without a value.
+    """
+    step, values = series
+    if not len(values):
+        return NAN
+    step, values = np.append(step, max(until, step[-1])), np.append(values, values[-1])
+    span = step[-1] - step[0]
+    return float(np.trapezoid(values, step) / span) if span > 0 else float(values[0])
+
+
 def _share_area(seen: RunView) -> float:
     steps, shares = seen.evaluations("share_killed")
     first = min(np.searchsorted(steps, seen.since), max(len(steps) - 1, 0))  # one that diverged early has one
-    return mean_height((steps[first:], shares[first:]), seen.until)
+    return _mean_height((steps[first:], shares[first:]), seen.until)
 
 
 def _steps_to(seen: RunView, share: float) -> float:
@@ -284,7 +297,7 @@ OUTCOMES: dict[str, Outcome] = {
         "return at the end of training", "", UP, ANYTHING, "return", _curve("return", _last)),
     "auc-return": Outcome(
         "return, mean over training", "", UP, ANYTHING, "return",
-        lambda seen: mean_height(seen.curve("return"), seen.until)),
+        lambda seen: _mean_height(seen.curve("return"), seen.until)),
     "best-return": Outcome("best return of training", "", UP, ANYTHING, "return", _curve("return", np.max)),
     "final-length": Outcome(
         "episode length at the end", "steps", "", POSITIVE, "length", _curve("length", _last)),

@@ -1,8 +1,8 @@
 """A study's published table: its runs in one file, small enough to be kept under version control.
 
 results/published/STUDY.parquet holds a row for each run: what it was, how it ended, its curves on the
-study's grid in every window, final values, its evaluations whole, and what produced it. The same
-runs give the same bytes. Nothing is ever trained from it.
+study's grid, outcomes, its evaluations whole, and what produced it. The same runs give the same bytes.
+Nothing is ever trained from it.
 
 The file's metadata holds the study's title and conditions, and a checksum over all other bytes,
 which is compared before anything else is read. STUDY.times.json beside it tells how long the runs trained, on
@@ -23,10 +23,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pneuma.analysis import UPDATE_QUANTITIES, WINDOWS
-from pneuma.analysis.records import QUANTITIES, Records, told_seconds
-from pneuma.analysis.signs import Stretch
-from pneuma.analysis.windows import GRID_POINTS
+from pneuma.analysis import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis.records import Records, told_seconds
+from pneuma.analysis.series import EXTREMES, GRID_POINTS, Stretch, make_grid, peak_curve
 from pneuma.errors import UserError
 from pneuma.study.documents import Record, fits
 from pneuma.study.files import names_in, parse_json, read_json, read_whole
@@ -38,9 +37,6 @@ PUBLISHED = "published"
 """The tables' folder, in a results folder."""
 
 SUFFIX = ".parquet"
-NAMING = ("condition", "seed", "run_id", "status")
-"""The columns that say which run a row is; all others hold its numbers."""
-
 EVALUATIONS = "evaluations"
 """The one record table that is kept."""
 
@@ -52,7 +48,17 @@ _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 PEAKS = "extreme"
 SIGNS = "signs"
 OUTCOME = "outcome "
-TEXTS = ("condition", "run_id", "status", "settings", "provenance", SIGNS)
+
+SINGLE, WIDE = pa.list_(pa.float32()), pa.list_(pa.float64())
+"""Of curves; older tables hold some of them in full width."""
+_TEXTS = ("condition", "run_id", "status", "settings", "provenance", SIGNS)
+_KINDS = {
+    **dict.fromkeys(_TEXTS, (pa.string(),)),
+    **dict.fromkeys(("seed", "end"), (pa.int64(),)),
+    **dict.fromkeys(UPDATE_QUANTITIES, (SINGLE,)),
+    **{f"{name} {own}": (SINGLE, WIDE) for name in TRAINING_QUANTITIES for own in (*WINDOWS, PEAKS)},
+}
+"""Types that a column may have; all others hold a number a run."""
 
 
 def published_path(store: Store, study: str) -> Path:
@@ -95,12 +101,11 @@ def read_published(store: Store, study: str) -> PublishedTable:
     try:
         table = from_parquet(data)
         head = parse_json((table.schema.metadata or {}).get(b"pneuma", b""))
-        if head.get("schema") == SCHEMA:
-            _check(head, table)
+        if head.get("schema") != SCHEMA:
+            raise ValueError(f"of schema {head.get('schema')}, which this version of Pneuma cannot read")
+        _check(head, table)
     except ValueError as error:
         raise UserError(f"{path}: is no published table of a study ({error})") from None
-    if head.get("schema") != SCHEMA:
-        raise UserError(f"{path}: of schema {head.get('schema')}, which this version of Pneuma cannot read")
     return PublishedTable(head, table, read_times(store, study))
 
 
@@ -111,7 +116,7 @@ class PublishedTable:
         head: what the file's metadata holds.
         budget: the step at which its curves end.
         times: what the file of times beside it tells of each run.
-        columns: a row's cells of numbers, and what they hold, in order.
+        rows: the table.
         quantities: what it has curves of.
     """
 
@@ -120,10 +125,8 @@ class PublishedTable:
         self.budget: int = head["budget"]
         self.times = times
         self.rows = table
-        self.columns = {field.name: field.type for field in table.schema if field.name not in NAMING}
-        first = head["windows"][0]
-        held = [name for name in QUANTITIES if {name, f"{name} {first}"} & {*table.column_names}]
-        self.quantities: tuple[str, ...] = tuple(held)
+        held = {name.removesuffix(f" {head['windows'][0]}") for name in table.column_names}
+        self.quantities = tuple(name for name in TRAINING_QUANTITIES if name in held)
         self._places = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
 
     @property
@@ -142,7 +145,7 @@ class PublishedTable:
 
 
 class PublishedRecords(Records):
-    """A run of a published table."""
+    """A run of a published table; `budget` is the step at which its curves end."""
 
     what = "the published table"
     published = True
@@ -152,6 +155,7 @@ class PublishedRecords(Records):
         self._place = place
         self.run_id = run_id
         self.status = Status(self.cell("status"), self.cell("end") or 0)
+        self.budget = table.budget
         self.tables = tuple(table.head["tables"])
         self.windows = tuple(table.head["windows"])
         self.averaged_over = table.head["averaged_over"]
@@ -165,30 +169,29 @@ class PublishedRecords(Records):
         """What is held, of every run of the table the same."""
         return self._table.quantities
 
-    @cached_property
-    def _evaluations(self) -> pd.DataFrame:
-        fields = self._table.columns[EVALUATIONS].value_type
-        rows, kinds = self.cell(EVALUATIONS), {field.name: field.type.to_pandas_dtype() for field in fields}
-        return pd.DataFrame({own: np.array([row[own] for row in rows], kind) for own, kind in kinds.items()})
+    def has_curve(self, quantity: str, window: str) -> bool:
+        """Tell whether it has the curve: rounded tables have one window of most quantities."""
+        return _column(quantity, window) in self._table.rows.column_names
 
     def table(self, name: str) -> pd.DataFrame:
         """Return the run's evaluations, the one table that is kept."""
         return self._evaluations
 
-    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return a curve, (points,); the grid is the one that the study was published on."""
-        column = quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
-        if column not in self._table.columns:
-            raise UserError(f"{self.what} holds {quantity} by the window {self.windows[0]} alone")
-        return np.array(self.cell(column), float)
+    @cached_property
+    def _evaluations(self) -> pd.DataFrame:
+        rows = self._table.rows[EVALUATIONS][self._place].values
+        return pa.RecordBatch.from_struct_array(rows).to_pandas(use_threads=False)
 
-    def final(self, quantity: str) -> float:
-        """Return the mean of the last 100 episodes, or the last update's value."""
-        return float(self.cell(f"final_{quantity}"))
+    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
+        """Return a curve, (points,); on another grid than it is kept on, the last value up to each point."""
+        kept, own = np.array(self.cell(_column(quantity, window)), float), make_grid(self.budget)
+        held = np.concatenate([[np.nan], kept])[np.searchsorted(own, grid, side="right")]
+        return np.where(grid <= own[-1], held, np.nan)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme update since each point before, (points,)."""
-        return np.array(self.cell(f"{quantity} {PEAKS}"), float)
+        kept = np.array(self.cell(f"{quantity} {PEAKS}"), float)
+        return peak_curve(make_grid(self.budget), kept, grid, EXTREMES[quantity])
 
     def signs(self) -> dict[str, list[Stretch]]:
         """Return where signs of collapse hold."""
@@ -196,7 +199,7 @@ class PublishedRecords(Records):
 
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome that was taken from curves before they were rounded or left out."""
-        return float(self.cell(OUTCOME + name)) if OUTCOME + name in self._table.columns else None
+        return float(self.cell(OUTCOME + name)) if OUTCOME + name in self._table.rows.column_names else None
 
     def provenance(self) -> dict[str, Any]:
         """Return what produced the run, without when it did."""
@@ -207,6 +210,10 @@ class PublishedRecords(Records):
         """What the file of times beside the table tells."""
         found: Mapping[str, Any] = self._table.times.get(self.run_id, {})
         return found
+
+
+def _column(quantity: str, window: str) -> str:
+    return quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
 
 
 def unpack_signs(text: str) -> dict[str, list[Stretch]]:
@@ -233,17 +240,14 @@ def with_sum(data: bytes) -> bytes:
     """Put the checksum over a file into the place that is kept for it there."""
     if data.count(NO_SUM.encode()) != 1 or len(_SUM.findall(data)) != 1:
         raise ValueError("the place of the checksum is not the only one of its look")
-    return data.replace(NO_SUM.encode(), f"sha256:{_digest(data)}".encode())
+    return data.replace(NO_SUM.encode(), f"sha256:{hashlib.sha256(data).hexdigest()}".encode())
 
 
 def is_whole(data: bytes) -> bool:
     """Tell whether a file is what `with_sum` returned, to the bit."""
     sums = _SUM.findall(data)
-    return len(sums) == 1 and _digest(_SUM.sub(NO_SUM.encode(), data)) == sums[0].decode()
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+    blank = _SUM.sub(NO_SUM.encode(), data)
+    return len(sums) == 1 and hashlib.sha256(blank).hexdigest() == sums[0].decode()
 
 
 # --- Whether it is one -----------------------------------------------------------------------------
@@ -265,34 +269,25 @@ def _check(head: Mapping[str, Any], table: pa.Table) -> None:
         ValueError: naming what is amiss.
     """
     windows, budget = head.get("windows") or [], head.get("budget")
-    sound = {*windows} <= {*WINDOWS} and isinstance(budget, int) and budget > 0
-    if not sound or head.get("tables") not in ([], [EVALUATIONS]) or not windows:
+    sound = windows and {*windows} <= {*WINDOWS} and isinstance(budget, int) and budget > 0
+    if not sound or head.get("tables") not in ([], [EVALUATIONS]):
         raise ValueError("its metadata make no sense")
-    kinds = {name: pa.string() for name in TEXTS} | {"seed": pa.int64(), "end": pa.int64()}
-    if missing := {*kinds, *head["tables"]} - {*table.column_names}:
+    if missing := {*_TEXTS, "seed", "end", *head["tables"]} - {*table.column_names}:
         raise ValueError(f"column {min(missing)} is missing")
-    curves = {f"{name} {window}" for name in QUANTITIES for window in (*windows, PEAKS)} | {
-        *UPDATE_QUANTITIES
-    }
-    kinds |= {name: pa.list_(pa.float32()) for name in curves}
+    rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))
     for field in table.schema:
-        kind = kinds.get(field.name, pa.float64())
-        if field.name != EVALUATIONS and field.type not in (kind, _WIDER.get(kind)):
-            raise ValueError(f"column {field.name} makes no sense")
-        row = field.type.value_type if pa.types.is_list(field.type) else field.type
-        if field.name == EVALUATIONS and not (pa.types.is_struct(row) and row.get_field_index("step") >= 0):
+        kind = field.type
+        if field.name == EVALUATIONS:
+            fit = pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)
+            fit = fit and kind.value_type.get_field_index("step") >= 0
+        else:
+            fit = kind in _KINDS.get(field.name, (pa.float64(),))
+            if fit and pa.types.is_list(kind):
+                fit = {*pc.list_value_length(rows[field.name]).to_pylist()} <= {GRID_POINTS}
+        if not fit or rows[field.name].null_count:
             raise ValueError(f"column {field.name} makes no sense")
     if not fits(_record(head, table), Record):
         raise ValueError("its runs make no sense")
-    rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))
-    for name in rows.column_names:
-        lengths = pc.list_value_length(rows[name]).to_pylist() if name in curves else ()
-        if rows[name].null_count or {*lengths} - {GRID_POINTS}:
-            raise ValueError(f"column {name} makes no sense")
     for told, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
         parse_json(told)
         unpack_signs(signs)
-
-
-_WIDER = {pa.list_(pa.float32()): pa.list_(pa.float64())}
-"""Curves of episodes are kept exactly, unless they are rounded."""

@@ -13,61 +13,72 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pneuma.analysis import PEAKED_QUANTITIES, UPDATE_QUANTITIES
+from pneuma.analysis import ACTION_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.published import (
     EVALUATIONS,
-    NAMING,
     NO_SUM,
     OUTCOME,
     PEAKS,
     SCHEMA,
     SIGNS,
+    SINGLE,
+    WIDE,
     PublishedRecords,
     PublishedTable,
     with_sum,
 )
-from pneuma.analysis.signs import Stretch
+from pneuma.analysis.records import Records
+from pneuma.analysis.series import EXTREMES, TRAILING_EPISODES, Stretch
 from pneuma.errors import UserError
 from pneuma.study.provenance import other_processors
 from pneuma.study.store import to_json
+
+CURVES = (
+    "return", "length", "entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "dead_units",
+    *ACTION_QUANTITIES,
+)  # fmt: skip
+"""What a table keeps curves of, unless others are named."""
 
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
 """What produced a run, without the times at which it did: a run that is trained again publishes the same."""
 MACHINE = ("system", "cpu", "threads")
 LEVELS = 1024
-"""Steps that a rounded curve's range is divided into, at most; a figure has fewer points across."""
+"""Steps that a curve's range is divided into, at most; a figure has fewer points across."""
 
-_NAMING = dict(zip(NAMING, (pa.string(), pa.int64(), pa.string(), pa.string()), strict=True))
-
-Columns = Mapping[str, pa.DataType]
+Columns = dict[str, pa.DataType]
 
 
 def encode_study(
-    data: StudyData,
-    curves: Collection[str] | None = None,
-    rounding: bool = False,
-    before: PublishedTable | None = None,
+    data: StudyData, curves: Collection[str] | None = None, before: PublishedTable | None = None
 ) -> bytes:
     """Return the published table of a study; the same runs give the same bytes.
 
-    Runs that are had from the study's own table stay as they are there. Runs of the selection that are
-    finished nowhere keep their place, without numbers.
+    Curves are kept to a thousandth of their range, outcomes, signs and evaluations as they are. A table that
+    there is keeps its columns, and the runs of it that are not here. Runs of the selection that are finished
+    nowhere keep their place, without numbers.
 
     Args:
-        data: the study.
-        curves: of which quantities curves are kept; left out: all. Outcomes are kept of all.
-        rounding: whether curves are kept to a thousandth of their range.
+        data: the study, with no runs from other tables.
+        curves: of which quantities curves are kept; left out: those of the table, else `CURVES`.
         before: the study's table as it is.
 
     Raises:
-        UserError: when a run is to stay whose columns are not those of the others.
+        UserError: when runs or curves that are published would be lost.
     """
     here = [run for run in data.runs if not run.records.published]
-    kinds = _columns(data, here, curves, rounding)
-    if before is not None and len(here) < len(data.runs):
-        kinds = _shared_columns(data, kinds, before, rounding)
+    if before is None:
+        kinds, rounding = _columns(here, CURVES if curves is None else curves), True
+    else:
+        _refuse_losses(data, here, before, curves)
+        types = {own.name: own.type for own in before.rows.schema if own.name not in _NAMING}
+        kinds = {
+            name: WIDE if own == WIDE else SINGLE if own == SINGLE else own for name, own in types.items()
+        }
+        rounding = bool(before.head.get("rounded"))
+    if EVALUATIONS in data.tables:
+        kinds[EVALUATIONS] = _evaluations_type(data.runs)
     finished = {(run.condition, run.run_id): run for run in data.runs}
     rows = []
     for told in data.record["runs"]:
@@ -79,8 +90,21 @@ def encode_study(
     columns = {
         name: pa.array([row.get(name) for row in rows], kind) for name, kind in {**_NAMING, **kinds}.items()
     }
-    head = {"pneuma": json.dumps(_head(data, here, rounding)), "pneuma.checksum": NO_SUM}
-    return with_sum(_compressed(pa.table(columns, metadata=head)))
+    head = {
+        "schema": SCHEMA,
+        "study": data.study,
+        "title": data.title,
+        "figure": data.figure,
+        "baseline": data.record.get("baseline"),
+        "same": data.same,
+        "budget": data.budget,
+        "tables": [name for name in data.tables if name == EVALUATIONS],
+        "windows": list(here[0].records.windows),
+        "averaged_over": data.averaged_over,
+        "rounded": rounding,
+    }
+    metadata = {"pneuma": json.dumps(head), "pneuma.checksum": NO_SUM}
+    return with_sum(_compressed(pa.table(columns, metadata=metadata)))
 
 
 def encode_times(data: StudyData) -> bytes:
@@ -99,82 +123,62 @@ def encode_times(data: StudyData) -> bytes:
     return to_json({"schema": 1, "study": data.study, "runs": runs})
 
 
-def _columns(
-    data: StudyData, runs: Sequence[FinishedRun], curves: Collection[str] | None, rounding: bool
-) -> dict[str, pa.DataType]:
+def _refuse_losses(
+    data: StudyData, here: Sequence[FinishedRun], before: PublishedTable, curves: Collection[str] | None
+) -> None:
+    held = {name for run in here for name in run.records.quantities}
+    why = ""
+    if before.finished - {run.run_id for run in data.runs}:
+        why = "has runs that are not of this selection: select them too (--preset, --condition, --seeds)"
+    elif curves is not None and held & {*curves} != {*before.quantities}:
+        why = f"keeps curves of {', '.join(before.quantities) or 'nothing'}: leave --curves out"
+    elif len(here) < len(data.runs) and data.budget != before.budget:
+        why = f"ends at step {before.budget:,}, and these runs at {data.budget:,}: name another by --as"
+    if why:
+        raise UserError(f"study {data.study}: its table {why}; or remove it and publish anew what is here")
+
+
+# --- Columns and cells ------------------------------------------------------------------------------
+
+_NAMING = {"condition": pa.string(), "seed": pa.int64(), "run_id": pa.string(), "status": pa.string()}
+
+
+def _columns(runs: Sequence[FinishedRun], curves: Collection[str]) -> Columns:
     """Return the type of every column that finished runs have a value in, in the order of columns."""
     quantities = dict.fromkeys(name for run in runs for name in run.records.quantities)
     windows = runs[0].records.windows
     kinds = {"end": pa.int64(), "settings": pa.string(), "provenance": pa.string()}
     for quantity in quantities:
         kinds[f"final_{quantity}"] = pa.float64()
-        if curves is not None and quantity not in curves:
+        if quantity not in curves:
             continue
-        if quantity in UPDATE_QUANTITIES:
-            kinds[quantity] = pa.list_(pa.float32())
-        elif rounding:  # of small tables' episodes, only returns have the window of the thesis's figures
-            kept = windows if quantity == "return" else windows[:1]
-            kinds |= {f"{quantity} {window}": pa.list_(pa.float32()) for window in kept}
-        else:  # wide enough to hold every curve exactly
-            single = {window: window == "trailing-100" for window in windows}
-            wide = {window: pa.float32() if own else pa.float64() for window, own in single.items()}
-            kinds |= {f"{quantity} {window}": pa.list_(kind) for window, kind in wide.items()}
-        if quantity in PEAKED_QUANTITIES:
-            kinds[f"{quantity} {PEAKS}"] = pa.list_(pa.float32())
+        kept = windows if quantity == "return" else windows[:1]  # the thesis's figures are of returns
+        names = [quantity] if quantity in UPDATE_QUANTITIES else [f"{quantity} {own}" for own in kept]
+        peaks = [f"{quantity} {PEAKS}"] if quantity in EXTREMES else []
+        kinds |= dict.fromkeys([*names, *peaks], SINGLE)
     kinds |= {OUTCOME + name: pa.float64() for name, own in OUTCOMES.items() if own.source in quantities}
-    kinds[SIGNS] = pa.string()
-    return kinds | ({EVALUATIONS: _row_type(runs)} if EVALUATIONS in data.tables else {})
+    return {**kinds, SIGNS: pa.string()}
 
 
-def _row_type(runs: Sequence[FinishedRun]) -> pa.DataType:
-    """Return the type of a run's evaluations: a list of rows, whole numbers where all runs have such."""
-    kinds: dict[str, list[str]] = {}
-    for run in runs:
-        for name, kind in run.records.table(EVALUATIONS).dtypes.items():
-            kinds.setdefault(str(name), []).append(kind.kind)
-    whole = {name: set(own) == {"i"} and len(own) == len(runs) for name, own in kinds.items()}
-    return pa.list_(pa.struct([(name, pa.int64() if whole[name] else pa.float64()) for name in kinds]))
-
-
-def _shared_columns(
-    data: StudyData, kinds: Columns, before: PublishedTable, rounding: bool
-) -> dict[str, pa.DataType]:
-    """Return the types of columns that hold both new runs and those that were published before.
-
-    Raises:
-        UserError: naming the columns that only one of them has.
-    """
-    old = dict(before.columns)
-    differing = sorted(name for name in {*kinds, *old} - {EVALUATIONS} if kinds.get(name) != old.get(name))
-    if before.head.get("rounded", rounding) != rounding:
-        differing.insert(0, "rounding")
-    if (EVALUATIONS in kinds) != (EVALUATIONS in old):
-        differing.append(EVALUATIONS)
-    if differing:
-        told = ", ".join(differing[:3]) + (f" and {len(differing) - 3} more" if len(differing) > 3 else "")
-        raise UserError(
-            f"study {data.study}: its table and these runs differ in {told}, and not all runs of the table "
-            "are here: publish with the same --curves and --round as before"
-        )
-    if EVALUATIONS not in kinds:
-        return dict(kinds)
-    ours, theirs = ({own.name: own.type for own in types[EVALUATIONS].value_type} for types in (kinds, old))
-    shared = {name: ours.get(name) == theirs.get(name) for name in {**ours, **theirs}}
-    fields = [(name, ours[name] if same else pa.float64()) for name, same in shared.items()]
-    return {**kinds, EVALUATIONS: pa.list_(pa.struct(fields))}
+def _evaluations_type(runs: Sequence[FinishedRun]) -> pa.DataType:
+    """Return the type of a run's evaluations: a list of rows with the columns of all runs."""
+    tables = [run.records.table(EVALUATIONS) for run in runs]
+    schemas = [pa.Schema.from_pandas(table, preserve_index=False).remove_metadata() for table in tables]
+    return pa.list_(pa.struct(list(pa.unify_schemas(schemas, promote_options="permissive"))))
 
 
 def _cells(data: StudyData, run: FinishedRun, kinds: Columns, rounding: bool) -> dict[str, Any]:
     """Return what a finished run has in every column but its settings."""
-    if isinstance(run.records, PublishedRecords):
-        return {name: run.records.cell(name) for name in kinds if name != "settings"}
     own = run.records
-    cells: dict[str, Any] = {"end": run.end, "provenance": _provenance(own.provenance())}
+    if isinstance(own, PublishedRecords):
+        return {name: own.cell(name) for name in kinds if name != "settings"}
+    found = own.provenance()
+    about = {key: found[key] for key in KEPT_PROVENANCE if key in found} | other_processors(found)
+    cells: dict[str, Any] = {"end": run.end, "provenance": json.dumps(about)}
     for name, kind in kinds.items():
         quantity, _, window = name.partition(" ")
         if name.startswith("final_"):
-            quantity = name.removeprefix("final_")
-            cells[name] = own.final(quantity) if quantity in own.quantities else float("nan")
+            cells[name] = _final(own, name.removeprefix("final_"))
         elif name.startswith(OUTCOME):
             cells[name] = outcome(data, run, name.removeprefix(OUTCOME))
         elif pa.types.is_list(kind) and name != EVALUATIONS:
@@ -190,25 +194,16 @@ def _cells(data: StudyData, run: FinishedRun, kinds: Columns, rounding: bool) ->
     return cells
 
 
-def _provenance(found: Mapping[str, Any]) -> str:
-    kept = {key: found[key] for key in KEPT_PROVENANCE if key in found} | other_processors(found)
-    return json.dumps(kept)
-
-
-def _head(data: StudyData, runs: Sequence[FinishedRun], rounding: bool) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA,
-        "study": data.study,
-        "title": data.title,
-        "figure": data.figure,
-        "baseline": data.record.get("baseline"),
-        "same": data.same,
-        "budget": data.budget,
-        "tables": [name for name in data.tables if name == EVALUATIONS],
-        "windows": list(runs[0].records.windows),
-        "averaged_over": data.averaged_over,
-        "rounded": rounding,
-    }
+def _final(own: Records, quantity: str) -> float:
+    """Return the mean of the last 100 episodes; the last value of what updates have, or of a log."""
+    if quantity not in own.quantities:
+        return float("nan")
+    _, values = own.series(quantity)
+    if own.averaged_over:
+        values = values[np.isfinite(values)]
+    single = own.averaged_over or quantity in UPDATE_QUANTITIES
+    last = values[-1 if single else -TRAILING_EPISODES :]
+    return float(last.mean()) if len(last) else float("nan")
 
 
 def _compressed(table: pa.Table) -> bytes:
@@ -222,9 +217,7 @@ def _compressed(table: pa.Table) -> bytes:
         compression="zstd",
         compression_level=19,
         use_dictionary=[name for name in table.column_names if name not in names],
-        use_byte_stream_split=[
-            f"{field.name}.list.element" for field in curves if field.type.value_type == pa.float32()
-        ],
+        use_byte_stream_split=[f"{own.name}.list.element" for own in curves if own.type == SINGLE],
     )
     return sink.getvalue()
 

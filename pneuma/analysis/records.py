@@ -7,29 +7,36 @@ A run in a published table is the third kind (`pneuma.analysis.published`). All 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import ACTION_QUANTITIES, EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.analysis.signs import Stretch, update_signs
-from pneuma.analysis.windows import (
+from pneuma.analysis import (
+    ACTION_QUANTITIES,
+    EPISODE_QUANTITIES,
+    RECORD_TABLES,
+    TRAINING_QUANTITIES,
+    UPDATE_QUANTITIES,
+    WINDOWS,
+)
+from pneuma.analysis.series import (
     EXTREMES,
     TRAILING_EPISODES,
+    Stretch,
     episode_curve,
-    logged_curve,
+    held_curve,
     peak_curve,
     update_curve,
+    update_signs,
 )
 from pneuma.errors import UserError
 from pneuma.study.files import parse_json
 from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import record_table
 
-QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 TABLES_KEPT = 1_000
 """In memory, of those that were read last."""
 
@@ -78,7 +85,7 @@ class Records:
             where each is one episode's.
     """
 
-    what: str = "the results folder"
+    what = "the results folder"
     published = False
     tables: tuple[str, ...] = RECORD_TABLES
     windows: tuple[str, ...] = WINDOWS
@@ -89,10 +96,22 @@ class Records:
         self.status = status
         self._store = store
 
+    def path(self, file: str) -> Path:
+        """Return where a file of its folder lies."""
+        return self._store.run_folder(self.run_id) / file
+
+    def read_file(self, file: str) -> bytes:
+        """Return a file of its folder, as its checksum vouches for."""
+        return self._store.read_file(self.run_id, file)
+
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What it has curves of, of `EPISODE_QUANTITIES` and `UPDATE_QUANTITIES`."""
-        return QUANTITIES
+        """What it has curves of, of `TRAINING_QUANTITIES`."""
+        return TRAINING_QUANTITIES
+
+    def has_curve(self, quantity: str, window: str) -> bool:
+        """Tell whether it has the curve of a quantity with a window."""
+        return quantity in self.quantities and window in self.windows
 
     def table(self, name: str) -> pd.DataFrame:
         """Return one of the run's `tables`, which is not to be written on.
@@ -100,7 +119,17 @@ class Records:
         Raises:
             UserError: when its file is missing, damaged, or no such table.
         """
-        return _kept(self, name)
+        return _read(self, f"{name}.parquet")
+
+    def series(self, quantity: str) -> Series:
+        """Return all that was recorded of a quantity, by episode or update."""
+        name = "metrics" if quantity in UPDATE_QUANTITIES else "episodes"
+        table = self.table(name)
+        if quantity not in table:
+            raise UserError(f"{self.path(f'{name}.parquet')}: has no column {quantity}")
+        step, values = table["step"].to_numpy(float), table[quantity].to_numpy(float)
+        order = np.argsort(step, kind="stable")
+        return step[order], values[order]
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return one of its `quantities` on the grid, (points,), NaN where it has no value.
@@ -111,35 +140,24 @@ class Records:
             grid: (points,).
             slots: how many there are; a curve of episodes begins where each has finished one.
         """
-        step, values = self._series(quantity)
+        step, values = self.series(quantity)
         if quantity in UPDATE_QUANTITIES:
             return update_curve(step, values, grid, self.status.step)
         firsts = self.table("episodes").groupby("slot")["step"].min()
-        return episode_curve(
-            step,
-            values,
-            grid,
-            trailing=window == "trailing-100",
-            from_step=float(firsts.max()) if len(firsts) == slots else np.inf,
-            end=self.status.step,
-        )
-
-    def final(self, quantity: str) -> float:
-        """Return the mean of the last 100 episodes (the last update's value, for what updates have)."""
-        _, values = self._series(quantity)
-        last = values[-1 if quantity in UPDATE_QUANTITIES else -TRAILING_EPISODES :]
-        return float(last.mean()) if len(last) else float("nan")
+        begin = float(firsts.max()) if len(firsts) == slots else np.inf
+        trailing = window == "trailing-100"
+        return episode_curve(step, values, grid, trailing=trailing, from_step=begin, end=self.status.step)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
-        """Return the extreme of one of `PEAKED_QUANTITIES` since the point before on the grid, (points,)."""
-        return peak_curve(*self._series(quantity), grid, EXTREMES[quantity])
+        """Return the extreme of one of `EXTREMES` since the point before on the grid, (points,)."""
+        return peak_curve(*self.series(quantity), grid, EXTREMES[quantity])
 
     def signs(self) -> dict[str, list[Stretch]]:
-        """Return where each sign of collapse holds that can be told of (`pneuma.analysis.signs`)."""
-        columns = {name: self._series(name) for name in ("entropy", "dead_units", *ACTION_QUANTITIES)}
-        blank = any(np.isnan(columns[name][1]).all() for name in ACTION_QUANTITIES)
-        told = {name: own for name, (_, own) in columns.items() if not blank or name not in ACTION_QUANTITIES}
-        return update_signs(columns["entropy"][0], told, len(ACTION_QUANTITIES))
+        """Return where each sign of collapse holds that can be told of."""
+        names = [name for name in ("entropy", "dead_units", *ACTION_QUANTITIES) if name in self.quantities]
+        columns = {name: self.series(name) for name in names}
+        steps = [step for step, _ in columns.values()]
+        return update_signs(steps[0], {name: own for name, (_, own) in columns.items()}) if steps else {}
 
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
@@ -152,9 +170,9 @@ class Records:
             UserError: when its file is missing, damaged or nonsense.
         """
         try:
-            return parse_json(self._store.read_file(self.run_id, "provenance.json"))
+            return parse_json(self.read_file("provenance.json"))
         except ValueError as error:
-            raise UserError(f"{self._path('provenance.json')}: cannot be read ({error})") from None
+            raise UserError(f"{self.path('provenance.json')}: cannot be read ({error})") from None
 
     @property
     def times(self) -> Mapping[str, Any]:
@@ -172,30 +190,6 @@ class Records:
         share = self.times.get("processor_share")
         return float(share) if isinstance(share, int | float) else None
 
-    def _series(self, quantity: str) -> Series:
-        """Return what episodes or updates have of a quantity, in the order of their steps."""
-        name = "metrics" if quantity in UPDATE_QUANTITIES else "episodes"
-        table = self.table(name)
-        if quantity not in table:
-            raise UserError(f"{self._path(f'{name}.parquet')}: has no column {quantity}")
-        step, values = table["step"].to_numpy(float), table[quantity].to_numpy(float)
-        order = np.argsort(step, kind="stable")
-        return step[order], values[order]
-
-    def read_table(self, name: str) -> pd.DataFrame:
-        """Return a table, anew from its file."""
-        return self._read(f"{name}.parquet")
-
-    def _read(self, file: str) -> pd.DataFrame:
-        data = self._store.read_file(self.run_id, file)
-        try:
-            return record_table(data, file.removesuffix(".parquet")).to_pandas()
-        except ValueError as error:
-            raise UserError(f"{self._path(file)}: {error}") from None
-
-    def _path(self, file: str) -> Path:
-        return self._store.run_folder(self.run_id) / file
-
 
 class LoggedRecords(Records):
     """An imported run of a results folder.
@@ -209,11 +203,11 @@ class LoggedRecords(Records):
     windows = ("trailing-100",)
     averaged_over = TRAILING_EPISODES
 
-    @property
+    @cached_property
     def quantities(self) -> tuple[str, ...]:
         """What was logged of those that there are."""
-        logged = set(self._scalars()["name"])
-        return tuple(name for name in QUANTITIES if name in logged)
+        logged = set(self._scalars["name"])
+        return tuple(name for name in TRAINING_QUANTITIES if name in logged)
 
     def table(self, name: str) -> pd.DataFrame:
         """Return the one table there is: a row for each step that something was logged at.
@@ -221,7 +215,7 @@ class LoggedRecords(Records):
         Every point is there but those that a restart superseded, and wall-clock times. A tag that is no
         quantity is a column of its own name; of several values at one step the last counts.
         """
-        scalars = self._scalars().drop_duplicates(["step", "name"], keep="last")
+        scalars = self._scalars.drop_duplicates(["step", "name"], keep="last")
         scalars = scalars[~scalars["name"].str.startswith(WALL_CLOCK)]
         frame = scalars.pivot(index="step", columns="name", values="value")
         known = [own for own in dict.fromkeys(QUANTITY_OF_TAG.values()) if own in frame]
@@ -229,53 +223,42 @@ class LoggedRecords(Records):
         frame.columns.name = None
         return frame.rename(columns={own: own + AVERAGED for own in EPISODE_QUANTITIES}).reset_index()
 
-    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return what was last logged at or before each point of the grid, (points,).
-
-        What updates have is averaged over a twentieth of the grid, as that of runs is.
-        """
-        curve_of = update_curve if quantity in UPDATE_QUANTITIES else logged_curve
-        return curve_of(*self._series(quantity), grid, self.status.step)
-
-    def final(self, quantity: str) -> float:
-        """Return the last finite value that was logged."""
-        _, values = self._series(quantity)
-        finite = values[np.isfinite(values)]
-        return float(finite[-1]) if len(finite) else float("nan")
-
-    def signs(self) -> dict[str, list[Stretch]]:
-        """Return where the entropy, the one sign that is logged, is gone."""
-        if "entropy" not in self.quantities:
-            return {}
-        step, values = self._series("entropy")
-        return update_signs(step, {"entropy": values}, 0)
-
-    def _series(self, quantity: str) -> Series:
+    def series(self, quantity: str) -> Series:
         """Return every point of a quantity, in the order of writing."""
-        scalars = self._scalars()
+        scalars = self._scalars
         own = scalars[scalars["name"] == quantity]
         return own["step"].to_numpy(float), own["value"].to_numpy(float)
 
-    def _scalars(self) -> pd.DataFrame:
-        """Return name, step and value of every point that no restart superseded, in the order of writing."""
-        return _kept(self, "scalars")
+    def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
+        """Return what was last logged at or before each point of the grid, (points,), in single precision.
 
-    def read_table(self, name: str) -> pd.DataFrame:
-        """Return the scalars, anew."""
-        scalars = self._read(SCALARS_FILE)
+        What updates have is averaged over a twentieth of the grid, as that of runs is.
+        """
+        step, values = self.series(quantity)
+        if quantity in UPDATE_QUANTITIES:
+            return update_curve(step, values, grid, self.status.step)
+        return held_curve(step, values.astype(np.float32).astype(float), grid, self.status.step)
+
+    @cached_property
+    def _scalars(self) -> pd.DataFrame:
+        """Name, step and value of every point that no restart superseded, in the order of writing."""
+        scalars = _read(self, SCALARS_FILE)
         scalars = scalars[~scalars["superseded"].astype(bool)]
-        scalars["value"] = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
+        values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
         for tag in ONE_EPISODE:
             own = scalars["tag"] == tag
-            scalars.loc[own, "value"] = scalars["value"][own].rolling(TRAILING_EPISODES, 1).mean()
+            values[own] = values[own].rolling(TRAILING_EPISODES, 1).mean()
         plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
-        return scalars.assign(name=scalars["tag"].map(QUANTITY_OF_TAG).fillna(plain))
+        return scalars.assign(name=scalars["tag"].map(QUANTITY_OF_TAG).fillna(plain), value=values)
 
 
 @lru_cache(TABLES_KEPT)
-def _kept(records: Records, name: str) -> pd.DataFrame:
+def _read(records: Records, file: str) -> pd.DataFrame:
     """Return a table of a run, read now where it is not kept."""
-    return records.read_table(name)
+    try:
+        return record_table(records.read_file(file), file.removesuffix(".parquet")).to_pandas()
+    except ValueError as error:
+        raise UserError(f"{records.path(file)}: {error}") from None
 
 
 def told_seconds(times: Mapping[str, Any]) -> float | None:

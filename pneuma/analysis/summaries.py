@@ -1,4 +1,4 @@
-"""Summaries: what the runs of each condition come to, with intervals.
+"""Summaries: what the runs of each condition come to, with intervals; and two conditions beside each other.
 
     outcomes of every run → a tidy table: condition, outcome, statistic, value, low, high, interval, runs
 
@@ -20,7 +20,7 @@ from pneuma.analysis.estimates import (
     median,
     probability_of_improvement,
 )
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.intervals import (
     LEAST_RESAMPLED,
     LEVEL,
@@ -28,13 +28,21 @@ from pneuma.analysis.intervals import (
     Interval,
     bootstrap_interval,
     deviation_interval,
+    difference_interval,
     incidence_interval,
     mean_interval,
     no_interval,
 )
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, have_one_return, is_return, outcome_values
-from pneuma.analysis.run_view import common_step
+from pneuma.analysis.outcomes import (
+    PRIMARY,
+    find_outcome,
+    have_one_return,
+    is_return,
+    outcome_values,
+    refuse_unlike_returns,
+)
 from pneuma.config import stream_seed
+from pneuma.errors import UserError
 
 SUMMARISED = (
     PRIMARY,
@@ -97,25 +105,22 @@ def _rows(data: StudyData, condition: str, outcomes: Sequence[str], at_step: int
 def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
     generator = _generator(condition, name)
     yield condition, name, "mean", float(mean(values)), mean_interval(values), len(values)
-    for statistic, estimate in _RESAMPLED.items():
+    resampled: dict[str, Callable[..., np.ndarray]] = {"median": median, "iqm": interquartile_mean}
+    for statistic, estimate in resampled.items():
         interval = bootstrap_interval(values, estimate, generator)
         yield condition, name, statistic, float(estimate(values)), interval, len(values)
     yield condition, name, "deviation", float(deviation(values)), deviation_interval(values), len(values)
-
-
-_RESAMPLED: dict[str, Callable[..., np.ndarray]] = {"median": median, "iqm": interquartile_mean}
 
 
 def _improvement(
     data: StudyData, condition: str, name: str, values: np.ndarray, at_step: int | None
 ) -> Iterator[Row]:
     """Give the probability that a run is better than one of the baseline's, which has none itself."""
-    baseline = data.record.get("baseline")
+    baseline, found = data.record.get("baseline"), find_outcome(name)
     if condition == baseline or baseline not in data.conditions:
         return
     if data.engines(condition) != data.engines(baseline):  # no contrast mixes them
         return
-    found = find_outcome(name)
     if not found.better or found.source == "times":  # what was timed beside what is not known
         return
     if is_return(name) and not have_one_return(data, (condition, baseline)):
@@ -153,20 +158,15 @@ def _times_drawn(runs: int, generator: np.random.Generator) -> np.ndarray:
 
 def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:
     steps = outcome_values(data, condition, name, at_step)
-    steps = steps[~np.isnan(steps)]
+    steps = np.sort(steps[~np.isnan(steps)])
     if not len(steps):
         return
     reached = int(np.isfinite(steps).sum())
     interval = incidence_interval(reached, len(steps))
     yield condition, name, "reached", reached / len(steps), interval, len(steps)
-    yield condition, name, "median", _endless_median(steps), no_interval(), len(steps)
-
-
-def _endless_median(steps: np.ndarray) -> float:
-    """Return the median of steps of which some may be endless; between an end and none it is endless."""
-    ordered = np.sort(steps)
-    low, high = ordered[(len(steps) - 1) // 2], ordered[len(steps) // 2]
-    return float(high if np.isinf(high) else (low + high) / 2)
+    low, high = steps[(len(steps) - 1) // 2], steps[len(steps) // 2]
+    between = float(high if np.isinf(high) else (low + high) / 2)  # an end and none: endless
+    yield condition, name, "median", between, no_interval(), len(steps)
 
 
 def _share(condition: str, name: str, count: int, runs: int) -> Row:
@@ -181,3 +181,57 @@ def _known(values: np.ndarray) -> np.ndarray:
 def _generator(*words: str) -> np.random.Generator:
     """Return draws of a row's own, so that no row depends on which others there are."""
     return np.random.default_rng(stream_seed("summary", "/".join(words)))
+
+
+# --- Two conditions ---------------------------------------------------------------------------------
+
+COMPARED = (PRIMARY, "final-return", "auc-return")
+COMPARISON_COLUMNS = (
+    "outcome", "unit", "a", "b", "mean_a", "mean_b", "difference", "low", "high", "p_better", "seeds_a",
+    "seeds_b", "without_value",
+)  # fmt: skip
+
+
+def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = COMPARED) -> pd.DataFrame:
+    """Compare two conditions of a study, one row for each outcome, in `COMPARISON_COLUMNS`.
+
+    The interval of the difference of means is Welch's, at 95 %. `p_better` is the probability that a run
+    of a is better than one of b (ties count half), NaN for an outcome that has no better way. Runs that
+    have no value are left out and counted in `without_value`. Runs of unlike budgets are compared at the
+    last step that all reached.
+
+    Args:
+        data: the study.
+        a: a condition.
+        b: another one.
+        outcomes: names of docs/outcomes.md.
+
+    Raises:
+        UserError: for an unknown name, twice the same condition, or conditions trained by different engines.
+    """
+    if a == b:
+        raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
+    for name in outcomes:
+        refuse_unlike_returns(data, name, (a, b))
+    rows = list(_compared(data, a, b, outcomes))
+    if data.engines(a) != data.engines(b):
+        raise UserError(f"{a} and {b} were trained by different engines, which are never compared")
+    return pd.DataFrame(rows, columns=list(COMPARISON_COLUMNS))
+
+
+def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Iterator[tuple[object, ...]]:
+    at_step = common_step(data)
+    for name in outcomes:
+        found = find_outcome(name)
+        every = [outcome_values(data, condition, name, at_step) for condition in (a, b)]
+        first, second = (values[~np.isnan(values)] for values in every)
+        means = [float(values.mean()) if len(values) else np.nan for values in (first, second)]
+        told = min(len(first), len(second)) > 0
+        finite = told and np.isfinite(means).all()  # steps to a threshold may be endless
+        interval = difference_interval(first, second) if finite else no_interval()
+        sign = {"higher": 1, "lower": -1}.get(found.better, 0)
+        ranks = [np.searchsorted(np.unique([*first, *second]), values) * sign for values in (first, second)]
+        better = probability_of_improvement(*ranks) if sign and told else np.nan
+        counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
+        difference = means[0] - means[1] if finite else np.nan
+        yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.crossed import effects_table, study_effects
-from pneuma.analysis.frames import FinishedRun
+from pneuma.analysis.frames import FinishedRun, common_step
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.run_view import common_step
 from pneuma.analysis.summaries import summary_table
 from pneuma.cli.options import selecting_words
 from pneuma.cli.output import command

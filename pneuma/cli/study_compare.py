@@ -31,7 +31,7 @@ def compare(
 ) -> None:
     """Compare two conditions: the difference of their means, and how likely a run of A is better."""
     data = open_data(Store(results), name, selection, world)
-    from pneuma.analysis.comparison import compare_conditions
+    from pneuma.analysis.summaries import compare_conditions
 
     table = compare_conditions(data, a, b, outcome) if outcome else compare_conditions(data, a, b)
     if json:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +20,6 @@ from pneuma.analysis import (
     EXPORT_SUFFIXES,
     EXPORT_TABLES,
     EXPORTED_BAND,
-    PUBLISHED_TABLES,
     UPDATE_QUANTITIES,
     WINDOWS,
 )
@@ -32,7 +30,6 @@ from pneuma.cli.output import (
     draw_files,
     print_json,
     read_formats,
-    say,
     tell_written,
     write_file,
 )
@@ -52,7 +49,6 @@ from pneuma.worlds import in_world, split_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
-    from pneuma.analysis.published import PublishedTable
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 
@@ -213,11 +209,9 @@ def export(
         check_file(out, EXPORT_SUFFIXES)
     if json and printed:
         raise UserError("--json: standard output is for the table; name a file by --out")
-    data = open_data(Store(results), name, selection, world, mixed=table in PUBLISHED_TABLES)
-    from pneuma.analysis.export import encode_table, lacks_window
+    data = open_data(Store(results), name, selection, world, published=table not in ("episodes", "metrics"))
+    from pneuma.analysis.export import encode_table
 
-    if window and (lacking := lacks_window(data, window)):
-        say(f"Note: {', '.join(lacking)}: not held with the window {window}, and left out.", aside=True)
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
     encoded, rows = encode_table(data, table, form, window, band or EXPORTED_BAND)
     if printed:
@@ -239,12 +233,8 @@ def publish(
     selection: opt.Selected = None,
     world: opt.WorldName = None,
     curves: Annotated[
-        opt.Text,
-        opt.option("--curves", "NAME,…|none", "Keep curves of these quantities alone; left out: of all."),
+        opt.Text, opt.option("--curves", "NAME,…|none", "Keep curves of these quantities, not of the usual.")
     ] = None,
-    rounding: Annotated[
-        bool, opt.flag("--round", "Keep curves to a thousandth of their range: a third of the size.")
-    ] = False,
     as_: Annotated[
         opt.Text, opt.option("--as", "NAME", "Name the table: a second budget has one of its own.")
     ] = None,
@@ -265,20 +255,17 @@ def publish(
             raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
         table = in_world(as_, split_world(record["study"])[1])
         record = {**record, "study": table, "figure": table, "title": f"{record['title']}: {as_}"}
-    from pneuma.analysis.published import published_path, read_published, times_path
+    from pneuma.analysis.published import published_path, times_path
     from pneuma.analysis.publishing import encode_study, encode_times
-    from pneuma.analysis.run_index import open_study
+    from pneuma.analysis.run_index import RunIndex, open_study
 
-    path = published_path(store, record["study"])
-    own = read_published(store, record["study"]) if path.exists() else None
-    data = open_study(store, record, mixed=own is not None, others=False)
+    index, path = RunIndex(store), published_path(store, record["study"])
+    data = open_study(index, record, "own")
     new, staying = len(data.runs) - len(data.published), len(data.published)
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
-    if own:
-        _refuse_losses(data, own, path, kept)
     tell_left_out(data)
-    encoded = encode_study(data, kept, rounding, own)
+    encoded = encode_study(data, kept, index.table(data.study))
     store.write(path, encoded)
     store.write(times_path(store, data.study), encode_times(data))
     if json:
@@ -289,30 +276,8 @@ def publish(
     return None
 
 
-def _refuse_losses(data: StudyData, own: PublishedTable, path: Path, kept: Collection[str] | None) -> None:
-    """Refuse to let published runs, or curves that are not named, leave the table."""
-    leaving = own.finished - {run.run_id for run in data.runs}
-    mend = f"; or remove {path}, and publish anew what is here"
-    if leaving & {run["run_id"] for run in data.record["runs"]}:
-        raise UserError(
-            f"study {data.study}: the curves of its table have points up to step {own.budget:,}, these need "
-            f"{data.budget:,}, and not all runs of the table are here: publish those of most steps first"
-        )
-    if leaving:
-        raise UserError(
-            f"study {data.study}: {len(leaving)} published runs are not in this selection; select them too "
-            f"(--preset, --condition, --seeds){mend}"
-        )
-    dropped = [name for name in own.quantities if kept is not None and name not in kept]
-    if dropped:
-        raise UserError(
-            f"study {data.study}: curves of {', '.join(dropped)} are published, and --curves leaves them "
-            f"out; name them too{mend}"
-        )
-
-
 def _read_curves(told: str | None) -> tuple[str, ...] | None:
-    """Return the quantities named, of which `actions` is all actions' shares; None for all."""
+    """Return the quantities named, of which `actions` is all actions' shares; None for the usual."""
     if told is None:
         return None
     names = [] if told == "none" else [name.strip() for name in told.split(",")]

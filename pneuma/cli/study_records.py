@@ -53,13 +53,13 @@ def study_record(
 
 
 def open_data(
-    store: Store, name: str, selection: plan.Selection | None, world: str | None, *, mixed: bool = True
+    store: Store, name: str, selection: plan.Selection | None, world: str | None, published: bool = True
 ) -> StudyData:
-    """Open a study's data, as `open_study` does, and say how many runs of the selection are left out."""
+    """Open a study's data, published or not, and say how many runs of the selection are left out."""
     record = study_record(store, name, selection, world)
     from pneuma.analysis.run_index import open_study
 
-    data = open_study(store, record, mixed=mixed)
+    data = open_study(store, record, "all" if published else "none")
     tell_left_out(data)
     return data
 
@@ -155,12 +155,9 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     if (store.root / "published").is_dir():
         from pneuma.analysis.run_index import RunIndex
 
-        index = RunIndex(store)
-        found, _ = index.of_record(record, others=False)
-        here = {run_id: index(run_id).status for run_id in found}
+        found = RunIndex(store).of_record(record, "own")
         taken = {run_id: own.status for run_id, own in found.items() if own.published}
-    else:
-        here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
+    here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     states = []
     for run in record["runs"]:
         own, run_id = here[run["run_id"]], run["run_id"]

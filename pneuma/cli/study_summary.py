@@ -48,13 +48,13 @@ def summary(
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
     data = open_data(Store(results), name, selection, world)
-    from pneuma.analysis.run_view import common_step, ends_before
+    from pneuma.analysis.frames import common_step
     from pneuma.analysis.summaries import summary_table
 
     table = summary_table(data, outcome) if outcome else summary_table(data)
     if json:
         step = common_step(data)
-        left_out = [run.run_id for run in data.runs if ends_before(run, step)]
+        left_out = [run.run_id for run in data.runs if run.ends_before(step)]
         document = {"schema": 1, "study": data.study, "at_step": step, "left_out": left_out}
         return print_json({**document, "summary": records(table)})
     print(plain(data.title))
@@ -68,7 +68,7 @@ def summary(
 
 def tell_step(data: StudyData) -> None:
     """Say at what step runs of unlike budgets are compared."""
-    from pneuma.analysis.run_view import common_step, step_words
+    from pneuma.analysis.frames import common_step, step_words
 
     if step := common_step(data):
         print(f"Budgets are unlike: all as they stood at {step:,} steps, {plain(step_words(data))}.")
@@ -129,8 +129,8 @@ def _print_statistics(data: StudyData, table: pd.DataFrame, asked: Sequence[str]
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:
     """Say why no run of a condition has a value."""
+    from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import reason
-    from pneuma.analysis.run_view import common_step
 
     runs = data.of_condition(condition)
     return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
@@ -169,7 +169,7 @@ def collapse(
     if idle := next((option for option, given in of_forks.items() if given and not fork), None):
         raise UserError(f"--{idle}: goes with --fork alone")
     store = Store(results)
-    data = open_data(store, name, selection, world, mixed=not fork)
+    data = open_data(store, name, selection, world, published=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found, shares = diagnoses(data), incidence(data)
@@ -246,7 +246,7 @@ def effects(
     """Test the main effects and two-way interactions of a crossed study's factors."""
     data = open_data(Store(results), name, selection, world)
     from pneuma.analysis.crossed import effects_table, study_effects
-    from pneuma.analysis.run_view import common_step
+    from pneuma.analysis.frames import common_step
 
     found = study_effects(data, outcome)
     table = effects_table(found)
@@ -310,8 +310,8 @@ def robustness(
     setting, better, worse = _read_contrast(contrast)
     data = open_data(Store(results), name, selection, world)
     from pneuma.analysis.crossed import map_table, robustness_map
+    from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import find_outcome
-    from pneuma.analysis.run_view import common_step
 
     found = robustness_map(data, setting, better, worse, outcome)
     files = []

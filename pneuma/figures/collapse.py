@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
-from pneuma.analysis.frames import FinishedRun, StudyData
-from pneuma.analysis.run_view import Series, common_step, view
-from pneuma.analysis.signs import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
+from pneuma.analysis.frames import FinishedRun, StudyData, common_step, view
+from pneuma.analysis.records import Series
+from pneuma.analysis.series import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
 from pneuma.errors import UserError
 from pneuma.figures import panels, style
 from pneuma.figures.style import GREY, INK
@@ -145,7 +145,7 @@ def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
         told.append("Of a fork its parent's best is not known: a fall from that is not seen.")
     if common_step(data):
         told.append("Budgets are unlike: each run is looked at over its own.")
-    endless = any(data.settings(run).get("xp_scope") != "episode" for run in data.runs)
+    endless = any(run.fields.get("xp_scope") != "episode" for run in data.runs)
     sunk = " or at a return below zero after one above," if endless else ""
     told.append(
         f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "

@@ -21,9 +21,8 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.bands import BANDS, is_trusted
 from pneuma.analysis.curves import Curve, LogCurve, curve_names, shared_levels, study_curves
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import have_one_return
-from pneuma.analysis.run_view import common_step, step_words
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError
 from pneuma.figures import panels, style

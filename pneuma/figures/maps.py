@@ -13,9 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.run_view import common_step, step_words
 from pneuma.errors import UserError
 from pneuma.figures.panels import headline_of, label_rows, notes_of, put_texts, round_ticks, runs_told
 from pneuma.figures.style import COLOURS, GREY, INK, house_style, save_figure

@@ -58,7 +58,7 @@ def title_of(data: StudyData) -> str:
     changed = ", ".join(f"{key} = {shown_value(value)}" for key, value in changed_fields(data).items())
     told = data.title.removesuffix(f" ({data.world})") + (f" ({changed})" if changed else "")
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
-    read = {str(data.settings(run).get(key, "")) for run in data.runs for key in ("level", "characters")}
+    read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
     titles = [world.title for world in WORLDS.values() if [world.env] == data.environments]
     return f"{told} in {titles[0]}" if titles and read <= shipped else told
 
@@ -85,7 +85,7 @@ def notes_of(data: StudyData, returns: bool = False) -> list[str]:
         told.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
     if returns and not have_one_return(data):
         told.append("Returns of unlike rewards, or of more players, cannot be compared.")
-    parents = {data.settings(run).get("parent") for run in data.runs} - {None, ""}
+    parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
     if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
         told.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
     if absent := [name for name in data.conditions if not data.of_condition(name)]:

@@ -191,7 +191,8 @@ def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[D
     if more in data.quantities:
         yield drawn(data, quantities=(more,))
     if logs:
-        yield drawn(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=BESIDE_QUANTITIES)
+        held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
+        yield drawn(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=held)
 
 
 def _others(data: StudyData, folder: Path) -> Iterator[Drawn]:

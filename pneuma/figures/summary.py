@@ -18,9 +18,8 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, shared_levels
 from pneuma.analysis.estimates import performance_profile
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
-from pneuma.analysis.run_view import common_step, step_words
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import panels, style
 from pneuma.figures.panels import FEW_RUNS

@@ -128,7 +128,7 @@ class Outcomes:
         if self.diverged(cell) and np.isfinite(worst):
             return float(worst)
         record = selection_record(make_trial_plan(self._task, [cell]))
-        data = open_study(self._store, record, mixed=False)
+        data = open_study(self._store, record, "none")
         return outcome(data, data.runs[0], name)
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.analysis import signs
-from pneuma.analysis.collapse import Diagnosis, diagnose, incidence
+from pneuma.analysis import series
+from pneuma.analysis.collapse import Diagnosis, both, diagnose, incidence, joined, share_held
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_index import open_study
@@ -173,7 +173,7 @@ def test_of_a_fork_it_is_said_that_a_fall_from_what_its_parent_had_cannot_be_see
     cells = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8}
     data = open_study(store, collapse_record(cells, {name: {"fork_step": 100} for name in "ab"}))
     low, recovered = (diagnose(data, run) for run in data.runs)
-    assert (low.collapsed, low.unseen) == (False, (signs.FALL,))
+    assert (low.collapsed, low.unseen) == (False, (series.FALL,))
     assert recovered.recovered_step is not None and recovered.relearned is None
     fell = diagnosed(tmp_path / "whole", healthy(), after(learning(0.1), 1, 0.1))
     assert fell.unseen == ()
@@ -224,10 +224,10 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write
 
 def test_stretches_by_hand() -> None:
     step = np.array([10, 20, 30, 40, 50])
-    assert signs.stretches(step, np.array([True, True, False, True, False])) == [(10, 20), (40, 40)]
-    assert signs.both([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
-    assert signs.joined([(40, 50), (10, 20), (25, 30)], gap=5) == [(10, 30), (40, 50)]
-    assert signs.share_held([(10, 20)], (10, 40), distance=10) == 0.5
+    assert series.stretches(step, np.array([True, True, False, True, False])) == [(10, 20), (40, 40)]
+    assert both([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
+    assert joined([(40, 50), (10, 20), (25, 30)], gap=5) == [(10, 30), (40, 50)]
+    assert share_held([(10, 20)], (10, 40), distance=10) == 0.5
 
 
 @pytest.mark.parametrize(
@@ -242,4 +242,4 @@ def test_stretches_by_hand() -> None:
 def test_a_policy_that_only_casts_spells_has_one_action(shares: list[float], held: bool) -> None:
     step = np.array([100.0, 200.0, 300.0])
     columns = {f"action_{i}": np.full(3, own) for i, own in enumerate(shares)}
-    assert signs.update_signs(step, columns, 5)[signs.ONE_ACTION] == ([(100.0, 300.0)] if held else [])
+    assert series.update_signs(step, columns)[series.ONE_ACTION] == ([(100.0, 300.0)] if held else [])

@@ -15,7 +15,8 @@ from pneuma.analysis.export import encode_table
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import RESAMPLES, shown_with_interval
 from pneuma.analysis.run_index import open_study
-from pneuma.analysis.summaries import _improvement_interval, summary_table
+from pneuma.analysis.summaries import _improvement_interval, compare_conditions, summary_table
+from pneuma.errors import UserError
 from pneuma.study.store import Store
 
 from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
@@ -148,3 +149,30 @@ def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(dat
 )
 def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) -> None:
     assert shown_with_interval(*numbers) == expected
+
+
+# --- Two conditions ---------------------------------------------------------------------------------
+
+ARMS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.1, 0.3, 0.3, 0.45)}
+
+
+def test_means_their_difference_and_who_is_better(tmp_path: Path) -> None:
+    (row,) = compare_conditions(study(tmp_path, ARMS), "a", "b", ["final-share-killed"]).to_dict("records")
+    welch = stats.ttest_ind(ARMS["a"], ARMS["b"], equal_var=False).confidence_interval(0.95)
+    assert (row["mean_a"], row["mean_b"]) == (pytest.approx(0.5), pytest.approx(0.2875))
+    assert row["difference"] == pytest.approx(0.2125)
+    assert (row["low"], row["high"]) == (pytest.approx(welch.low), pytest.approx(welch.high))
+    assert row["p_better"] == pytest.approx((1 + 3 + 4 + 4) / 16)  # how many of b each of a's runs beats
+    assert (row["seeds_a"], row["seeds_b"], row["without_value"]) == (4, 4, 0)
+
+
+def test_steps_that_never_end_have_no_mean_but_an_order(tmp_path: Path) -> None:
+    (row,) = compare_conditions(study(tmp_path, ARMS), "a", "b", ["steps-to:0.5"]).to_dict("records")
+    assert row["mean_b"] == float("inf") and row["difference"] != row["difference"]
+    assert row["p_better"] == pytest.approx((2 * 4 + 2 * 4 * 0.5) / 16)  # two of a's runs get there
+
+
+@pytest.mark.parametrize(("b", "words"), [("a", "one condition"), ("c", "unknown condition")])
+def test_what_cannot_be_compared_is_refused(tmp_path: Path, b: str, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        compare_conditions(study(tmp_path, ARMS), "a", b)

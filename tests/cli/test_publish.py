@@ -35,15 +35,12 @@ def test_publishing_says_where_and_how_much_and_what_is_gone_here_stays(results:
 
 
 def test_nothing_published_leaves_the_table(results: Path) -> None:
-    """Neither runs, nor curves, nor what a table that cannot be read may have held."""
+    """Neither runs, nor what a table that cannot be read may have held."""
     path = results / "published" / "activation.parquet"
     whole = path.read_bytes()
-    for options, words in (
-        (("--condition", "relu"), "2 published runs are not in this selection"),
-        (("--curves", "length,return"), "are published, and --curves leaves them out"),
-    ):
-        assert words in refused("study", "publish", "activation", *options, "--results", results)
-        assert path.read_bytes() == whole
+    told = refused("study", "publish", "activation", "--condition", "relu", "--results", results)
+    assert "has runs that are not of this selection" in told
+    assert path.read_bytes() == whole
     path.write_bytes(whole[:-9])
     assert "damaged" in refused("study", "publish", "activation", "--results", results)
     assert path.read_bytes() == whole[:-9]
@@ -120,7 +117,7 @@ def test_what_a_clone_cannot_do_is_one_line(results: Path) -> None:
         shutil.rmtree(results / folder)
     export = ("export", "activation", "--out", "-", "--table")
     for words, told in (
-        ((*export, "metrics"), "the published table holds no metrics; there are evaluations, curves"),
+        ((*export, "metrics"), "no run of this selection of study activation has finished"),
         ((*export, "curves", "--json"), "name a file by --out"),
         (("plot", "activation", "--steps", "9_000"), "no run of this selection of study activation has"),
         (("publish", "activation"), "its runs are not in"),

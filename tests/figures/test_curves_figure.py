@@ -191,5 +191,5 @@ def test_imported_logs_say_what_was_averaged_and_where_they_end(
     (axes,) = drawn[0].axes
     assert axes.get_ylabel() == "Return, mean of 100 episodes"
     assert legend(drawn[0]) == ["small (n = 2, 1 at the end)"]
-    with pytest.raises(UserError, match="window budget-5% cannot be had"):
+    with pytest.raises(UserError, match="unknown window of study logs"):
         settle(data, window="budget-5%")

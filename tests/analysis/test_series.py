@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.analysis.windows import episode_curve, logged_curve, make_grid, update_curve
+from pneuma.analysis.series import episode_curve, held_curve, make_grid, update_curve
 
 NAN = float("nan")
 GRID = make_grid(200)  # 1, 2, … 200; a twentieth is 10
@@ -51,5 +51,5 @@ def test_a_return_that_is_not_finite_blanks_its_own_window_alone() -> None:
 
 
 def test_a_logged_nan_is_a_blank_until_the_next_entry() -> None:
-    curve = logged_curve(np.array([10.0, 20.0, 30.0]), np.array([1.0, NAN, 2.0]), GRID, 200)
+    curve = held_curve(np.array([10.0, 20.0, 30.0]), np.array([1.0, NAN, 2.0]), GRID, 200)
     np.testing.assert_equal(_at(curve, 19, 20, 29, 30), [1, NAN, NAN, 2])

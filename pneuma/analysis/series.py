@@ -1,0 +1,158 @@
+"""What one run's rows come to: curves on a grid of steps, and where signs of collapse hold.
+
+Every function takes values by the step at which they were had. A curve is (points,) values, NaN where there
+is none: nothing is taken from after a point, and nothing is extrapolated past the run's end. A sign of
+collapse is kept as the stretches of updates over which it holds, which is short enough to be published.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pneuma.analysis import ACTION_QUANTITIES
+
+GRID_POINTS = 200
+WINDOW_POINTS = 10
+"""A twentieth of the grid: the window of a training curve."""
+TRAILING_EPISODES = 100
+HUGE = 1e6
+"""Up to which a running total of a run's values still has all their digits that are ever drawn."""
+EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax}
+"""Quantities of which an extreme is kept, as means would hide it, and which."""
+
+
+def make_grid(budget_steps: int) -> np.ndarray:
+    """Return the grid of a budget: `GRID_POINTS` even steps up to it, (points,)."""
+    return budget_steps * np.arange(1, GRID_POINTS + 1) / GRID_POINTS
+
+
+def episode_curve(
+    step: np.ndarray,
+    values: np.ndarray,
+    grid: np.ndarray,
+    *,
+    trailing: bool,
+    from_step: float,
+    end: int,
+) -> np.ndarray:
+    """Return, at each t of the grid, the mean of the episodes that ended in the window before t.
+
+    Args:
+        step: (episodes,) where each ended, not decreasing.
+        values: (episodes,) what is averaged.
+        grid: (points,).
+        trailing: whether the window is the last 100 episodes, in single precision as a logger has it,
+            and not the last twentieth of the grid.
+        from_step: where every slot has finished an episode; the curve is blank before.
+        end: agent steps that the run trained; blank after.
+    """
+    first, last = _window(step, grid)
+    if trailing:
+        first = np.maximum(last - TRAILING_EPISODES, 0)
+    curve = _means(values, first, last, (last > first) & (grid >= from_step) & (grid <= end))
+    return _single(curve) if trailing else curve
+
+
+def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int) -> np.ndarray:
+    """Return, at each t, the mean of the updates in the last twentieth before t, or the last one's value.
+
+    An update stands for all steps since the one before it, so a window without any is no gap. An
+    update whose value is not finite counts as none. Values are in single precision, which is what a
+    published table keeps of them.
+    """
+    step, values = step[np.isfinite(values)], values[np.isfinite(values)]
+    first, last = _window(step, grid)
+    first = np.minimum(first, np.maximum(last - 1, 0))
+    return _single(_means(values, first, last, (last > 0) & (grid <= end)))
+
+
+def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, take: np.ufunc) -> np.ndarray:
+    """Return, at each t, the extreme of the updates since the point before, NaN where there was none.
+
+    Values that are not finite count as none; those past the grid's end belong to its last point.
+    """
+    curve = np.full(grid.shape, np.nan)
+    finite = np.isfinite(values)
+    places = np.minimum(np.searchsorted(grid, step[finite], side="left"), len(grid) - 1)
+    take.at(curve, places, values[finite])
+    return _single(curve)
+
+
+def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int) -> np.ndarray:
+    """Return, at each t, the last value at or before t; one that is NaN or infinite is a blank."""
+    held = np.concatenate([[np.nan], values])[np.searchsorted(step, grid, side="right")]
+    return np.where(np.isfinite(held) & (grid <= end), held, np.nan)
+
+
+def _single(curve: np.ndarray) -> np.ndarray:
+    return curve.astype(np.float32).astype(float)
+
+
+def _window(step: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the window of each point begins and ends among a run's values."""
+    before = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
+    # what was had at or before t
+    return np.searchsorted(step, before, side="right"), np.searchsorted(step, grid, side="right")
+
+
+def _means(values: np.ndarray, first: np.ndarray, last: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the mean of the values of each window, NaN where it is not valid.
+
+    By differences of a running total; but beside a value that is huge, or not finite, that would lose all the
+    others from there on.
+    """
+    if len(values) and not np.abs(values).max() <= HUGE:
+        sums = np.array([values[a:b].sum() for a, b in zip(first, last, strict=True)])
+    else:
+        total = np.concatenate([[0.0], np.cumsum(values)])
+        sums = total[last] - total[first]
+    return np.divide(sums, last - first, out=np.full(sums.shape, np.nan), where=valid)
+
+
+# --- Signs of collapse -----------------------------------------------------------------------------
+
+NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL = "no entropy", "one action", "dead units", "fall"
+LOSS = "return below zero"
+SIGNS = (NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL, LOSS)
+"""What thesis section 6.1 describes; the last two show in evaluations and in returns, not in updates."""
+
+LEAST_ENTROPY = 0.1
+"""Nats; of the 1.6 of five equal actions. Thesis 6.1: "the agent had 0 entropy". One action then has a
+probability of 0.985 or more where the others share the rest."""
+MOST_OF_ONE = 0.95
+"""Share of a rollout's actions. Thesis 6.1: the agent "always picked a single state"."""
+MOST_DEAD = 0.5
+"""Share of hidden units, actor and critic together, that are constant over a rollout."""
+
+Stretch = tuple[float, float]
+"""Step of the first and of the last update over which a sign holds."""
+
+
+def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[str, list[Stretch]]:
+    """Return where each sign holds that the columns tell of.
+
+    Args:
+        step: (updates,) rising.
+        columns: (updates,) each: entropy, dead_units, `ACTION_QUANTITIES`; a NaN is no sign, and one that is
+            NaN throughout, as entropy is where values of actions are learned, tells nothing.
+    """
+    columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    held: dict[str, np.ndarray] = {}
+    if "entropy" in columns:
+        held[NO_ENTROPY] = columns["entropy"] < LEAST_ENTROPY
+    if {*ACTION_QUANTITIES} <= {*columns}:
+        shares = np.array([columns[name] for name in ACTION_QUANTITIES])  # (actions, updates)
+        others = 1 - shares.sum(axis=0)  # of the two spells, which have no columns, together
+        held[ONE_ACTION] = np.maximum(shares.max(axis=0), others) >= MOST_OF_ONE
+    if "dead_units" in columns:
+        held[DEAD_UNITS] = columns["dead_units"] >= MOST_DEAD
+    return {sign: stretches(step, holds) for sign, holds in held.items()}
+
+
+def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
+    """Return first and last step of every unbroken stretch over which something holds."""
+    edges = np.diff(np.concatenate([[False], holds, [False]]).astype(int))
+    firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    return [(float(step[first]), float(step[last])) for first, last in zip(firsts, lasts, strict=True)]
