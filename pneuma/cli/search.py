@@ -363,7 +363,8 @@ def _refuse_untrusted(winner: Winner, name: str) -> None:
     from pneuma.study.identity import own_things
 
     task = winner.searched.task
-    for settings in (task.search.space.fixed, winner.trial.settings):
+    space = task.search.space
+    for settings in (space.fixed, space.fields(winner.trial.params)):
         for key, deed in own_things(settings).items():
             if key in task.over or not name.endswith(".toml"):
                 raise UserError(f"search {task.search.name} would {deed}: say so in its file, and name that")

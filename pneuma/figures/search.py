@@ -6,22 +6,21 @@ import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import optuna
 from matplotlib import RcParams, style
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
+from optuna.exceptions import ExperimentalWarning
 from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.visualization import matplotlib as plots
 
 from pneuma.errors import counted
 from pneuma.figures.style import CAPTION, TYPE_POINTS, house_style, save_figure
-from pneuma.search.optuna_study import create_study, frozen_trials
+from pneuma.search.optuna_study import ended_study
 from pneuma.search.storage import Searched
 
 PAGE_INCHES = 7.0
@@ -63,7 +62,7 @@ def _plotting() -> Iterator[None]:
     style.library["ggplot"] = RcParams()
     try:
         with house_style(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            warnings.simplefilter("ignore", ExperimentalWarning)
             plt.rcParams["figure.constrained_layout.use"] = True
             yield
     finally:
@@ -72,34 +71,24 @@ def _plotting() -> Iterator[None]:
 
 def _plot(name: str, searched: Searched) -> Any:
     """Return the axes of one of Optuna's plots; None where the trials are not enough for it."""
+    search, trials = searched.task.search, searched.trials
     if name == "front":
-        several = len(searched.task.search.objectives) == 2
-        return plots.plot_pareto_front(_study(searched)) if several else None
-    study, sought = _study(searched, first_alone=True), searched.task.search.objectives[0]
-    target = f"{sought.outcome}, {sought.over_seeds}"
+        return plots.plot_pareto_front(ended_study(trials, search)) if len(search.objectives) == 2 else None
+    study = ended_study(trials, search, objectives=1)
+    target = f"{search.objectives[0].outcome}, {search.objectives[0].over_seeds}"
     if name == "history":
         return plots.plot_optimization_history(study, target_name=target)
     if name == "slices":
         return plots.plot_slice(study, target_name=target)
     if name == "parallel":
         return plots.plot_parallel_coordinate(study, target_name=target)
-    values = sorted(trial.values[0] for trial in searched.trials if trial.state == "complete")
-    if sought.direction == "maximize":
+    values = sorted(trial.values[0] for trial in trials if trial.state == "complete")
+    if search.objectives[0].direction == "maximize":
         values.reverse()
     share = max(BEST_SHARE, BEST_TRIALS / len(values))
     if len(values) < LEAST_TRIALS or values[math.ceil(share * len(values)) - 1] == values[-1]:
         return None
     return plots.plot_param_importances(study, evaluator=PedAnovaImportanceEvaluator(target_quantile=share))
-
-
-def _study(searched: Searched, first_alone: bool = False) -> optuna.Study:
-    """Return a search as Optuna has it; or as if its first objective were the only one."""
-    search = searched.task.search
-    count = 1 if first_alone else len(search.objectives)
-    named = [replace(own, name=f"{own.outcome}, {own.over_seeds}") for own in search.objectives[:count]]
-    study = create_study(named, search.name)
-    study.add_trials(frozen_trials(searched.trials, search.space, count))
-    return study
 
 
 def _lay_out(figure: Figure, name: str, parameters: int) -> None:

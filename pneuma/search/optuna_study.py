@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.exceptions import ExperimentalWarning
 from optuna.pruners import MedianPruner, NopPruner
 from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
 from optuna.storages.journal import JournalFileBackend
@@ -23,11 +24,11 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import stream_seed
-from pneuma.search.space import Parameter, Params, Range, Space
-from pneuma.search.spec import Objective
+from pneuma.search.space import Parameter, Range
+from pneuma.search.spec import Search
 
 if TYPE_CHECKING:
-    from pneuma.search.trials import Task, Told
+    from pneuma.search.trials import Told
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
@@ -38,50 +39,33 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 
 
 def create_study(
-    objectives: Sequence[Objective],
-    name: str,
-    storage: optuna.storages.BaseStorage | None = None,
-    pruner: Mapping[str, Any] | None = None,
+    search: Search, objectives: int | None = None, storage: optuna.storages.BaseStorage | None = None
 ) -> optuna.Study:
-    """Return a study without trials: in memory, or in a storage; its pruner as its options say."""
-    chosen = (
-        MedianPruner(pruner["startup_trials"], n_warmup_steps=0, interval_steps=1, n_min_trials=1)
-        if pruner and pruner["name"]
-        else NopPruner()
+    """Return a study without trials, of the first so many objectives: in memory, or in a storage."""
+    sought, pruner = search.objectives[:objectives], search.pruner
+    study = optuna.create_study(
+        storage=storage or optuna.storages.InMemoryStorage(),
+        sampler=RandomSampler(seed=0),
+        pruner=MedianPruner(pruner["startup_trials"], n_min_trials=1) if pruner["name"] else NopPruner(),
+        study_name=search.name,
+        directions=[StudyDirection[own.direction.upper()] for own in sought],
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        study = optuna.create_study(
-            storage=storage or optuna.storages.InMemoryStorage(),
-            sampler=RandomSampler(seed=0),
-            pruner=chosen,
-            study_name=name,
-            directions=[StudyDirection[own.direction.upper()] for own in objectives],
-        )
-        study.set_metric_names([own.name for own in objectives])
+    with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        study.set_metric_names([f"{own.outcome}, {own.over_seeds}" for own in sought])
     return study
 
 
 def ask(
-    study: optuna.Study, space: Space, sampler: Mapping[str, Any], stream: str, start: Sequence[Params]
+    study: optuna.Study, search: Search, first_trials: Sequence[Mapping[str, Any]]
 ) -> tuple[optuna.Trial, dict[str, Any]]:
-    """Ask for the next trial; return it, and its parameters.
-
-    Args:
-        study: as `create_study` makes it, in memory.
-        space: what is searched.
-        sampler: its options.
-        stream: what keys the seeds of the samplers.
-        start: parameters of the first trials.
-    """
+    """Ask a study in memory for the next trial; return it, and its parameters."""
     number = len(study.get_trials(deepcopy=False))
-    if number < len(start):
-        study.enqueue_trial(dict(start[number]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        study.sampler = _sampler(sampler, stream_seed(stream, "sampler", number) % 2**32)
+    if number < len(first_trials):
+        study.enqueue_trial(dict(first_trials[number]))
+    with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        study.sampler = _sampler(search.sampler, stream_seed(search.name, "sampler", number) % 2**32)
         trial = study.ask()
-        return trial, space.ask(lambda parameter: _suggest(trial, parameter))
+        return trial, search.space.ask(lambda parameter: _suggest(trial, parameter))
 
 
 def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
@@ -93,22 +77,11 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     return trial.suggest_float(parameter.name, domain.low, domain.high, log=domain.log)
 
 
-def distribution(parameter: Parameter) -> BaseDistribution:
-    """Return what a parameter's values are drawn from."""
-    domain = parameter.domain
-    if not isinstance(domain, Range):
-        return CategoricalDistribution(tuple(domain.settings_of))
-    if domain.whole:
-        return IntDistribution(int(domain.low), int(domain.high), log=domain.log)
-    return FloatDistribution(domain.low, domain.high, log=domain.log)
-
-
 def _sampler(options: Mapping[str, Any], seed: int) -> BaseSampler:
     """Make a sampler with every argument that changes what it suggests stated."""
-    name = options["name"]
-    if name == "random":
+    if options["name"] == "random":
         return RandomSampler(seed=seed)
-    if name == "nsga-ii":
+    if options["name"] == "nsga-ii":
         return NSGAIISampler(
             population_size=options["population"],
             mutation_prob=options["mutation"],
@@ -129,24 +102,44 @@ def _sampler(options: Mapping[str, Any], seed: int) -> BaseSampler:
 # --- Showing --------------------------------------------------------------------------------------
 
 
-def new_journal(path: Path, task: Task) -> optuna.Study:
+def ended_study(told: Iterable[Told], search: Search, objectives: int | None = None) -> optuna.Study:
+    """Return a study in memory of trials that have ended, with the values of the first so many objectives.
+
+    Raises:
+        ValueError: for a parameter or a value that the search cannot have had.
+    """
+    study = create_study(search, objectives)
+    study.add_trials(frozen_trials(told, search, objectives))
+    return study
+
+
+def new_journal(path: Path, search: Search) -> optuna.Study:
     """Return a study without trials that writes a journal file, in place of what is there."""
     for old in (path, Path(f"{path}.lock")):
         old.unlink(missing_ok=True)
-    storage = optuna.storages.JournalStorage(JournalFileBackend(str(path)))
-    return create_study(task.search.objectives, f"{task.search.name}-{task.digest}", storage)
+    return create_study(search, storage=optuna.storages.JournalStorage(JournalFileBackend(str(path))))
 
 
-def frozen_trials(told: Iterable[Told], space: Space, objectives: int) -> list[FrozenTrial]:
-    """Return trials that have ended as Optuna has them, with the values of so many objectives."""
+def frozen_trials(told: Iterable[Told], search: Search, objectives: int | None = None) -> list[FrozenTrial]:
+    """Return trials that have ended as Optuna has them."""
+    parameters = {parameter.name: _distribution(parameter) for parameter in search.space.parameters}
     return [
         create_trial(
             state=STATES[trial.state],
             values=list(trial.values[:objectives]) if trial.state == "complete" else None,
             params=dict(trial.params),
-            distributions={name: distribution(space.parameter(name)) for name in trial.params},
+            distributions={name: parameters[name] for name in trial.params},
             user_attrs={"runs": list(trial.run_ids), "note": trial.note},
             intermediate_values=dict(trial.rungs),
         )
         for trial in told
     ]
+
+
+def _distribution(parameter: Parameter) -> BaseDistribution:
+    domain = parameter.domain
+    if not isinstance(domain, Range):
+        return CategoricalDistribution(tuple(domain.settings_of))
+    if domain.whole:
+        return IntDistribution(int(domain.low), int(domain.high), log=domain.log)
+    return FloatDistribution(domain.low, domain.high, log=domain.log)

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os.path import commonprefix
 from typing import Any
 
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import Run, as_fields, env_config, make_run
+from pneuma.config import as_fields, env_config, make_run
 from pneuma.errors import UserError
+from pneuma.search.space import Space
 from pneuma.search.spec import Budget
 from pneuma.search.storage import Outcomes, Searched
 from pneuma.search.trials import Task, Told, objective_value
 from pneuma.study.plan import Plan
-from pneuma.study.spec import join_fields, unread_fields
+from pneuma.study.spec import unread_fields
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
 
@@ -72,17 +73,20 @@ def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequen
     if len({*names}) < len(names):
         raise UserError(f"{', '.join(names)}: name each search once")
     start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""
-    short = [name[len(start) + 1 :] if start else name for name in names]
-    _check_alike(searches)
-    for searched in searches:
+    first = _conditions(searches[0])
+    for name, searched in zip(names, searches, strict=True):
+        own = _conditions(searched)
+        if unlike := [key for key in {**first, **own} if first.get(key, ...) != own.get(key, ...)]:
+            told = f"{names[0]} and {name} are not tuned alike: {', '.join(unlike)} differ"
+            raise UserError(f"searches {told}; run both the same")
         if seen := sorted({*seeds} & {*searched.task.budget.seeds}):
             told = ", ".join(map(str, seen))
             raise UserError(
                 f"--seeds: the search was run on {told}; give seeds that it never saw, as --seeds 10"
             )
     return [
-        Winner(searched, _trial(searched, number), name)
-        for searched, name in zip(searches, short, strict=True)
+        Winner(searched, _trial(searched, number), name[len(start) + 1 :] if start else name)
+        for searched, name in zip(searches, names, strict=True)
     ]
 
 
@@ -101,24 +105,12 @@ def _trial(searched: Searched, number: int | None) -> Told:
     raise UserError(f"{asked}no complete trial of search {search.name}; `pneuma search status` lists them")
 
 
-def _check_alike(searches: Sequence[Searched]) -> None:
-    first, *others = map(_conditions, searches)
-    for searched, other in zip(searches[1:], others, strict=True):
-        if unlike := [key for key in {**first, **other} if first.get(key, ...) != other.get(key, ...)]:
-            told = f"{searches[0].task.search.name} and {searched.task.search.name}"
-            raise UserError(
-                f"searches {told} are not tuned alike: {', '.join(unlike)} differ; run both the same"
-            )
-
-
 def _conditions(searched: Searched) -> dict[str, Any]:
     """Return what must be the same of searches whose winners are compared."""
     search, budget = searched.task.search, searched.task.budget
-    run = _run(searched, search.space.fixed)
-    varied = {key for parameter in search.space.parameters for key in parameter.keys}
-    world = {key: value for key, value in as_fields(env_config(run)).items() if key not in varied}
+    run = search.space.make_run({})
     return {
-        **world,
+        **{key: value for key, value in asdict(env_config(run)).items() if key not in search.space.keys},
         "env": run.env,
         "engine": run.engine,
         "base": search.space.base,
@@ -136,8 +128,8 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     """Return a study file of winners, each beside its search's base, with their lineage as comments."""
     tables = {}
     for own in winners:
-        tables[own.name] = _settings_that_count(own.searched, own.searched.task.search.space.fixed)
-        tables[own.tuned] = _settings_that_count(own.searched, own.trial.settings)
+        tables[own.name] = _read_fields(own.searched.task.search.space, {})
+        tables[own.tuned] = _read_fields(own.searched.task.search.space, own.trial.params)
     shared = {
         key: value
         for key, value in tables[winners[0].name].items()
@@ -185,14 +177,11 @@ def _toml(value: Any) -> str:
     return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
 
 
-def _settings_that_count(searched: Searched, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of a condition's settings that its algorithm and optimizer read; no study has others."""
-    unread = unread_fields([_run(searched, settings)], settings)
-    return {key: value for key, value in settings.items() if key not in unread}
-
-
-def _run(searched: Searched, settings: Mapping[str, Any]) -> Run:
-    return make_run(join_fields(searched.task.search.space.base, settings))
+def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a condition sets and its algorithm and optimizer read; no study may set other fields."""
+    given = space.fields(params)
+    unread = unread_fields([space.make_run(params)], given)
+    return {key: value for key, value in given.items() if key not in unread}
 
 
 # --- What was gained -------------------------------------------------------------------------------

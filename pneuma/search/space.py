@@ -10,35 +10,21 @@ import json
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
-
-from annotated_types import MinLen
+from typing import Any
 
 from pneuma.config import ENVIRONMENTS, FORK_FIELDS, Run, as_fields, make_run, read_field, read_fields
 from pneuma.env_fields import ENVIRONMENT_FIELDS
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import FieldsOf, Table, TomlFile, Where, read_model, shown
+from pneuma.schema import FieldsOf, Table, TomlFile, Where, shown
 from pneuma.study.spec import does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
 FIXABLE = FieldsOf(Run, {"seed": "a preset", "steps": "a preset"} | dict.fromkeys(FORK_FIELDS, "`run fork`"))
 """Fields of a run that a search may fix for all its trials."""
-SETTABLE = FieldsOf(Run, {**FIXABLE.elsewhere, "engine": "[run]"})
+SEARCHABLE = tuple(name for name in FIXABLE.names if name != "engine")
 """Those that it may vary."""
-Params = Mapping[str, Any]
-"""What is suggested for a trial: numbers, and the names of choices."""
-
-
 CORNERS = 256
 """Trials that a space is tried with before any is trained."""
-
-
-class Unsound(UserError):
-    """What is wrong with a space, and at which table and key of the file."""
-
-    def __init__(self, message: str, where: tuple[str, ...], key: str = "") -> None:
-        super().__init__(message)
-        self.where, self.key = where, key
 
 
 @dataclass(frozen=True)
@@ -135,15 +121,21 @@ class Space:
     fixed: Mapping[str, Any]
     base: str
 
+    @property
+    def keys(self) -> frozenset[str]:
+        """Return the fields of the run that parameters set."""
+        return frozenset(key for parameter in self.parameters for key in parameter.keys)
+
     def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:
         """Have a value suggested for every parameter that counts; return them by name."""
+        usual = self._usual_fields(self.base)
         params: dict[str, Any] = {}
         for parameter in self.parameters:
-            if parameter.counts(self._known(params)):
+            if parameter.counts({**usual, **self.fields(params), **params}):
                 params[parameter.name] = suggest(parameter)
         return params
 
-    def fields(self, params: Params) -> dict[str, Any]:
+    def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return what a trial sets on top of the base, in fields of the run."""
         given = dict(self.fixed)
         for parameter in self.parameters:
@@ -151,8 +143,13 @@ class Space:
                 given.update(parameter.domain.fields(parameter.name, params[parameter.name]))
         return given
 
-    def params_of(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the parameters that give the fields, as far as the space holds them."""
+    def make_run(self, params: Mapping[str, Any], **over: Any) -> Run:
+        """Return the run of a trial, with some fields set over it."""
+        return make_run({**join_fields(self.base, self.fields(params)), **over})
+
+    def params_of(self, base: str) -> dict[str, Any]:
+        """Return the parameters that give the fields of another base, as far as the space holds them."""
+        given = self._usual_fields(base)
         params: dict[str, Any] = {}
         for parameter in self.parameters:
             value = parameter.domain.value_in(parameter.name, given)
@@ -160,131 +157,111 @@ class Space:
                 params[parameter.name] = value
         return params
 
-    def parameter(self, name: str) -> Parameter:
-        """Return a parameter by its name."""
-        return next(parameter for parameter in self.parameters if parameter.name == name)
-
-    def check(self, unread: Iterable[str]) -> None:
+    def check(self, unread: Iterable[str] = ()) -> None:
         """Refuse a space that makes no run at ends of its ranges, or has what does nothing.
 
         Args:
             unread: keys of `fixed` of which one that no run reads is refused.
 
         Raises:
-            Unsound: naming the parameters, their values, and what a run allows.
+            UserError: naming the parameters, their values, and what a run allows.
         """
         for parameter in self.parameters:
-            for key in parameter.keys:
-                if key in self.fixed:
-                    raise Unsound(f"{key} is searched by [space.{parameter.name}]", ("run",), key)
+            for key in self.fixed.keys() & {*parameter.keys}:
+                raise UserError(f"{key} is searched by [space.{parameter.name}]")
         corners = list(self.corners())
         for params, _ in corners:
+            asked = [parameter for parameter in self.parameters if parameter.name in params]
             set_by: dict[str, str] = {}
-            for name, value in params.items():
-                for key in self.parameter(name).domain.fields(name, value):
-                    if (first := set_by.setdefault(key, name)) != name:
-                        raise Unsound(f"{key} is searched by [space.{first}], too", ("space", name))
+            for parameter in asked:
+                for key in parameter.domain.fields(parameter.name, params[parameter.name]):
+                    if (first := set_by.setdefault(key, parameter.name)) != parameter.name:
+                        raise UserError(
+                            f"[space.{parameter.name}]: {key} is searched by [space.{first}], too"
+                        )
         for parameter in self.parameters:
             runs = [run for params, run in corners if parameter.name in params]
             for key in unread_fields(runs, parameter.keys) if runs else ():
-                raise Unsound(does_nothing(key, runs), ("space", parameter.name))
+                raise UserError(does_nothing(key, runs))
         runs = [run for _, run in corners]
         for key in unread_fields(runs, unread):
-            raise Unsound(does_nothing(key, runs), ("run",), key)
+            raise UserError(does_nothing(key, runs))
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
         """Yield trials at ends of the ranges, drawn alike each time, each with the run it makes.
 
         Raises:
-            Unsound: where one makes no run.
+            UserError: where one makes no run.
         """
         draw = random.Random(0)
         for _ in range(CORNERS):
             params = self.ask(lambda parameter: draw.choice(parameter.domain.extremes))
             try:
-                run = make_run(join_fields(self.base, self.fields(params)))
+                yield params, self.make_run(params)
             except UserError as error:
                 told = ", ".join(f"{name} = {value}" for name, value in params.items())
-                at_fault = [name for name in params if str(error).startswith(f"{name} ")]
-                raise Unsound(f"{error}, with {told}", ("space", *at_fault)) from None
-            yield params, run
+                raise UserError(f"{error}, with {told}") from None
 
-    def _known(self, params: Params) -> dict[str, Any]:
-        """Return what a `when` may name: fields as they are beside parameters, and these themselves."""
-        return {**usual_fields(self.base, self.fixed), **self.fields(params), **params}
-
-
-def usual_fields(base: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every field of the run as a base and what is fixed have it, not yet checked as one run."""
-    own = join_fields(base, fixed)
-    brought = ENVIRONMENT_FIELDS.get(own.get("env", ENVIRONMENTS[0]), {})
-    return {**as_fields(Run()), **brought, **read_fields(Run, own)}
-
-
-def _agree(own: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
-    return all(as_tuple(given.get(key)) == as_tuple(value) for key, value in own.items())
+    def _usual_fields(self, base: str) -> dict[str, Any]:
+        """Return every field of the run as a base and what is fixed have it, not yet checked as one run."""
+        own = join_fields(base, self.fixed)
+        brought = ENVIRONMENT_FIELDS.get(own.get("env", ENVIRONMENTS[0]), {})
+        return {**as_fields(Run()), **brought, **read_fields(Run, own)}
 
 
 # --- From a file -----------------------------------------------------------------------------------
 
 
-class RangeTable(Table):
-    """[space.FIELD] with two ends."""
+class ParameterTable(Table):
+    """[space.NAME]: a range of the field NAME, a list of its values, or named tables of fields."""
 
-    low: Any
-    high: Any
+    low: Any = None
+    high: Any = None
     log: bool = False
+    choices: dict[str, dict[str, Any]] | tuple[Any, ...] | None = None
     when: dict[str, Any] = {}
 
 
-class ChoicesTable(Table):
-    """[space.FIELD] with a list of values."""
-
-    choices: Annotated[tuple[Any, ...], MinLen(2)]
-    when: dict[str, Any] = {}
-
-
-class BundlesTable(Table):
-    """[space.NAME] with tables of several fields each."""
-
-    choices: Annotated[dict[str, Annotated[dict[str, Any], SETTABLE]], MinLen(2)]
-    when: dict[str, Any] = {}
-
-
-def read_parameter(file: TomlFile, name: str, before: Sequence[Parameter]) -> Parameter:
+def read_parameter(file: TomlFile, name: str, said: ParameterTable, before: Sequence[Parameter]) -> Parameter:
     """Read [space.NAME], which may hang on the parameters before it.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
     where = ("space", name)
-    data = file.table(where)
-    if isinstance(data.get("choices"), dict):
-        bundles = read_model(BundlesTable, file, where)
-        return Parameter(name, Choices(bundles.choices), _read_when(file, where, bundles.when, before))
-    if name not in SETTABLE.names:
-        told = f"{unknown_name('parameter', name, SETTABLE.names)}; or give it choices of fields"
-        raise file.mistake(where, told)
-    if "choices" in data:
-        listed = read_model(ChoicesTable, file, where)
-        values = [_field(file, where, "choices", name, value) for value in listed.choices]
-        choices = {_name(value): {name: value} for value in values}
-        return Parameter(name, Choices(choices), _read_when(file, where, listed.when, before))
-    ends = read_model(RangeTable, file, where)
-    low, high = (_field(file, where, key, name, getattr(ends, key)) for key in ("low", "high"))
+    when = _read_when(file, (*where, "when"), said.when, before)
+    if isinstance(said.choices, dict):
+        bundles = {
+            choice: {
+                key: _field(file, (*where, "choices", choice), key, key, value) for key, value in own.items()
+            }
+            for choice, own in said.choices.items()
+        }
+        return Parameter(name, _choices(file, where, bundles), when)
+    if said.choices is not None:
+        values = [_field(file, where, "choices", name, value) for value in said.choices]
+        return Parameter(name, _choices(file, where, {_name(own): {name: own} for own in values}), when)
+    low, high = (_field(file, where, key, name, getattr(said, key)) for key in ("low", "high"))
     if any(isinstance(value, bool) or not isinstance(value, int | float) for value in (low, high)):
-        raise file.mistake(where, f"{name} is no number: give choices")
+        raise file.mistake(where, f"{name} needs low and high, two numbers, or choices")
     if not low < high:
         told = f"low = {shown(low)} is not below high = {shown(high)}: an empty range"
         raise file.mistake(where, told, "low")
-    if ends.log and low <= 0:
+    if said.log and low <= 0:
         raise file.mistake(where, f"low = {shown(low)} is not allowed with log: above 0", "low")
-    domain = Range(low, high, ends.log, whole=isinstance(low, int))
-    return Parameter(name, domain, _read_when(file, where, ends.when, before))
+    return Parameter(name, Range(low, high, said.log, whole=isinstance(low, int)), when)
+
+
+def _choices(file: TomlFile, where: Where, choices: Mapping[str, Mapping[str, Any]]) -> Choices:
+    if len(choices) < 2:
+        raise file.mistake(where, "choices: two or more", "choices")
+    return Choices(choices)
 
 
 def _field(file: TomlFile, where: Where, key: str, name: str, value: Any) -> Any:
     """Return a key's value as a field of the run has it."""
+    if name not in SEARCHABLE:
+        raise file.mistake(where, str(unknown_name("parameter", name, SEARCHABLE)), key)
     try:
         return read_field(Run, name, value)
     except UserError as error:
@@ -295,23 +272,17 @@ def _read_when(
     file: TomlFile, where: Where, when: Mapping[str, Any], before: Sequence[Parameter]
 ) -> dict[str, tuple[Any, ...]]:
     """Return at which values of earlier parameters, or of fields, a parameter counts."""
-    domains = {parameter.name: parameter.domain for parameter in before}
-    where, read = (*where, "when"), {}
+    domains, read = {parameter.name: parameter.domain for parameter in before}, {}
     for name, given in when.items():
         if name not in domains and name in file.table(("space",)):
             raise file.mistake(where, f"{name} is searched, too: [space.{name}] must stand before it", name)
-        if name not in domains and name not in SETTABLE.names:
-            known = [*domains, *SETTABLE.names]
-            raise file.mistake(where, str(unknown_name("parameter before it, or field", name, known)), name)
         values, domain = given if isinstance(given, tuple) else (given,), domains.get(name)
-        if not values:
-            raise file.mistake(where, f"{name} = [] is not allowed: one value or more", name)
         if isinstance(domain, Choices):
-            for value in values:
-                if _name(value) not in domain.settings_of:
-                    told = f"is no choice of [space.{name}]: {', '.join(domain.settings_of)}"
-                    raise file.mistake(where, f"{name} = {shown(value)} {told}", name)
             read[name] = tuple(map(_name, values))
+            for value in {*read[name]} - {*domain.settings_of}:
+                raise file.mistake(
+                    where, str(unknown_name(f"choice of {name}", value, domain.settings_of)), name
+                )
         else:
             read[name] = tuple(_field(file, where, name, name, value) for value in values)
     return read
@@ -319,3 +290,7 @@ def _read_when(
 
 def _name(value: Any) -> str:
     return "none" if value is None else value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _agree(own: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
+    return all(as_tuple(given.get(key)) == as_tuple(value) for key, value in own.items())

@@ -10,7 +10,7 @@ A file is checked here once; what reads a `Search` trusts it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +22,7 @@ from pneuma.config import BASES, Steps
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
-from pneuma.search.space import FIXABLE, Parameter, Space, Unsound, read_parameter, usual_fields
+from pneuma.search.space import FIXABLE, Parameter, ParameterTable, Space, read_parameter
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, refuse_taken_name, studies_folder
 from pneuma.values import OneOf, Reads, Share
 from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_fields
@@ -60,8 +60,7 @@ class Search:
         title, section, about: for people.
         space: what is searched, and what is fixed.
         objectives: one; several for a search of the Pareto front.
-        start: trials to begin with, as parameters.
-        start_names: the bases that these are of.
+        start: bases to begin with a trial of each.
         generation: trials that are asked for before any of them is told.
         sampler, pruner: their names and options, all of these given; the pruner's name may be empty.
         presets: by name.
@@ -74,13 +73,17 @@ class Search:
     about: str
     space: Space
     objectives: tuple[Objective, ...]
-    start: tuple[Mapping[str, Any], ...]
-    start_names: tuple[str, ...]
+    start: tuple[str, ...]
     generation: int
     sampler: Mapping[str, Any]
     pruner: Mapping[str, Any]
     presets: Mapping[str, Budget]
     world: str = TEXT
+
+    @property
+    def first_trials(self) -> tuple[dict[str, Any], ...]:
+        """Return the trials to begin with, as far as the space holds them; the sampler gives the rest."""
+        return tuple(self.space.params_of(base) for base in self.start)
 
     def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
         """Return the search with more that all trials share, over what its file fixes.
@@ -98,7 +101,7 @@ class Search:
         except UserError as error:
             told = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
             raise UserError(f"search {self.name} with {told}: {error}") from None
-        return replace(self, space=space, start=_start_params(self.start_names, space))
+        return replace(self, space=space)
 
     def in_world(self, world: str) -> Search:
         """Return the search in one of `WORLDS`, with a name of its own there.
@@ -109,8 +112,7 @@ class Search:
         check_world(world)
         if world == self.world:
             return self
-        own = {key for parameter in self.space.parameters for key in parameter.keys}
-        there = self.with_settings(world_fields(world, own | {*self.space.fixed}))
+        there = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         name = in_world(self.name, world)
         return replace(there, name=name, title=f"{self.title} ({world})", world=world)
 
@@ -180,41 +182,50 @@ class BudgetTable(Table):
     steps: Steps
 
 
-class Named(Table):
-    """The name of a sampler or pruner; those with options derive from it. None is left to Optuna."""
+class Options(Table):
+    """The name of a sampler or a pruner, and options of which each is for one of them."""
 
     name: str
 
+    def chosen(self, file: TomlFile, what: str, known: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+        """Return the name, and the options that it reads; others are refused."""
+        own = known[self.name]
+        for key in self.model_fields_set - {"name", *own}:
+            raise file.mistake((what,), str(unknown_name(f"option of {self.name}", key, own)), key)
+        return {key: getattr(self, key) for key in ("name", *own)}
 
-class Tpe(Named):
-    """Options of the tree-structured Parzen estimator."""
 
+SAMPLERS = {
+    "tpe": ("startup_trials", "candidates", "multivariate"),
+    "random": (),
+    "nsga-ii": ("population", "mutation", "crossover"),
+}
+"""The options of each sampler: Optuna's, with its defaults."""
+PRUNERS = {"": (), "median": ("rungs", "startup_trials")}
+
+
+class SamplerTable(Options):
+    """[sampler]."""
+
+    name: Annotated[str, OneOf(tuple(SAMPLERS))] = "tpe"
     startup_trials: Count = 10
     candidates: Count = 24
     multivariate: bool = True
-
-
-class Nsga(Named):
-    """Options of the genetic algorithm NSGA-II."""
-
     population: Annotated[int, Interval(ge=2, le=10_000)] = 16
     mutation: Share = 0.1
     crossover: Share = 0.9
 
 
-class Median(Named):
-    """Gives up what is behind the median of the trials at rungs of the budget."""
+class PrunerTable(Options):
+    """[pruner]: median gives up what is behind the median of the trials at rungs of the budget."""
 
+    name: Annotated[str, OneOf(tuple(PRUNERS))] = ""
     rungs: Annotated[int, Interval(ge=2, le=10)] = 3
     startup_trials: Count = 5
 
 
-SAMPLERS: Mapping[str, type[Named]] = {"tpe": Tpe, "random": Named, "nsga-ii": Nsga}
-PRUNERS: Mapping[str, type[Named]] = {"": Named, "median": Median}
-
-
 class SearchFile(Table):
-    """The whole file; samplers, pruners and parameters have models by their names and keys."""
+    """The whole file."""
 
     title: Annotated[str, MinLen(1)]
     section: str = ""
@@ -224,9 +235,9 @@ class SearchFile(Table):
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
     run: Annotated[dict[str, Any], FIXABLE] = {}
     objectives: Annotated[dict[str, ObjectiveTable], MinLen(1)]
-    space: Annotated[dict[str, dict[str, Any]], MinLen(1)]
-    sampler: dict[str, Any] = {}
-    pruner: dict[str, Any] = {}
+    space: Annotated[dict[str, ParameterTable], MinLen(1)]
+    sampler: SamplerTable = SamplerTable()
+    pruner: PrunerTable = PrunerTable()
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], BudgetTable], MinLen(1)]
 
 
@@ -242,41 +253,25 @@ def read_search(path: Path) -> Search:
     file = read_toml(path)
     said = read_model(SearchFile, file)
     parameters: list[Parameter] = []
-    for name in said.space:
-        parameters.append(read_parameter(file, name, parameters))
+    for name, own in said.space.items():
+        parameters.append(read_parameter(file, name, own, parameters))
     space = Space(tuple(parameters), said.run, said.base)
     try:
         space.check(unread=said.run)
-    except Unsound as error:
-        raise file.mistake(error.where, str(error), error.key) from None
-    objectives = tuple(Objective(name, **own.model_dump()) for name, own in said.objectives.items())
-    pruner = _read_options(file, "pruner", PRUNERS, "")
-    if len(objectives) > 1 and pruner["name"]:
-        raise file.mistake(("pruner",), f"{pruner['name']} goes with one objective alone", "name")
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    if len(said.objectives) > 1 and said.pruner.name:
+        raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
     return Search(
         name=path.stem,
         title=said.title,
         section=said.section,
         about=" ".join(said.about.split()),
         space=space,
-        objectives=objectives,
-        start=_start_params(said.start, space),
-        start_names=said.start,
+        objectives=tuple(Objective(name, **own.model_dump()) for name, own in said.objectives.items()),
+        start=said.start,
         generation=said.generation,
-        sampler=_read_options(file, "sampler", SAMPLERS, "tpe"),
-        pruner=pruner,
+        sampler=said.sampler.chosen(file, "sampler", SAMPLERS),
+        pruner=said.pruner.chosen(file, "pruner", PRUNERS),
         presets={name: Budget(**own.model_dump()) for name, own in said.presets.items()},
     )
-
-
-def _start_params(names: Sequence[str], space: Space) -> tuple[Mapping[str, Any], ...]:
-    """Return the trials of bases, as far as the space holds them; the sampler gives the rest."""
-    return tuple(space.params_of(usual_fields(name, space.fixed)) for name in names)
-
-
-def _read_options(file: TomlFile, what: str, known: Mapping[str, type[Named]], usual: str) -> dict[str, Any]:
-    """Read the options of a sampler or pruner by the model of its name."""
-    name = file.table((what,)).setdefault("name", usual)
-    if not isinstance(name, str) or name not in known:
-        raise file.mistake((what,), str(unknown_name(what, str(name), filter(None, known))), "name")
-    return {**read_model(known[name], file, (what,), {"name": name}).model_dump()}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_index import open_study
 from pneuma.config import Run, read_fields
 from pneuma.errors import UserError, counted, nearest_name
-from pneuma.search.optuna_study import frozen_trials, new_journal
+from pneuma.search.optuna_study import ended_study, frozen_trials, new_journal
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
 from pneuma.search.trials import Task, Told, Train, best_number, conduct, make_trial_plan
 from pneuma.study.execute import check_environments, selection_record
@@ -66,13 +65,19 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
     check_budget(search, task.budget)
     check_environments([run for _, run in search.space.corners()])
     store.check_writable()
-    with _alone(search.name, store):
-        journal = new_journal(journal_path(store, search.name), task)
+    folder = store.root / FOLDER / f".{search.name}"
+    if not folder.resolve().is_relative_to(store.root.resolve()):
+        raise UserError(f"{folder}: leads out of the results folder; link the whole folder instead")
+    folder.mkdir(parents=True, exist_ok=True)
+    with RunLock(folder) as mine:
+        if not mine:
+            raise UserError(f"search {search.name}: another process searches in {store.root} now")
+        journal = new_journal(journal_path(store, search.name), search)
         told: list[Told] = []
         save_record(store, task, told)
         for generation in conduct(task, train, Outcomes(task, store)):
             told += generation
-            journal.add_trials(frozen_trials(generation, search.space, len(search.objectives)))
+            journal.add_trials(frozen_trials(generation, search))
             save_record(store, task, told)
             yield told
 
@@ -80,19 +85,6 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
 def journal_path(store: Store, name: str) -> Path:
     """Return the file of a search that optuna-dashboard reads."""
     return store.root / FOLDER / f"{name}.journal"
-
-
-@contextmanager
-def _alone(name: str, store: Store) -> Iterator[None]:
-    """Make the folder of searches, and keep a second process from searching there at the same time."""
-    folder = store.root / FOLDER / f".{name}"
-    if not folder.resolve().is_relative_to(store.root.resolve()):
-        raise UserError(f"{folder}: leads out of the results folder; link the whole folder instead")
-    folder.mkdir(parents=True, exist_ok=True)
-    with RunLock(folder) as mine:
-        if not mine:
-            raise UserError(f"search {name}: another process searches in {store.root} now")
-        yield
 
 
 class Outcomes:
@@ -105,11 +97,6 @@ class Outcomes:
     def __init__(self, task: Task, store: Store) -> None:
         self._task = task
         self._store = store
-        self._minimized = {
-            own.outcome
-            for own in task.search.objectives
-            if own.direction == "minimize" and own.over_seeds != "deviation"
-        }
         self._values: dict[tuple[str, str], float] = {}
 
     def read(self, cell: Cell, name: str) -> float:
@@ -124,9 +111,12 @@ class Outcomes:
         return self._store.status(cell.run_id).name == "diverged"
 
     def _measure(self, cell: Cell, name: str) -> float:
-        worst = find_outcome(name).bounds[name in self._minimized]
-        if self.diverged(cell) and np.isfinite(worst):
-            return float(worst)
+        if self.diverged(cell):
+            sought = [own for own in self._task.search.objectives if own.over_seeds != "deviation"]
+            minimized = any((own.outcome, own.direction) == (name, "minimize") for own in sought)
+            worst = find_outcome(name).bounds[minimized]
+            if np.isfinite(worst):
+                return float(worst)
         record = selection_record(make_trial_plan(self._task, [cell]))
         data = open_study(self._store, record, "none")
         return outcome(data, data.runs[0], name)
@@ -184,31 +174,23 @@ def read_record(store: Store, name: str, world: str | None = None) -> Searched:
 
 
 def replaced_note(store: Store, task: Task) -> str:
-    """Say what of a record a search is about to take the place of; empty where it goes on, or none is there.
-
-    Raises:
-        UserError: where it is other versions alone that ask for other trials now.
-    """
-    path = store.root / FOLDER / f"{task.search.name}.json"
-    held = read_sealed(path) or {}
+    """Say what of a record a search is about to take the place of; empty where there is nothing."""
+    held = read_sealed(store.root / FOLDER / f"{task.search.name}.json") or {}
     if held.get("digest") == task.digest or not held.get("trials"):
         return ""
-    changed = _changed(held.get("identity"), task)
+    changed = ", ".join(_changed(held.get("identity"), task)) or "files"
     trials = counted(len(held["trials"]), "trial")
-    told = f"the {trials} so far had other {', '.join(changed) or 'files'}"
-    if changed and {*changed} <= {*VERSIONS}:
-        raise UserError(f"{path}: {told}; remove it to begin anew: their runs stay")
-    return f"{told}, and leave the record; their runs stay"
+    return f"the {trials} so far had other {changed}, and leave the record; their runs stay"
 
 
 def trial_document(told: Told, search: Search) -> dict[str, Any]:
     """Return a trial as JSON has it: `value` with one objective, `values` with several."""
     values = list(told.values) if told.state != "failed" else None
-    one = len(search.objectives) == 1
+    one = {"value": values[0] if values else None}
     return {
         "number": told.number,
         "params": dict(told.params),
-        **({"value": values[0] if values else None} if one else {"values": values}),
+        **(one if len(search.objectives) == 1 else {"values": values}),
         "state": told.state,
         "run_ids": list(told.run_ids),
         "rungs": {str(step): value if math.isfinite(value) else None for step, value in told.rungs.items()},
@@ -235,28 +217,22 @@ def _read(path: Path, name: str, file: str) -> Searched:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
             )
-        return Searched(task, tuple(_read_trial(i, row, own) for i, row in enumerate(document["trials"])))
+        searched = Searched(task, tuple(_read_trial(i, row) for i, row in enumerate(document["trials"])))
+        ended_study(searched.trials, own)  # refuses parameters and values that the search cannot have had
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError(
             f"{path}: damaged; without it `pneuma search run` writes it anew, and trains nothing twice"
         ) from None
+    return searched
 
 
-def _read_trial(number: int, own: Mapping[str, Any], search: Search) -> Told:
-    values = own["values"] or [] if "values" in own else [own["value"]]
-    values = tuple(float(value) for value in values if value is not None)
-    if own["state"] not in ("complete", "pruned", "failed") or not np.isfinite(values).all():
-        raise ValueError
-    if own["state"] != "failed" and len(values) != len(search.objectives):
-        raise ValueError
-    if not own["params"].keys() <= {parameter.name for parameter in search.space.parameters}:
-        raise ValueError
+def _read_trial(number: int, own: Mapping[str, Any]) -> Told:
+    values = own["values"] if "values" in own else [own["value"]]
     return Told(
         number=number,
         params=own["params"],
-        settings=search.space.fields(own["params"]),
-        state=own["state"],
-        values=values,
+        state=str(own["state"]),
+        values=tuple(float(value) for value in values or () if value is not None),
         run_ids=tuple(map(str, own["run_ids"])),
         rungs={int(k): math.nan if value is None else float(value) for k, value in own["rungs"].items()},
         note=str(own["note"]),

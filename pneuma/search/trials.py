@@ -22,11 +22,11 @@ from pneuma.analysis.estimates import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.search.optuna_study import ask, create_study
+from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import Budget, Objective, Search
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
-from pneuma.study.spec import Study, join_fields
+from pneuma.study.spec import Study
 
 Train = Callable[[Plan], None]
 """Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
@@ -71,7 +71,7 @@ class Task:
             "fixed": search.space.fixed,
             "space": [asdict(parameter) for parameter in search.space.parameters],
             "objectives": [asdict(objective) for objective in search.objectives],
-            "start": search.start,
+            "start": search.first_trials,
             "generation": search.generation,
             "sampler": search.sampler,
             "pruner": search.pruner,
@@ -96,7 +96,6 @@ class Told:
     Attributes:
         number: from 0, in the order of asking.
         params: what was suggested.
-        settings: what of the run that sets, over the base.
         state: 'complete'; 'pruned', where it was given up early; 'failed', where it has no value.
         values: one for each objective; of a pruned trial, what it had come to.
         run_ids: of its runs, those at its rungs first.
@@ -106,7 +105,6 @@ class Told:
 
     number: int
     params: Mapping[str, Any]
-    settings: Mapping[str, Any]
     state: str
     values: tuple[float, ...]
     run_ids: tuple[str, ...]
@@ -120,12 +118,17 @@ class _Asked:
 
     trial: optuna.Trial
     params: Mapping[str, Any]
-    settings: Mapping[str, Any]
-    run: Run | None
+    run: Run | None = None
     note: str = ""
     pruned: bool = False
     cells: list[Cell] = field(default_factory=list)
     rungs: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def longest(self) -> list[Cell]:
+        """Return the cells of its longest training."""
+        longest = max((cell.run.steps for cell in self.cells), default=0)
+        return [cell for cell in self.cells if cell.run.steps == longest]
 
 
 def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]]:
@@ -140,12 +143,18 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]
         Unfinished: where a run crashed.
     """
     search, budget = task.search, task.budget
-    rungs = rung_steps(search.pruner, budget)
-    study = create_study(search.objectives, search.name, pruner=search.pruner)
+    rungs, first_trials = rung_steps(search.pruner, budget), search.first_trials
+    study = create_study(search)
     trained: list[Cell] = []
 
     for first in range(0, budget.trials, search.generation):
-        asked = [_ask(study, task) for _ in range(search.generation)][: budget.trials - first]
+        asked = [_Asked(*ask(study, search, first_trials)) for _ in range(search.generation)]
+        asked = asked[: budget.trials - first]
+        for each in asked:
+            try:
+                each.run = search.space.make_run(each.params, steps=budget.steps)
+            except UserError as error:
+                each.note = str(error)
         for rung, steps in rungs.items():
             _train_rung(task, steps, asked, trained, train)
             if len(rungs) > 1:
@@ -180,17 +189,6 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
 
 
-def _ask(study: optuna.Study, task: Task) -> _Asked:
-    search = task.search
-    trial, params = ask(study, search.space, search.sampler, search.name, search.start)
-    settings = search.space.fields(params)
-    try:
-        run = make_run({**join_fields(search.space.base, settings), "steps": task.budget.steps})
-    except UserError as error:
-        return _Asked(trial, params, settings, None, str(error))
-    return _Asked(trial, params, settings, run)
-
-
 def _train_rung(task: Task, steps: int, asked: list[_Asked], trained: list[Cell], train: Train) -> None:
     """Train all trials that are still in the race for so many steps; `trained` gets their cells."""
     for each in asked:
@@ -212,7 +210,7 @@ def _compare(sought: Objective, rung: int, last: bool, asked: list[_Asked], outc
     """Report a rung of every trial, in order, and only then give up those that the pruner names."""
     racing = [each for each in asked if each.run is not None and not each.pruned]
     for each in racing:
-        value = objective_value(sought, _longest(each), outcomes)
+        value = objective_value(sought, each.longest, outcomes)
         each.rungs[rung] = value
         if np.isfinite(value):
             each.trial.report(value, rung)
@@ -222,55 +220,27 @@ def _compare(sought: Objective, rung: int, last: bool, asked: list[_Asked], outc
 
 
 def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, outcomes: Outcomes) -> Told:
-    cells = _longest(asked) if asked.run else []
-    values = tuple(objective_value(own, cells, outcomes) for own in objectives if cells)
-    state = (
-        "failed" if not values or not np.isfinite(values).all() else "pruned" if asked.pruned else "complete"
-    )
-    if state == "complete":
-        study.tell(asked.trial, list(values))
-    else:
-        kind = optuna.trial.TrialState
-        study.tell(asked.trial, state=kind.PRUNED if state == "pruned" else kind.FAIL)
+    values = tuple(objective_value(own, asked.longest, outcomes) for own in objectives if asked.cells)
+    sound = bool(values) and np.isfinite(values).all()
+    state = "failed" if not sound else "pruned" if asked.pruned else "complete"
+    study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
     lacking = [own for own, value in zip(objectives, values, strict=False) if not np.isfinite(value)]
     notes = [asked.note, *(f"a run has no {own.outcome}, or none that is finite" for own in lacking)]
     if count := sum(map(outcomes.diverged, asked.cells)):
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
-    return Told(
-        asked.trial.number,
-        asked.params,
-        asked.settings,
-        state,
-        values,
-        tuple(cell.run_id for cell in asked.cells),
-        asked.rungs,
-        "; ".join(filter(None, notes)),
-    )
-
-
-def _longest(asked: _Asked) -> list[Cell]:
-    """Return the cells of a trial's longest training."""
-    longest = max(cell.run.steps for cell in asked.cells)
-    return [cell for cell in asked.cells if cell.run.steps == longest]
+    run_ids = tuple(cell.run_id for cell in asked.cells)
+    note = "; ".join(filter(None, notes))
+    return Told(asked.trial.number, asked.params, state, values, run_ids, asked.rungs, note)
 
 
 def best_number(told: Sequence[Told], search: Search) -> int | list[int] | None:
-    """Return the number of the best trial, the first of equals; of several objectives, the Pareto front."""
-    signs = [1 if objective.direction == "maximize" else -1 for objective in search.objectives]
-    scores = {
-        trial.number: [sign * value for sign, value in zip(signs, trial.values, strict=True)]
-        for trial in told
-        if trial.state == "complete"
-    }
-    if len(signs) > 1:
-        return [number for number, own in scores.items() if not any(_beats(o, own) for o in scores.values())]
-    return max(scores, key=lambda number: (scores[number], -number), default=None)
+    """Return the number of the best trial, the first of equals; of several objectives, the Pareto front.
 
-
-def _beats(other: Sequence[float], own: Sequence[float]) -> bool:
-    """Tell whether other values are nowhere worse and somewhere better (Pareto dominance)."""
-    pairs = list(zip(other, own, strict=True))
-    return all(o >= v for o, v in pairs) and any(o > v for o, v in pairs)
+    Raises:
+        ValueError: for trials that the search cannot have had.
+    """
+    front = [told[trial.number].number for trial in ended_study(told, search).best_trials]
+    return front if len(search.objectives) > 1 else min(front, default=None)
 
 
 def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outcomes) -> float:
