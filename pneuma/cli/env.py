@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -119,10 +119,9 @@ def render(
     chosen = opt.read_settings_options(set_)
     settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
     worlds = _worlds(name, {**settings, **chosen}, seed)
-    with _blaming_rewards(worlds):
-        renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
-        frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
-        write_video(out, frames, FRAMES_PER_SECOND)
+    renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
+    frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
+    write_video(out, frames, FRAMES_PER_SECOND)
     print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))
 
 
@@ -141,8 +140,7 @@ def play(
     from pneuma.env.watch import play as play_world
 
     worlds = _worlds(name, opt.read_settings_options(set_), seed)
-    with _blaming_rewards(worlds):
-        scores = play_world(worlds, name, camera)
+    scores = play_world(worlds, name, camera)
     for kills, steps in scores:
         print(f"killed {kills} monsters in {steps} steps")
 
@@ -174,17 +172,6 @@ def _story(worlds: Any) -> str:
     if worlds.ending(0) == "running":
         return f"{told}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
     return f"{told}, {worlds.ending(0).replace('-', ' ')}"
-
-
-@contextmanager
-def _blaming_rewards(worlds: Any) -> Iterator[None]:
-    """Turn what a reward of the user's own raises into a line that names its place."""
-    from pneuma.env.reward import blame_reward
-
-    try:
-        yield
-    except Exception as error:
-        raise blame_reward(error, worlds.config.reward) or error from None
 
 
 def _player(

@@ -12,10 +12,9 @@ from pettingzoo import ParallelEnv
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
-from pneuma.env.saving import Snapshot
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):

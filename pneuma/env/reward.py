@@ -25,11 +25,10 @@ where no monster lives.
 from __future__ import annotations
 
 import importlib
-import inspect
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout, suppress
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -61,7 +60,7 @@ def load_reward(name: str) -> RewardFunction:
     was edited, as between two cells of a notebook, or the current folder is another.
 
     Raises:
-        UserError: when the module or the function does not exist, or does not take what a reward is given.
+        UserError: when the module or the function does not exist.
     """
     module_name, _, function_name = name.partition(":")
     path = str(Path.cwd())
@@ -78,7 +77,7 @@ def load_reward(name: str) -> RewardFunction:
     try:
         with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
             module = importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is read
+    except (Exception, SystemExit) as error:  # whatever a user's module does when it is read
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:
         sys.dont_write_bytecode = writes
@@ -89,19 +88,7 @@ def load_reward(name: str) -> RewardFunction:
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
-    _check_signature(name, function)
     return function
-
-
-def _check_signature(name: str, function: RewardFunction) -> None:
-    """Refuse a function that takes anything but a reward's three arguments: others are not called."""
-    try:
-        kinds = [own.kind for own in inspect.signature(function).parameters.values()]
-    except (TypeError, ValueError):  # compiled, without a signature
-        kinds = []
-    by_place = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    if len(kinds) != 3 or not all(kind in by_place for kind in kinds):
-        raise UserError(f"reward {name!r}: a reward is a function of (events, players, player_stats)")
 
 
 def reward_files(names: Sequence[str]) -> list[Path]:
@@ -147,8 +134,11 @@ def custom_rewards(
     """
     try:
         rewards = np.asarray(function(events, players, stats), np.float64)
-    except Exception as error:  # whatever a stranger's function does
-        raise blame_reward(error, [name]) or _refusal(function, name, _said(error)) from error
+    except Exception as error:  # whatever a user's function does
+        said = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+        frames = traceback.extract_tb(error.__traceback__)[1:2]  # the function's own, unless it is compiled
+        where = [f"{frame.filename}, line {frame.lineno}: " for frame in frames]
+        raise UserError(f"reward {name!r}: {''.join(where)}{said}") from error
     if rewards.shape != events.shape:
         raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
     rewards = np.where(present(events), rewards, 0.0)
@@ -164,34 +154,6 @@ def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
     code = getattr(function, "__code__", None)
     where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
     return UserError(f"reward {name!r}: {where}{problem}")
-
-
-def blame_reward(error: BaseException, rewards: Sequence[str]) -> UserError | None:
-    """Return what to tell a user whose reward raised an error, or None if none of them did.
-
-    Args:
-        error: what was caught; the errors that led to it are looked at too.
-        rewards: names as in a configuration; those of `module:function` are a user's own.
-    """
-    modules = {name.partition(":")[0]: name for name in rewards if ":" in name}
-    for each in _chain(error):
-        for frame, line in reversed(list(traceback.walk_tb(each.__traceback__))):
-            name = modules.get(frame.f_globals.get("__name__", ""))
-            if name:
-                return UserError(f"reward {name!r}: {frame.f_code.co_filename}, line {line}: {_said(each)}")
-    return None
-
-
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and those that it was raised from or while handling."""
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
-
-
-def _said(error: BaseException) -> str:
-    """Return an error's kind and message in one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
 
 
 def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> np.ndarray:

@@ -13,11 +13,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 
 from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.env import rules
-from pneuma.env.saving import Snapshot
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
@@ -30,7 +29,7 @@ class PneumaVecEnv(Rendering, VecEnv):
 
     Args:
         seeds: one for each world; or a number of slots, a multiple of the players in a world.
-        config: the environment's settings; or give them as keywords.
+        config: the environment's settings, instead of `env_id` and keywords.
         seed: with a number of slots, world i is seeded seed + i; otherwise as the system pleases.
         env_id: whose presets to start from.
         render_mode: `rgb_array`, of which `render` makes one picture; or `human`, a window.
@@ -38,7 +37,7 @@ class PneumaVecEnv(Rendering, VecEnv):
         settings: the fields of `pneuma.config.EnvConfig`.
 
     Raises:
-        UserError: for settings that cannot be played, no worlds, or seeds given twice.
+        UserError: for settings that cannot be played.
     """
 
     def __init__(
@@ -52,13 +51,15 @@ class PneumaVecEnv(Rendering, VecEnv):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        if config is None:
-            config = make_env_config(settings, env_id)
-        elif settings or env_id != ENVIRONMENTS[0]:
-            raise UserError("give a config or settings, not both")
-        each = _seeds(seeds, seed, config.players)
-        self.state = Worlds(len(each), config)
-        self.state.seed(each)
+        config = config or make_env_config(settings, env_id)
+        if isinstance(seeds, int | np.integer):
+            if seeds < 1 or seeds % config.players:
+                told = f"a multiple of the {config.players} players in a world"
+                raise UserError(f"{seeds} slots are not allowed: {told}")
+            first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
+            seeds = [first + i for i in range(int(seeds) // config.players)]
+        self.state = Worlds(len(seeds), config)
+        self.state.seed(seeds)
         self.slots = Slots(self.state)
         self._begun = False
         self._set_up_rendering(self.state, render_mode, camera)
@@ -240,17 +241,3 @@ class PneumaVecEnv(Rendering, VecEnv):
 def _bytes(array: np.ndarray) -> np.ndarray:
     """Return an array's memory, (bytes,) uint8."""
     return array.reshape(-1).view(np.uint8)
-
-
-def _seeds(seeds: int | Sequence[int], seed: int | None, players: int) -> list[int]:
-    """Return a seed for each world."""
-    if isinstance(seeds, int | np.integer):
-        if seeds < 1 or seeds % players:
-            raise UserError(f"{seeds} slots are not allowed: a multiple of the {players} players in a world")
-        first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
-        return [first + i for i in range(int(seeds) // players)]
-    if seed is not None:
-        raise UserError("give a seed for each world, or a number of slots and one seed, not both")
-    if len(seeds) == 0:
-        raise UserError("seeds is empty: give one for each world, or a number of slots")
-    return [int(own) for own in seeds]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -14,10 +13,9 @@ from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP, most_hp
 from pneuma.env.reward import PARTS, reward_parts
-from pneuma.env.saving import Snapshot
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 
@@ -79,7 +77,6 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self.action_space = self.state.action_space
         self._set_up_rendering(self.state, render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
-        self._action_count = int(self.state.action_space.n)
         self._keyed = False
 
     def reset(
@@ -112,7 +109,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     def step(self, action: np.int64) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
         index = operator.index(action)
-        if not 0 <= index < self._action_count:
+        if not 0 <= index < self.state.action_space.n:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if not self._keyed:
             raise gymnasium.error.ResetNeeded("no episode has begun: call reset first")
@@ -138,7 +135,9 @@ class VectorRewards:
     state: Worlds
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
-        refuse_reward(settings)
+        if "reward" in settings:
+            told = f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts"
+            raise UserError(f"{told}; weigh them, or choose a reward for an id without mo-")
         super().__init__(*arguments, **settings)
         self.reward_space = parts_space(self.state)
         self.reward_dim = len(PARTS)
@@ -159,22 +158,13 @@ class PneumaMOEnv(VectorRewards, PneumaEnv):
         return self._parts()[0, 0]
 
 
-def refuse_reward(settings: Mapping[str, object]) -> None:
-    """Refuse a choice of reward for an environment with vector rewards."""
-    if "reward" in settings:
-        told = f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts"
-        raise UserError(f"{told}; weigh them, or choose a reward for an id without mo-")
-
-
 def parts_space(state: Worlds) -> spaces.Box:
     """Return the finite bounds of a vector reward."""
     config = state.config
     worth = float(state.monster_stats["xp"].sum(axis=-1).max(initial=0.0))
-    most = MOST_XP if config.xp_scope == "forever" else worth
-    least = -MOST_XP if config.xp_scope == "forever" else -config.ending_cost
+    least, most = (-MOST_XP, MOST_XP) if config.xp_scope == "forever" else (-config.ending_cost, worth)
     circles = float(state.monsters.shape[1] * TICKS_PER_STEP)
     hp = max(most_hp(row, state.monster_stats, config) / float(row["hp"]) for row in state.player_stats)
-    low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
     lost = hp * TICKS_PER_STEP  # who is healed in between may lose all HP at every tick
-    high = np.array([most, hp, worth, lost, circles, circles], np.float32)
-    return spaces.Box(low, high, dtype=np.float32)
+    low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
+    return spaces.Box(low, np.array([most, hp, worth, lost, circles, circles], np.float32), dtype=np.float32)

@@ -107,21 +107,9 @@ def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
     Args:
         worlds: which are reset.
         start: None; the index of a start place; or one for each world, of which some may be None.
-
-    Raises:
-        TypeError: for what is no whole number.
-        ValueError: for a place that the level does not have, or not one for each world.
     """
     if start is None:
         return None
-    asked = list(start) if np.ndim(start) else [start] * len(worlds)
-    places = len(worlds.level.starts)
-    chosen = worlds.usual_starts.copy()
-    for world, one in enumerate(asked):
-        if one is not None and not 0 <= operator.index(one) < places:
-            raise ValueError(f"start {one!r}: the level has places 0 to {places - 1}")
-        if one is not None and world < len(worlds):
-            chosen[world] = one
-    if len(asked) != len(worlds):
-        raise ValueError(f"start = {start!r}: one index, or one for each of {len(worlds)} worlds")
-    return chosen
+    asked = np.broadcast_to(np.array(start, object), len(worlds))
+    both = zip(asked, worlds.usual_starts, strict=True)
+    return np.array([usual if one is None else operator.index(one) for one, usual in both], np.int64)

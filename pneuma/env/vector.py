@@ -13,11 +13,10 @@ from gymnasium.vector.utils import batch_space
 
 from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
-from pneuma.env.saving import Snapshot
 from pneuma.env.single import VectorRewards
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 

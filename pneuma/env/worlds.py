@@ -6,10 +6,11 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,31 @@ from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.random_level import parse_name
 from pneuma.env.reward import REWARD_CODES, custom_rewards, load_reward, present
-from pneuma.env.saving import Snapshot, fingerprint, refuse_nowhere, restore_world, save_world
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
+_SEEN_OR_PAID = {
+    "reward", "perceived", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
+}  # fmt: skip
+"""Stats that no state depends on."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The whole state of one world: what it needs to go on as it would have.
+
+    Attributes:
+        worlds, players, monsters: (1,), (1, P) and (1, M), as in `Worlds`.
+        fits: names the levels, characters and stops that it can be put back among.
+        returns: (P,) what the episode has paid so far, from a face that counts it.
+    """
+
+    worlds: np.ndarray
+    players: np.ndarray
+    monsters: np.ndarray
+    fits: str
+    returns: np.ndarray | None = None
 
 
 class Worlds:
@@ -48,8 +69,7 @@ class Worlds:
     """
 
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
-        config = _resolved(config or EnvConfig())
-        self.config = config
+        config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
         cast = characters.load_characters(config.characters)
         self.player_stats = characters.player_stats(
             cast, _one_each(config.classes, config), _one_each(config.weapons, config)
@@ -76,16 +96,15 @@ class Worlds:
         names = ACTION_NAMES + (SPELL_NAMES if config.magic else ())
         self.action_space = spaces.Discrete(len(names))
         self._allocate(count, len(names))
-        self._fits = fingerprint(self)
+        self._fits = self._fingerprint()
         self._try_rewards()
 
     def _allocate(self, count: int, actions: int) -> None:
         players, monsters = len(self.player_stats), self.monster_stats.shape[1]
         margin = characters.margin(self.player_stats, self.monster_stats.ravel())
         self.worlds = np.zeros(count, state.WORLD)
-        self.worlds["key"] = np.random.SeedSequence().generate_state(
-            count, np.uint64
-        )  # until they are seeded
+        fresh = np.random.SeedSequence()
+        self.worlds["key"] = fresh.generate_state(count, np.uint64)  # until they are seeded
         self.players = np.zeros((count, players), state.PLAYER)
         self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
         self.monsters = np.zeros((count, monsters), state.MONSTER)
@@ -277,7 +296,14 @@ class Worlds:
         Raises:
             ValueError: when there is no such world, or no episode has ever begun in it.
         """
-        return save_world(self, world, self._fits)
+        if not 0 <= world < len(self):
+            raise ValueError(f"world {world}: there are worlds 0 to {len(self) - 1}")
+        if not self.worlds["players_left"][world] and self.ending(world) == "running":
+            raise ValueError(f"no episode has begun in world {world}: reset it first")
+        one = slice(world, world + 1)
+        worlds, players, monsters = (raw[one].copy() for raw in self.raw[:3])
+        kept = worlds.view(state.WORLD), players.view(state.PLAYER), monsters.view(state.MONSTER)
+        return Snapshot(*kept, self._fits)
 
     def restore(self, world: int, snapshot: Snapshot) -> None:
         """Put a saved state into one world, of this or of another `Worlds` of equal levels and characters.
@@ -286,10 +312,31 @@ class Worlds:
         the next step; `observe` writes it at once.
 
         Raises:
-            ValueError: when there is no such world, or for a state of another number of players, of
-                other levels, classes, weapons or monsters, or where other things stop whoever moves.
+            ValueError: for a state that does not fit it.
         """
-        restore_world(self, world, snapshot, self._fits)
+        if snapshot.fits != self._fits or snapshot.worlds["level"].item() >= len(self.levels):
+            raise ValueError(
+                "a state of another number of players, another level, class, weapon or kind of monster, or "
+                "where other things stop whoever moves, does not fit this world"
+            )
+        saved = snapshot.worlds, snapshot.players, snapshot.monsters
+        for own, array in zip(self.raw, saved, strict=False):
+            own[world] = array.view(own.dtype)[0]
+        self.raw[3][world] = state.NO_EVENTS
+
+    def _fingerprint(self) -> str:
+        """Return a digest of levels, characters and who may stand where: not of what is seen or paid."""
+        digest = hashlib.sha256(state.LAYOUT_DIGEST.encode())
+        for level in self.levels:
+            digest.update(repr((level.left, level.top, level.tile, level.terrain.shape)).encode())
+            digest.update(level.terrain.tobytes() + level.starts.tobytes())
+        for name in ("player_stops", "monster_stops", "bodies_block"):
+            digest.update(self.settings[name].tobytes())
+        for stats in (self.player_stats, self.monster_stats):
+            for name in stats.dtype.names or ():
+                if name not in _SEEN_OR_PAID:
+                    digest.update(stats[name].tobytes())
+        return digest.hexdigest()
 
     def observe(self) -> None:
         """Write all observations and masks from the state as it is, which may have been written by hand.
@@ -297,12 +344,28 @@ class Worlds:
         What the state counts, who is left, is counted anew.
 
         Raises:
-            ValueError: for bodies that are nowhere on the grid, face nowhere or fly too fast.
+            ValueError: for bodies that are nowhere on the grid, or face nowhere.
         """
-        refuse_nowhere(self)
+        self._refuse_nowhere()
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
         self._observe()
+
+    def _refuse_nowhere(self) -> None:
+        """Refuse what the rules could not look up. Dead monsters may be anywhere, dead players may not."""
+        left, top, right, bottom = self.level.grid
+        kinds, alive = self.monster_stats[self.worlds["level"]], self.monsters["hp"] > 0
+        for name, bodies, stats in (
+            ("players", self.players, self.player_stats),
+            ("monsters", self.monsters[alive], kinds[alive]),
+        ):
+            for x, y in ((0, 0), (stats["body_x"], stats["body_y"])):  # the position, and the body's middle
+                x, y = x + bodies["x"], y + bodies["y"]
+                if not ((left <= x) & (x < right) & (top <= y) & (y < bottom)).all():  # nor NaN
+                    told = f"{left:g} to {right:g}, {top:g} to {bottom:g}"
+                    raise ValueError(f"{name}: x or y lies off the grid, {told}")
+        if not np.isin(self.players["facing"], range(4)).all():
+            raise ValueError("players: facing is none of 0 to 3")
 
     def _observe(self) -> None:
         rules.step_worlds(self._handle, self._no_actions, True)
@@ -324,11 +387,6 @@ def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -
 
 def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
-
-
-def _resolved(config: EnvConfig) -> EnvConfig:
-    """Return a configuration checked and filled, however it was made."""
-    return make_env_config({item.name: getattr(config, item.name) for item in fields(EnvConfig)})
 
 
 _ADDRESSES = ("_handle", "_arrays", "_shown", "raw")

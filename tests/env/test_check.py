@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pneuma.env.check import check_environment, check_restore
-from pneuma.env.saving import Snapshot
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.errors import UserError
 
 from .arena import THESIS
